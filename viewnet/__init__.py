@@ -1,0 +1,1 @@
+"""ViewNet: unsupervised viewpoint estimation from conditional generation."""

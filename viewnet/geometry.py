@@ -1,0 +1,88 @@
+"""Viewpoints: every conversion between angles, view vectors and camera frames.
+
+World (object) frame: right-handed, z up, +x is the object's front, +y its left side. A viewpoint says where the camera is as
+seen from the object. Azimuth runs counter-clockwise from +x, so 0 shows the front and 90 the left side (the object then
+faces left in the picture), as in PASCAL3D+; elevation is the height above the horizon. Angles are degrees everywhere.
+
+    view vector   v = (cos e cos a, cos e sin a, sin e), from the object to the camera
+    camera frame  R, columns (right, up, back) in world coordinates, with back = v
+
+so `R @ p` takes camera coordinates to world coordinates. The paper writes [v, w, u'] with w = v x u for the same frame
+(section 3.1): another column order and the opposite sign of `right`.
+
+>>> v = view_vector(torch.tensor(90.0), torch.tensor(0.0))
+>>> [round(x, 6) + 0.0 for x in v.tolist()]
+[0.0, 1.0, 0.0]
+>>> [[round(x, 6) + 0.0 for x in row] for row in look_at(torch.tensor([0.0, 1.0, 0.0])).tolist()]
+[[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+UP = (0.0, 0.0, 1.0)
+
+
+def view_vector(azimuth: Tensor, elevation: Tensor) -> Tensor:
+    """Unit vectors (..., 3) from object to camera for azimuth and elevation (...) in degrees."""
+    a, e = torch.deg2rad(azimuth), torch.deg2rad(elevation)
+    return torch.stack([e.cos() * a.cos(), e.cos() * a.sin(), e.sin()], dim=-1)
+
+
+def azimuth_elevation(v: Tensor) -> tuple[Tensor, Tensor]:
+    """Azimuth in [0, 360) and elevation in [-90, 90], degrees, of vectors (..., 3) of any positive length."""
+    azimuth = torch.rad2deg(torch.atan2(v[..., 1], v[..., 0])) % 360.0
+    # A tiny negative angle rounds up to 360 itself under the modulo.
+    azimuth = torch.where(azimuth >= 360.0, torch.zeros_like(azimuth), azimuth)
+    elevation = torch.rad2deg(torch.atan2(v[..., 2], torch.linalg.vector_norm(v[..., :2], dim=-1)))
+    return azimuth, elevation
+
+
+def look_at(v: Tensor, up: Tensor | None = None) -> Tensor:
+    """Camera frames (..., 3, 3) of view vectors (..., 3): the orthogonalisation of section 3.1.
+
+    `up` (..., 3) is the direction that points up in the picture; the world's z without it. A learned `up` describes
+    in-plane rotation too (the paper's general case). Where `v` and `up` are parallel the frame is undefined in the
+    mathematics; here `right` is then the world's y, so that the result is always a rotation and gradients are finite.
+    """
+    back = torch.nn.functional.normalize(v, dim=-1, eps=1e-12)
+    up = back.new_tensor(UP).expand_as(back) if up is None else up.expand_as(back)
+    right = torch.linalg.cross(up, back)
+    parallel = torch.linalg.vector_norm(right.detach(), dim=-1, keepdim=True) < 1e-6
+    side = torch.linalg.cross(back.new_tensor([0.0, 0.0, 1.0]).expand_as(back), back)
+    side = torch.where(torch.linalg.vector_norm(side.detach(), dim=-1, keepdim=True) < 1e-6, _y_axis(back), side)
+    right = torch.nn.functional.normalize(torch.where(parallel, side, right), dim=-1, eps=1e-12)
+    return torch.stack([right, torch.linalg.cross(back, right), back], dim=-1)
+
+
+def _y_axis(like: Tensor) -> Tensor:
+    """The world's y made orthogonal to `like` (which is within 1e-6 of the world's z wherever this is used)."""
+    y = like.new_tensor([0.0, 1.0, 0.0]).expand_as(like)
+    return y - (y * like).sum(-1, keepdim=True) * like
+
+
+def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
+    """Geodesic distance (...) in degrees, [0, 180], between rotations (..., 3, 3): the angle of a^T b.
+
+    Computed as the atan2 of (twice) its sine and its cosine: exact at 0 and 180 degrees, where the usual
+    arccos((trace - 1) / 2) loses half of its digits.
+    """
+    relative = a.transpose(-1, -2) @ b
+    trace = relative.diagonal(dim1=-2, dim2=-1).sum(-1)
+    axis = torch.stack(
+        [
+            relative[..., 2, 1] - relative[..., 1, 2],
+            relative[..., 0, 2] - relative[..., 2, 0],
+            relative[..., 1, 0] - relative[..., 0, 1],
+        ],
+        dim=-1,
+    )
+    return torch.rad2deg(torch.atan2(torch.linalg.vector_norm(axis, dim=-1), trace - 1.0))
+
+
+def vector_angle(a: Tensor, b: Tensor) -> Tensor:
+    """Angle (...) in degrees between vectors (..., 3) of any positive length."""
+    a, b = torch.nn.functional.normalize(a, dim=-1), torch.nn.functional.normalize(b, dim=-1)
+    return 2 * torch.rad2deg(torch.atan2(torch.linalg.vector_norm(a - b, dim=-1), torch.linalg.vector_norm(a + b, dim=-1)))
