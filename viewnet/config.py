@@ -1,0 +1,290 @@
+"""What a run is: profiles (how big), recipes (how trained), variants (rows of the tables), and the key that names a run.
+
+Everything is a frozen dataclass. A variant is a named set of changes to the base configuration, so that Table 2 is
+literally `VARIANTS`; a recipe and a profile are the same, so there is one place where each setting is decided.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import types
+import typing
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from viewnet.errors import ViewnetError
+
+SYNSETS = {
+    "aeroplane": "02691156",
+    "bicycle": "02834778",
+    "boat": "04530566",
+    "bottle": "02876657",
+    "bus": "02924116",
+    "car": "02958343",
+    "chair": "03001627",
+    "diningtable": "04379243",
+    "motorbike": "03790512",
+    "sofa": "04256520",
+    "train": "04468005",
+    "tvmonitor": "03211117",
+}
+"""PASCAL3D+ category name -> ShapeNet (WordNet) synset id."""
+CATEGORIES = tuple(SYNSETS)
+SHAPENET_CATEGORIES = ("aeroplane", "car", "chair")
+"""The three categories of Tables 1 and 2."""
+
+
+@dataclass(frozen=True)
+class DataConfig:
+    """Which views: CAD models of one category, rendered from random viewpoints (section 4.2)."""
+
+    category: str
+    root: str | None = None  # a ShapeNetCore folder (v1 or v2 layout); None: the built-in models
+    splits: str | None = None  # a folder of <synset>_{train,val,test}.txt lists; None: all.csv, else a seeded split
+    models: int = 1000  # built-in: how many to make; real: use at most so many, 0 for all
+    views: int = 5
+    image_size: int = 64
+    supersample: int = 2
+    azimuth_range: tuple[float, float] = (0.0, 360.0)
+    elevation_range: tuple[float, float] = (-20.0, 40.0)
+    seed: int = 0
+    renderer: Literal["auto", "raycast", "pyrender"] = "auto"
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The networks and the volume renderer (section 3 and the supplement's architecture tables)."""
+
+    image_size: int = 64  # input of both encoders; a multiple of 32
+    volume_size: int = 64  # voxels along a side
+    render_size: int = 64  # pixels along a side of the reconstruction
+    encoder_channels: tuple[int, ...] = (64, 128, 256, 512, 512, 512)
+    generator_channels: tuple[int, ...] = (512, 512, 128, 128, 128, 128, 16, 16)  # code, then every layer but the last
+    appearance_size: int = 256
+    heads: int = 3  # M, the number of viewpoint hypotheses
+    head_spread: float = 0.0  # the heads start facing different azimuths: how strongly
+    elevation_limits: tuple[float, float] | None = None  # predicted elevations stay within, degrees; None: the sphere
+    in_plane: bool = False  # learn the up vector too (section 3.1, the general case)
+    decoder: Literal["adain", "encoder_decoder", "hologan"] = "adain"
+    shape_prior: bool = True  # the Gaussian S in Q = S + Q'
+    focal: float = 0.4  # initial perspective: reciprocal of the camera's distance in half sides of the volume
+    learn_focal: bool = True
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """The optimisation (sections 3 and 4.1)."""
+
+    epochs: int = 1000
+    batch_size: int = 64  # target images a step
+    targets_per_object: int = 1  # target images that share one appearance image
+    learning_rate: float = 1e-4
+    schedule: Literal["constant", "cosine"] = "constant"
+    patience: int = 30  # epochs without gain on validation before stopping
+    select_by: Literal["accuracy", "reconstruction"] = "accuracy"  # what "gain" means; accuracy uses validation labels
+    target: Literal["image", "mask"] = "image"
+    background: Literal["black", "random"] = "black"  # behind target and reconstruction alike
+    perceptual: Literal["none", "squeezenet", "vgg16"] = "vgg16"
+    pixel_weight: float = 0.0  # of L1 + MSE on pixels at two scales, beside the perceptual term
+    selection_weight: float = 1.0
+    cycle_weight: float = 0.0  # section 3.4; 0 leaves it out
+    cycle_start: float = 0.0  # fraction of training before the cycle sets in (then ramped up over a tenth)
+    cycle_elevation: tuple[float, float] = (-36.0, 72.0)  # where its viewpoints are drawn, degrees
+    augment: bool = False  # random crop and +-3 degree rotation of the viewpoint encoder's input
+    amp: Literal["auto", "off"] = "auto"  # bfloat16 where the hardware has it
+    validate_every: int = 1  # epochs
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """One training: variant x category x profile x recipe x seed, with everything they stand for written out."""
+
+    variant: str
+    category: str
+    profile: str
+    recipe: str
+    seed: int
+    data: DataConfig
+    model: ModelConfig = field(default_factory=ModelConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types."""
+        return json.loads(json.dumps(dataclasses.asdict(self)))
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> RunConfig:
+        """The inverse of `to_dict`. Unknown or missing keys and wrong types raise ViewnetError."""
+        return _build(cls, values, "config")
+
+    def key(self, *identities: str) -> str:
+        """12 hex digits of everything that decides the result; `identities` add the view store's and the code's."""
+        canonical = json.dumps([self.to_dict(), *identities], sort_keys=True)
+        return hashlib.sha256(canonical.encode()).hexdigest()[:12]
+
+
+Changes = dict[str, dict[str, Any]]
+"""Section ("data", "model", "train") -> field -> value."""
+
+RECIPES: dict[str, Changes] = {
+    # As printed: black background, VGG16 perceptual loss, a free focal length, stopping by validation accuracy.
+    "paper": {},
+    # Ours: target and reconstruction over the same random colour, so that the mask is learned from colour alone; heads
+    # that start apart; elevations within a plausible camera range; stopping without labels. See docs/recipes.md.
+    "matting": {
+        "model": {"head_spread": 0.5, "elevation_limits": (-22.0, 42.0), "focal": 0.27},
+        "train": {
+            "background": "random",
+            "perceptual": "none",
+            "pixel_weight": 1.0,
+            "select_by": "reconstruction",
+            "learning_rate": 1e-3,
+            "schedule": "cosine",
+            "cycle_start": 0.1,
+            "cycle_elevation": (-20.0, 40.0),
+        },
+    },
+}
+
+VARIANTS: dict[str, Changes] = {
+    "viewnet": {},
+    "viewnet_cycle": {"train": {"cycle_weight": 1.0}},
+    "single_head": {"model": {"heads": 1}},
+    "segmentation_target": {"train": {"target": "mask"}},
+    "no_shape_prior": {"model": {"shape_prior": False}},
+    "encoder_decoder": {"model": {"decoder": "encoder_decoder"}},
+    "hologan_decoder": {"model": {"decoder": "hologan"}},
+}
+"""The trained rows of Tables 1 and 2. The constant predictor needs no training (viewnet.evaluate)."""
+
+PROFILES: dict[str, Changes] = {
+    "smoke": {
+        "data": {"models": 30, "image_size": 32, "supersample": 1},
+        "model": {
+            "image_size": 32,
+            "volume_size": 16,
+            "render_size": 16,
+            "encoder_channels": (8, 16, 16, 32, 32, 32),
+            "generator_channels": (16, 16, 8),
+            "appearance_size": 16,
+        },
+        "train": {"epochs": 2, "batch_size": 16, "patience": 2},
+    },
+    "tiny": {
+        "data": {"models": 1000},
+        "model": {
+            "image_size": 32,
+            "volume_size": 32,
+            "render_size": 32,
+            "encoder_channels": (32, 64, 128, 256, 256, 256),
+            "generator_channels": (128, 64, 32, 16),
+            "appearance_size": 64,
+        },
+        "train": {"epochs": 20, "batch_size": 32},
+    },
+    "small": {
+        "data": {"models": 2000},
+        "model": {"encoder_channels": (64, 128, 256, 512, 512, 512), "generator_channels": (256, 128, 64, 32, 16)},
+        "train": {"epochs": 60},
+    },
+    "paper": {"data": {"models": 0}},
+}
+
+PROFILE_RECIPE = {"smoke": "matting", "tiny": "matting", "small": "matting", "paper": "paper"}
+"""The recipe a profile uses unless another is named."""
+
+
+def make_config(
+    variant: str = "viewnet",
+    category: str = "car",
+    profile: str = "tiny",
+    recipe: str | None = None,
+    seed: int = 0,
+    data_root: str | None = None,
+    splits: str | None = None,
+    **overrides: Any,
+) -> RunConfig:
+    """The configuration of one run. Overrides name a field of any section, e.g. `epochs=3` or `volume_size=16`.
+
+    Raises ViewnetError naming the valid choices for an unknown variant, category, profile, recipe or override.
+    """
+    known(variant, VARIANTS, "variant")
+    known(category, CATEGORIES, "category")
+    known(profile, PROFILES, "profile")
+    recipe = PROFILE_RECIPE[profile] if recipe is None else known(recipe, RECIPES, "recipe")
+    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+        raise ViewnetError(f"seed {seed!r}: expected a whole number of 0 or more")
+    sections: dict[str, dict[str, Any]] = {
+        "data": {"category": category, "root": data_root, "splits": splits},
+        "model": {},
+        "train": {},
+    }
+    for changes in (RECIPES[recipe], PROFILES[profile], VARIANTS[variant], _by_section(overrides)):
+        for section, values in changes.items():
+            sections[section].update(values)
+    if data_root is not None and profile != "smoke" and "models" not in overrides:
+        sections["data"]["models"] = 0
+    values = {"variant": variant, "category": category, "profile": profile, "recipe": recipe, "seed": seed}
+    return _build(RunConfig, {**values, **sections}, "config")
+
+
+def known(value: str, choices: typing.Iterable[str], what: str) -> str:
+    """`value` itself if it is one of `choices`; ViewnetError naming them all otherwise."""
+    choices = tuple(choices)
+    if value not in choices:
+        raise ViewnetError(f"unknown {what} {value!r}: choose one of {', '.join(choices)}")
+    return value
+
+
+def _by_section(overrides: dict[str, Any]) -> Changes:
+    changes: Changes = {}
+    for name, value in overrides.items():
+        for section, cls in (("data", DataConfig), ("model", ModelConfig), ("train", TrainConfig)):
+            if name in {f.name for f in dataclasses.fields(cls)}:
+                changes.setdefault(section, {})[name] = value
+                break
+        else:
+            names = sorted(f.name for c in (DataConfig, ModelConfig, TrainConfig) for f in dataclasses.fields(c))
+            raise ViewnetError(f"unknown setting {name!r}: choose one of {', '.join(names)}")
+    return changes
+
+
+def _build(cls: Any, values: Any, where: str) -> Any:
+    """A dataclass from plain values, strictly: every name known, every type right, tuples restored from lists."""
+    if not isinstance(values, dict):
+        raise ViewnetError(f"{where}: expected a mapping, got {values!r}")
+    hints = typing.get_type_hints(cls)
+    if unknown := sorted(set(values) - set(hints)):
+        raise ViewnetError(f"{where}: unknown setting {unknown[0]!r}: choose one of {', '.join(hints)}")
+    missing = [
+        f.name
+        for f in dataclasses.fields(cls)
+        if f.name not in values and f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
+    ]
+    if missing:
+        raise ViewnetError(f"{where}: {missing[0]!r} is missing")
+    return cls(**{name: _typed(hints[name], value, f"{where}.{name}") for name, value in values.items()})
+
+
+def _typed(hint: Any, value: Any, where: str) -> Any:
+    """`value` as the annotated type `hint`; ViewnetError where it is of another."""
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if dataclasses.is_dataclass(hint):
+        return _build(hint, value, where)
+    if origin is Literal:
+        return known(value, args, where)
+    if origin in (types.UnionType, typing.Union):
+        if value is None and type(None) in args:
+            return None
+        return _typed(next(a for a in args if a is not type(None)), value, where)
+    if origin is tuple and isinstance(value, (tuple, list)):
+        kinds = [args[0]] * len(value) if args[-1] is Ellipsis else list(args)
+        if len(kinds) == len(value):
+            return tuple(_typed(kind, item, where) for kind, item in zip(kinds, value, strict=True))
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    if origin is None and isinstance(value, hint) and (hint is bool or not isinstance(value, bool)):
+        return value
+    raise ViewnetError(f"{where}: expected {getattr(hint, '__name__', hint)}, got {value!r}")
