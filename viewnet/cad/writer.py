@@ -1,0 +1,107 @@
+"""Writes one model in the layout of ShapeNetCore v2: y up, front -z, centred, unit bounding-box diagonal."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from viewnet.cad.builder import Array, Builder
+
+# A millionth of the diagonal: far below a pixel, and it lets vertices that meet be shared.
+DIGITS = 5
+# Rows are the file's axes in the object frame: file (x, y, z) = (-y, z, -x).
+TO_FILE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+
+
+def write_model(builder: Builder, folder: Path) -> None:
+    """Write `models/model_normalized.obj` and `.mtl` and `images/texture<k>.png` into a new `folder`.
+
+    The folder appears only when it is whole. Raises ValueError for an empty model, FileExistsError where `folder` exists.
+    """
+    if folder.exists():
+        raise FileExistsError(f"{folder} exists already")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        (temporary / "models").mkdir()
+        (temporary / "models" / "model_normalized.obj").write_text(_obj(builder), encoding="ascii")
+        (temporary / "models" / "model_normalized.mtl").write_text(_mtl(builder, temporary), encoding="ascii")
+        temporary.chmod(0o755)
+        temporary.rename(folder)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+
+
+def normalized(builder: Builder, points: Array) -> Array:
+    """Object-frame points (N, 3) in the file's frame: centred on the bounding box, whose diagonal is 1."""
+    low, high = builder.bounds()
+    diagonal = float(np.linalg.norm(high - low))
+    if not diagonal > 0:
+        raise ValueError("the model has no extent")
+    return (points - (low + high) / 2) / diagonal @ TO_FILE.T
+
+
+def _obj(builder: Builder) -> str:
+    """The text of the .obj: shared vertices, faces in groups of one material."""
+    used = _used_materials(builder)
+    sizes = np.cumsum([0] + [len(p.vertices) for p in builder.parts])
+    points = normalized(builder, np.concatenate([p.vertices for p in builder.parts]))
+    keys, inverse = np.unique(np.round(points, DIGITS) + 0.0, axis=0, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    faces: dict[str, list[np.ndarray]] = {name: [] for name in used}
+    coordinates: list[Array] = []
+    seen = 0
+    for part, start in zip(builder.parts, sizes[:-1], strict=True):
+        index = inverse[part.faces + start]
+        whole = (index[:, 0] != index[:, 1]) & (index[:, 1] != index[:, 2]) & (index[:, 2] != index[:, 0])
+        if builder.materials[part.material].texture is not None and part.uv is not None:
+            coordinates.append(part.uv)
+            texture = part.faces + seen
+            seen += len(part.uv)
+            index = np.stack([index, texture], -1).reshape(-1, 6)
+        faces[part.material].append(index[whole] + 1)
+    # Vertices of dropped triangles and hidden strips are left out, so numbers are packed again.
+    stacked = {name: np.concatenate(group) for name, group in faces.items()}
+    columns = {name: slice(None, None, 2) if f.shape[1] == 6 else slice(None) for name, f in stacked.items()}
+    kept = np.unique(np.concatenate([f[:, columns[n]].ravel() for n, f in stacked.items()]))
+    lines = [
+        "mtllib model_normalized.mtl\n",
+        _format("v %.5g %.5g %.5g\n", keys[kept - 1]),
+    ]
+    if coordinates:
+        lines.append(_format("vt %.4g %.4g\n", np.round(np.concatenate(coordinates), 4) + 0.0))
+    for name, table in stacked.items():
+        table[:, columns[name]] = np.searchsorted(kept, table[:, columns[name]]) + 1
+        row = "f %d/%d %d/%d %d/%d\n" if table.shape[1] == 6 else "f %d %d %d\n"
+        lines += [f"usemtl {name}\n", _format(row, table)]
+    return "".join(lines)
+
+
+def _mtl(builder: Builder, folder: Path) -> str:
+    """The text of the .mtl; writes the textures it names into `folder`/images."""
+    lines = []
+    for name in _used_materials(builder):
+        material = builder.materials[name]
+        lines += [f"newmtl {name}", "illum 2", "Kd {:.4g} {:.4g} {:.4g}".format(*material.color), "Ks 0 0 0", "d 1"]
+        if material.texture is not None:
+            images = folder / "images"
+            images.mkdir(exist_ok=True)
+            file = f"texture{len(list(images.iterdir()))}.png"
+            Image.fromarray(material.texture).save(images / file)
+            lines.append(f"map_Kd ../images/{file}")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _used_materials(builder: Builder) -> list[str]:
+    used = {p.material for p in builder.parts if len(p.faces)}
+    return [name for name in builder.materials if name in used]
+
+
+def _format(row: str, table: np.ndarray) -> str:
+    return (row * len(table)) % tuple(table.ravel().tolist())
