@@ -1,0 +1,1 @@
+"""Reading CAD collections and keeping rendered views."""

@@ -1,0 +1,80 @@
+"""Drawing CAD models from given viewpoints."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+from typing import Literal
+
+import numpy as np
+
+from viewnet.data.obj import Mesh
+from viewnet.errors import ViewnetError
+from viewnet.render.camera import RADIUS, camera_frames
+
+Backend = Literal["auto", "raster", "pyrender"]
+
+VERSION = 1
+"""Raise it when a change alters pictures: it is part of every view store's identity."""
+
+log = logging.getLogger(__name__)
+
+
+def render(
+    mesh: Mesh,
+    azimuth: np.ndarray,
+    elevation: np.ndarray,
+    size: int = 64,
+    supersample: int = 2,
+    backend: Backend = "auto",
+    lights: np.ndarray | None = None,
+) -> np.ndarray:
+    """Straight-alpha RGBA pictures (V, size, size, 4) uint8 of a normalised mesh from viewpoints (V,) in degrees.
+
+    `lights` (V, 3) are unit directions from the object to the light in the world frame; None puts it at the camera. Both
+    back ends share camera, lighting, flat normals, bilinear repeating textures and the treatment of transparency
+    (nearly transparent faces and holes of RGBA textures are not drawn, all else is opaque). Where there is nothing the
+    colour is black and alpha 0.
+
+    Raises ViewnetError for sizes below 1, counts that do not match, and a mesh that reaches beyond the unit sphere's
+    half radius (not normalised).
+    """
+    azimuth, elevation = np.atleast_1d(azimuth), np.atleast_1d(elevation)
+    if azimuth.ndim != 1 or azimuth.shape != elevation.shape:
+        raise ViewnetError(f"azimuth {azimuth.shape} and elevation {elevation.shape}: expected one of each for every view")
+    frames = camera_frames(azimuth, elevation)
+    lights = frames[:, :, 2] if lights is None else np.asarray(lights, dtype=np.float64)
+    if lights.shape != (len(frames), 3):
+        raise ViewnetError(f"lights {lights.shape}: expected ({len(frames)}, 3), a direction for every view")
+    return render_frames(mesh, frames, lights, size, supersample, choose_backend(backend))
+
+
+def render_frames(
+    mesh: Mesh, frames: np.ndarray, lights: np.ndarray, size: int, supersample: int, backend: Backend
+) -> np.ndarray:
+    """As `render`, for camera frames (V, 3, 3) and a back end that `choose_backend` gave."""
+    if size < 1 or supersample < 1:
+        raise ViewnetError(f"size {size}, supersample {supersample}: expected 1 or more")
+    if (reach := float(np.abs(mesh.vertices).max(initial=0))) > RADIUS + 1e-6:
+        raise ViewnetError(f"the mesh reaches {reach:g} from its centre: normalise it to a bounding-box diagonal of 1")
+    if backend == "pyrender":
+        from viewnet.render import opengl
+
+        return opengl.draw(mesh, frames, lights, size, supersample)
+    from viewnet.render import raster
+
+    return raster.draw(raster.prepare(mesh), frames, lights, size, supersample)
+
+
+def choose_backend(backend: Backend) -> Backend:
+    """The back end that will draw: `auto` is the software renderer; pyrender falls back to it, with a warning."""
+    if backend not in ("auto", "raster", "pyrender"):
+        raise ViewnetError(f"unknown renderer {backend!r}: choose one of auto, raster, pyrender")
+    if backend == "pyrender":
+        try:
+            importlib.import_module("viewnet.render.opengl").check()
+        except Exception as error:  # GL stacks fail in every way there is.
+            log.warning("pyrender cannot draw here (%s: %s): using the software renderer", type(error).__name__, error)
+            return "raster"
+        return "pyrender"
+    return "raster"
