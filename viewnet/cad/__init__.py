@@ -24,8 +24,13 @@ Generator = Callable[[np.random.Generator], Builder]
 VERSION = 1
 SPLITS = {"train": 0.7, "val": 0.1, "test": 0.2}
 _MODULES = {
-    "vehicles_road": ("car", "bus", "motorbike", "bicycle"),
-    "vehicles_other": ("aeroplane", "boat", "train"),
+    "car": ("car",),
+    "bus": ("bus",),
+    "motorbike": ("motorbike",),
+    "bicycle": ("bicycle",),
+    "aeroplane": ("aeroplane",),
+    "boat": ("boat",),
+    "train": ("train",),
     "furniture": ("chair", "sofa", "diningtable"),
     "objects": ("tvmonitor", "bottle"),
 }
@@ -51,10 +56,10 @@ def make_model(category: str, index: int, seed: int = 0) -> Builder:
 def write_collection(root: Path, categories: Sequence[str], models: int, seed: int = 0, progress: bool = True) -> None:
     """Write `models` models of each category, and `all.csv` with their splits, in the layout of ShapeNetCore v2.
 
-    `<root>/<synset>/<model id>/models/model_normalized.obj` and `.mtl`, textures in `<model id>/images/`; `all.csv` has the
-    columns id, synsetId, subSynsetId, modelId, split (train, val and test by 0.7, 0.1 and 0.2 of a category's models,
-    shuffled by the seed). A model appears when it is whole and is kept when it exists, so a killed call goes on where it
-    was. The same arguments give the same bytes.
+    `<root>/<synset>/<model id>/models/model_normalized.obj` and `.mtl`, textures in `<model id>/images/`; `all.csv`
+    has the columns id, synsetId, subSynsetId, modelId, split (train, val and test by 0.7, 0.1 and 0.2 of a category's
+    models, shuffled by the seed). A model appears when it is whole and is kept when it exists, so a killed call goes
+    on where it was. The same arguments give the same bytes.
 
     Raises ViewnetError for an unknown category, no category at all, or a number of models below one.
     """
@@ -80,7 +85,7 @@ def write_collection(root: Path, categories: Sequence[str], models: int, seed: i
 
 
 def split_names(category: str, models: int, seed: int = 0) -> list[str]:
-    """The split of each of `models` models: exact counts (rounded, the rest is train), shuffled by seed and category."""
+    """The split of each of `models` models: exact counts (the rest is train), shuffled by seed and category."""
     val, test = round(SPLITS["val"] * models), round(SPLITS["test"] * models)
     names = np.array(["train"] * (models - val - test) + ["val"] * val + ["test"] * test)
     order = np.random.default_rng([seed, int(SYNSETS[category]), models, 1]).permutation(models)

@@ -154,9 +154,9 @@ class Builder:
     ) -> None:
         """Skin over closed rings, each (K, 3), joined point to point.
 
-        `material`: one name, or one for each strip between two rings, or in place of a strip's name K names, one for each
-        cell (cell k lies between points k and k + 1). `caps` closes the first and last ring (of convex shape) in the
-        nearest strip's material. `uv` (rings, K + 1, 2) for textured skins; the caps then take the ring's coordinates.
+        `material`: one name, or one for each strip between two rings, or in place of a strip's name K names, one for
+        each cell (cell k lies between points k and k + 1). `caps` closes the first and last ring (of convex shape) in
+        the nearest strip's material. `uv` (rings, K + 1, 2) is for textured skins; caps take the ring's coordinates.
         """
         grid = np.stack([np.asarray(r, dtype=np.float64) for r in rings])
         count, around = grid.shape[:2]

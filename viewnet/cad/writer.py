@@ -20,7 +20,8 @@ TO_FILE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 def write_model(builder: Builder, folder: Path) -> None:
     """Write `models/model_normalized.obj` and `.mtl` and `images/texture<k>.png` into a new `folder`.
 
-    The folder appears only when it is whole. Raises ValueError for an empty model, FileExistsError where `folder` exists.
+    The folder appears only when it is whole. Raises ValueError for an empty model, FileExistsError for a `folder` that
+    exists.
     """
     if folder.exists():
         raise FileExistsError(f"{folder} exists already")
