@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from viewnet.data.obj import Mesh
+from viewnet.data.obj import Material, Mesh
 from viewnet.errors import ViewnetError
 from viewnet.render.camera import RADIUS, camera_frames
 
@@ -78,3 +78,10 @@ def choose_backend(backend: Backend) -> Backend:
             return "raster"
         return "pyrender"
     return "raster"
+
+
+def warm_up(backend: Backend) -> None:
+    """Compile what the back end compiles on first use, so that processes started afterwards find it on disk."""
+    corner = Mesh(np.eye(3) * 0.1, np.array([[0, 1, 2]], np.int32), np.zeros(1, np.int32), (Material(),))
+    if backend != "pyrender":
+        render_frames(corner, np.eye(3)[None], np.eye(3)[2:], 1, 1, backend)

@@ -87,12 +87,25 @@ def draw(surface: Surface, frames: np.ndarray, lights: np.ndarray, size: int, su
     from viewnet.render.camera import DISTANCE, FOCAL
 
     images = np.zeros((len(frames), size, size, 4), np.uint8)
-    s = surface
-    _draw(
-        s.vertices, s.faces, s.normals, s.one_sided, s.material, s.diffuse, s.texture, s.texels, s.uv, s.colours,
-        np.ascontiguousarray(frames, np.float64), np.ascontiguousarray(lights, np.float64),
-        supersample, DISTANCE, FOCAL, images,
-    )  # fmt: skip
+    # Always of the same types and memory layout: the kernel is compiled anew for each combination.
+    arrays = [
+        np.ascontiguousarray(array, dtype)
+        for array, dtype in (
+            (surface.vertices, np.float64),
+            (surface.faces, np.int32),
+            (surface.normals, np.float64),
+            (surface.one_sided, np.bool_),
+            (surface.material, np.int32),
+            (surface.diffuse, np.float32),
+            (surface.texture, np.int64),
+            (surface.texels, np.uint8),
+            (surface.uv, np.float32),
+            (surface.colours, np.float32),
+            (frames, np.float64),
+            (lights, np.float64),
+        )
+    ]
+    _draw(*arrays, supersample, DISTANCE, FOCAL, images)
     return images
 
 

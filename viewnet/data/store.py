@@ -1,0 +1,190 @@
+"""View stores: folders of RGBA views with their index, which training and evaluation read.
+
+    views.npy       (N, H, W, 4) uint8, straight alpha, read as a memory map
+    index.parquet   one row a view, in the same order (COLUMNS)
+    meta.json       format, identity, what made it (`made_by`), versions
+    rejected.csv    model_id, path, reason of what could not be used
+
+All views of a model lie side by side, ordered by view.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from viewnet.errors import ViewnetError
+
+FORMAT = 1
+COLUMNS = {
+    "model_id": "text",
+    "category": "text",
+    "split": "text",
+    "view": "whole numbers",
+    "azimuth": "degrees in [0, 360)",
+    "elevation": "degrees in [-90, 90]",
+    "source": "text",
+}
+REJECTED = ("model_id", "path", "reason")
+_AGAIN = "remove the folder and build the store again"
+
+
+@dataclass(frozen=True)
+class ViewStore:
+    """An open view store. `images` (N, H, W, 4) uint8 is a read-only memory map, `index` has a row for each of them."""
+
+    folder: Path
+    images: np.ndarray
+    index: pd.DataFrame
+    meta: dict[str, Any]
+
+    @classmethod
+    def open(cls, folder: Path | str) -> ViewStore:
+        """Open and check a store. Raises ViewnetError naming the file and what is wrong with it."""
+        folder = Path(folder)
+        if not folder.is_dir():
+            raise ViewnetError(f"{folder}: no such view store: make it first (viewnet.data.prepare.view_store)")
+        for name in ("views.npy", "index.parquet", "meta.json", "rejected.csv"):
+            if not (folder / name).is_file():
+                raise ViewnetError(f"{folder / name}: missing from the view store: {_AGAIN}")
+        meta = _read_meta(folder / "meta.json")
+        try:
+            images = np.load(folder / "views.npy", mmap_mode="r", allow_pickle=False)
+        except (ValueError, OSError, EOFError) as error:
+            raise ViewnetError(f"{folder / 'views.npy'}: not a whole array ({error}): {_AGAIN}") from None
+        if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 4 or min(images.shape) < 1:
+            raise ViewnetError(
+                f"{folder / 'views.npy'}: {images.dtype} {images.shape}: expected uint8 (N, H, W, 4): {_AGAIN}"
+            )
+        try:
+            index = pd.read_parquet(folder / "index.parquet")
+        except Exception as error:  # The parquet reader raises its own types on damaged files.
+            raise ViewnetError(f"{folder / 'index.parquet'}: cannot be read ({type(error).__name__}): {_AGAIN}") from None
+        check_index(index, len(images), folder / "index.parquet")
+        return cls(folder, images, index, meta)
+
+    @property
+    def identity(self) -> str:
+        """16 hex digits of everything that decided the views."""
+        return str(self.meta["identity"])
+
+    @property
+    def rejected(self) -> pd.DataFrame:
+        """What could not be used: model_id, path, reason."""
+        return pd.read_csv(self.folder / "rejected.csv", dtype=str, keep_default_na=False)
+
+    def split(self, name: str) -> np.ndarray:
+        """Row numbers (n,) of the views of a split. Raises ViewnetError where it has none."""
+        rows = np.flatnonzero((self.index["split"] == name).to_numpy())
+        if not len(rows):
+            names = ", ".join(sorted(self.index["split"].unique()))
+            raise ViewnetError(f"{self.folder}: no views in split {name!r} (it has {names}): use another, or more models")
+        return rows
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+
+def identity_of(made_by: dict[str, Any]) -> str:
+    """16 hex digits that name what `made_by` (JSON values) describes."""
+    return hashlib.sha256(json.dumps(made_by, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def write_store(
+    folder: Path,
+    batches: Iterable[np.ndarray],
+    index: pd.DataFrame,
+    made_by: dict[str, Any],
+    rejected: Iterable[tuple[str, str, str]] = (),
+) -> ViewStore:
+    """Write a store to `folder` from batches (n, H, W, 4) uint8 in the order of `index`, and open it.
+
+    `made_by` (JSON values) holds everything that decided the views. The folder appears when it is whole; memory holds one
+    batch at a time. Raises ViewnetError where `folder` exists, the index is not valid, or batches and index differ in length.
+    """
+    if folder.exists():
+        raise ViewnetError(f"{folder}: exists already: remove it or name another folder")
+    check_index(index, len(index), folder / "index.parquet")
+    temporary = folder.with_name(f".{folder.name}.{os.getpid()}")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir(parents=True)
+    try:
+        _write_images(temporary / "views.npy", batches, len(index), folder)
+        index.to_parquet(temporary / "index.parquet", index=False)
+        table = pd.DataFrame(rejected, columns=list(REJECTED))
+        table.to_csv(temporary / "rejected.csv", index=False, lineterminator="\n")
+        versions = {"python": platform.python_version(), "numpy": np.__version__}
+        meta = {"format": FORMAT, "identity": identity_of(made_by), "made_by": made_by, "versions": versions}
+        (temporary / "meta.json").write_text(json.dumps(meta, indent=2) + "\n", encoding="utf-8")
+        temporary.rename(folder)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+    return ViewStore.open(folder)
+
+
+def _write_images(file: Path, batches: Iterable[np.ndarray], count: int, folder: Path) -> None:
+    target: np.ndarray | None = None
+    done = 0
+    for batch in batches:
+        if not len(batch):
+            continue
+        if target is None:
+            target = np.lib.format.open_memmap(file, mode="w+", dtype=np.uint8, shape=(count, *batch.shape[1:]))
+        if done + len(batch) > count:
+            raise ViewnetError(f"{folder}: more views than the {count} rows of the index")
+        target[done : done + len(batch)] = batch
+        done += len(batch)
+    if target is None or done != count:
+        raise ViewnetError(f"{folder}: {done} views for the {count} rows of the index")
+    target.flush()  # type: ignore[attr-defined]
+
+
+def check_index(index: pd.DataFrame, count: int, file: Path) -> None:
+    """Raise ViewnetError unless `index` is a valid index of `count` views; `file` is named in the message."""
+    if missing := [name for name in COLUMNS if name not in index.columns]:
+        raise ViewnetError(f"{file}: no column {missing[0]}: {_AGAIN}")
+    if unknown := [str(name) for name in index.columns if name not in COLUMNS]:
+        raise ViewnetError(f"{file}: unknown column {unknown[0]}: expected {', '.join(COLUMNS)}")
+    if len(index) != count:
+        raise ViewnetError(f"{file}: {len(index)} rows for {count} views: {_AGAIN}")
+    for name, expected in COLUMNS.items():
+        column = index[name]
+        if expected == "text":
+            good = column.map(lambda value: isinstance(value, str))
+        elif name == "view":
+            good = pd.Series(pd.api.types.is_integer_dtype(column), index=index.index)
+        elif not pd.api.types.is_float_dtype(column):
+            good = pd.Series(False, index=index.index)
+        else:
+            good = (column >= 0) & (column < 360) if name == "azimuth" else column.abs() <= 90
+        if not good.all():
+            row = int(np.flatnonzero(~good.to_numpy())[0])
+            raise ViewnetError(f"{file}: {name} {column.iloc[row]!r} in row {row}: expected {expected}: {_AGAIN}")
+    model, view = index["model_id"].to_numpy(), index["view"].to_numpy()
+    begins = np.append(True, model[1:] != model[:-1])[: len(index)]
+    if begins.sum() != index["model_id"].nunique() or (np.diff(view)[~begins[1:]] <= 0).any():
+        raise ViewnetError(f"{file}: the views of a model do not lie side by side in order: {_AGAIN}")
+
+
+def _read_meta(file: Path) -> dict[str, Any]:
+    try:
+        meta = json.loads(file.read_text(encoding="utf-8"))
+        fields = meta["format"], meta["identity"], meta["made_by"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise ViewnetError(f"{file}: not a view store's description ({type(error).__name__}): {_AGAIN}") from None
+    if fields[0] != FORMAT:
+        raise ViewnetError(f"{file}: format {fields[0]}: this version reads format {FORMAT}: {_AGAIN}")
+    if fields[1] != identity_of(fields[2]):
+        raise ViewnetError(f"{file}: its identity does not match what it says made it: {_AGAIN}")
+    return meta

@@ -1,0 +1,56 @@
+"""What a rendering process does: draw the models of one chunk into one file. Imports nothing heavy: many processes start it."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from viewnet.data.obj import UnusableModel
+from viewnet.data.shapenet import ModelFile, load_model
+from viewnet.render import Backend, render_frames
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Models to draw and how: camera frames (M, V, 3, 3), directions to the light (M, V, 3), and the file to write."""
+
+    models: tuple[ModelFile, ...]
+    frames: np.ndarray
+    lights: np.ndarray
+    size: int
+    supersample: int
+    backend: Backend
+    file: Path
+
+
+def draw_chunk(chunk: Chunk) -> int:
+    """Write the chunk's pictures (usable models * V, S, S, 4) and the reasons of its unusable models; their number."""
+    views = chunk.frames.shape[1]
+    images = np.zeros((len(chunk.models), views, chunk.size, chunk.size, 4), np.uint8)
+    rejected: dict[str, str] = {}
+    used = 0
+    for number, model in enumerate(chunk.models):
+        try:
+            mesh = load_model(model)
+        except UnusableModel as error:
+            rejected[model.id] = error.reason
+            continue
+        images[used] = render_frames(
+            mesh, chunk.frames[number], chunk.lights[number], chunk.size, chunk.supersample, chunk.backend
+        )
+        used += 1
+    temporary = chunk.file.with_name(f"{chunk.file.name}.{os.getpid()}.tmp")
+    with temporary.open("wb") as stream:
+        np.savez(stream, images=images[:used].reshape(-1, *images.shape[2:]), rejected=np.array(json.dumps(rejected)))
+    temporary.replace(chunk.file)
+    return len(chunk.models)
+
+
+def read_chunk(file: Path) -> tuple[np.ndarray, dict[str, str]]:
+    """Pictures and rejected models (id -> reason) of a chunk's file."""
+    with np.load(file, allow_pickle=False) as stored:
+        return stored["images"], json.loads(str(stored["rejected"]))
