@@ -1,0 +1,114 @@
+"""Errors in degrees, what is made of them, and how sure it is.
+
+The headline error is the geodesic angle between camera frames. Two other definitions are in print and in code around
+this paper; they are here by name so that an audit can compute them, and nothing else uses them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from viewnet import geometry
+from viewnet.predictions import Floats
+
+THRESHOLDS = (10, 15, 30)
+FLIP = 150.0
+"""An error above so many degrees is a flip: the object seen from the opposite side."""
+
+
+def geodesic_error(predicted: Floats, truth: Floats, ups: Floats | None = None) -> Floats:
+    """Angles (...), [0, 180] degrees, between the camera frames of view vectors (..., 3), both held level.
+
+    With predicted up vectors `ups` (..., 3) the predicted frame has the tilt they give it; the true one stays level.
+    """
+    frames = geometry.look_at(_tensor(predicted), None if ups is None else _tensor(ups))
+    return geometry.rotation_angle(frames, geometry.look_at(_tensor(truth))).numpy()
+
+
+def vector_error(predicted: Floats, truth: Floats) -> Floats:
+    """Angles (...) between the view vectors (..., 3) themselves: never more than the geodesic error. A diagnostic."""
+    return geometry.vector_angle(_tensor(predicted), _tensor(truth)).numpy()
+
+
+def folded_error(predicted: Floats, truth: Floats) -> Floats:
+    """What the arcsine of the relative rotation's antisymmetric part makes of the geodesic error e: min(e, 180 - e).
+
+    A prediction from the opposite side counts as right. For the audit of printed numbers only.
+    """
+    e = geodesic_error(predicted, truth)
+    return np.minimum(e, 180 - e)
+
+
+def scaled_error(predicted: Floats, truth: Floats) -> Floats:
+    """What |log(A^T B)|_F / 2 makes of the geodesic error e: e / sqrt(2). For the audit of printed numbers only."""
+    return geodesic_error(predicted, truth) / np.sqrt(2)
+
+
+def accuracy(errors: Floats, threshold: float) -> float:
+    """Per cent of errors strictly below `threshold` degrees."""
+    return 100 * float(np.mean(np.asarray(errors) < threshold))
+
+
+def median(errors: Floats) -> float:
+    """The median, degrees; of an even number of errors the mean of the middle two."""
+    return float(np.median(errors))
+
+
+def flips(errors: Floats) -> float:
+    """Per cent of errors over 150 degrees."""
+    return 100 * float(np.mean(np.asarray(errors) > FLIP))
+
+
+STATISTICS: dict[str, Callable[[Floats], float]] = {
+    **{f"acc{threshold}": partial(accuracy, threshold=threshold) for threshold in THRESHOLDS},
+    "median": median,
+    "flips": flips,
+}
+"""Name -> function of errors (N,): acc10, acc15, acc30 and flips in per cent, median in degrees."""
+
+
+def summary(errors: Floats) -> dict[str, float]:
+    """Every one of `STATISTICS` of errors (N,)."""
+    return {name: statistic(errors) for name, statistic in STATISTICS.items()}
+
+
+def bootstrap_intervals(
+    errors: Sequence[Floats],
+    objects: Sequence[NDArray[Any]],
+    rng: np.random.Generator,
+    draws: int = 1000,
+    level: float = 0.95,
+    statistics: Sequence[str] = ("acc30", "median"),
+) -> dict[str, tuple[float, float] | None]:
+    """Percentile intervals of statistics, by resampling objects and not images: views of one object err together.
+
+    `errors` and `objects` hold one array (N,) for each run (seed); the statistic is the mean over runs, and a draw
+    takes the same objects in every run. None stands for an interval that does not exist: fewer than two objects.
+    """
+    names, owner = np.unique(np.concatenate([np.asarray(o, dtype=str) for o in objects]), return_inverse=True)
+    if len(names) < 2:
+        return dict.fromkeys(statistics)
+    owners = np.split(owner, np.cumsum([len(o) for o in objects])[:-1])
+    # Sorted once, so that every resampled array is sorted and its median found at once.
+    order = [np.argsort(e, kind="stable") for e in errors]
+    runs = [(np.asarray(e)[o], w[o]) for e, w, o in zip(errors, owners, order, strict=True)]
+    values: dict[str, list[float]] = {name: [] for name in statistics}
+    for _ in range(draws):
+        times = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))
+        samples = [np.repeat(e, times[w]) for e, w in runs]
+        if all(len(sample) for sample in samples):
+            for name in statistics:
+                values[name].append(float(np.mean([STATISTICS[name](sample) for sample in samples])))
+    tail = 100 * (1 - level) / 2
+    bounds = {name: np.percentile(v, [tail, 100 - tail]) for name, v in values.items()}
+    return {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
+
+
+def _tensor(values: Floats) -> torch.Tensor:
+    return torch.from_numpy(np.array(values, dtype=np.float64))
