@@ -70,7 +70,7 @@ def write_collection(root: Path, categories: Sequence[str], models: int, seed: i
         raise ViewnetError(f"models {models}: give the number of models of each category, 1 or more")
     for category in categories:
         _check(category)
-    rows = []
+    rows: list[tuple[str, str, str, str, str]] = []
     jobs = [(category, index) for category in dict.fromkeys(categories) for index in range(models)]
     splits = {category: split_names(category, models, seed) for category in categories}
     for category, index in tqdm(jobs, desc="models", unit="model", disable=not progress):

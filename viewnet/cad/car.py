@@ -19,8 +19,8 @@ _KINDS: dict[str, dict[str, _Range]] = {
     "sedan": {
         "length": (4.2, 5.1), "width": (1.70, 1.92), "height": (1.38, 1.50), "clearance": (0.16, 0.24),
         "wheel": (0.29, 0.35), "front": (0.175, 0.205), "base": (0.56, 0.62), "nose": (0.44, 0.53),
-        "cowl": (0.25, 0.33), "cowl_z": (0.62, 0.68), "screen": (0.11, 0.16), "roof_end": (0.66, 0.74), "back": (0.81, 0.89),
-        "deck": (0.64, 0.73), "tail": (0.60, 0.70), "roof_width": (0.60, 0.72),
+        "cowl": (0.25, 0.33), "cowl_z": (0.62, 0.68), "screen": (0.11, 0.16), "roof_end": (0.66, 0.74),
+        "back": (0.81, 0.89), "deck": (0.64, 0.73), "tail": (0.60, 0.70), "roof_width": (0.60, 0.72),
     },
     "hatchback": {
         "length": (3.5, 4.4), "width": (1.62, 1.82), "height": (1.38, 1.56), "clearance": (0.15, 0.22),
@@ -31,8 +31,8 @@ _KINDS: dict[str, dict[str, _Range]] = {
     "estate": {
         "length": (4.3, 5.0), "width": (1.70, 1.90), "height": (1.40, 1.54), "clearance": (0.15, 0.22),
         "wheel": (0.29, 0.35), "front": (0.175, 0.205), "base": (0.56, 0.61), "nose": (0.44, 0.53),
-        "cowl": (0.25, 0.31), "cowl_z": (0.61, 0.67), "screen": (0.10, 0.15), "roof_end": (0.88, 0.93), "back": (0.96, 0.985),
-        "deck": (0.60, 0.66), "tail": (0.50, 0.60), "roof_width": (0.64, 0.76),
+        "cowl": (0.25, 0.31), "cowl_z": (0.61, 0.67), "screen": (0.10, 0.15), "roof_end": (0.88, 0.93),
+        "back": (0.96, 0.985), "deck": (0.60, 0.66), "tail": (0.50, 0.60), "roof_width": (0.64, 0.76),
     },
     "suv": {
         "length": (4.0, 5.1), "width": (1.76, 2.0), "height": (1.60, 1.92), "clearance": (0.24, 0.38),
@@ -91,7 +91,7 @@ _SERVICES = {"private": 86.0, "taxi": 5.0, "police": 5.0, "ambulance": 2.0, "rac
 
 
 def car(rng: np.random.Generator) -> Builder:
-    """A car: sedan, hatchback, estate, SUV, van, pickup, coupe, sports car, convertible or toy, private or in service."""
+    """A car: sedan, hatchback, estate, SUV, van, pickup, coupe, convertible, sports car, toy, police car ..."""
     builder = Builder()
     kind = palette.choose(rng, _SHARES)
     toy = rng.random() < 0.12

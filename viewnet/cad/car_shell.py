@@ -56,9 +56,11 @@ Painter = Callable[[int, float, float, str], str]
 
 
 def body(builder: Builder, shape: Shape, painter: Painter) -> None:
-    """Add the body. `painter(row, x, across, end)` names the material of a cell: its row, the distance of its middle behind
-    the front, the share of the width reached at that place (below 1 where the ends round off) and which end it belongs to
-    ("front", "rear" or "")."""
+    """Add the body.
+
+    `painter(row, x, across, end)` names the material of a cell: its row, the distance of its middle behind the front,
+    the share of the width reached there (below 1 where the ends round off) and its end ("front", "rear" or "").
+    """
     along, across, weight = _stations(shape)
     grid = _sections(shape, along, across, weight)
     middle, spread = (along[1:] + along[:-1]) / 2, (across[1:] + across[:-1]) / 2

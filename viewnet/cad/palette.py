@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from viewnet.cad.builder import Color
 
 
-def jitter(rng: np.random.Generator, color: Sequence[float], amount: float = 0.04) -> Color:
+def jitter(rng: np.random.Generator, color: ArrayLike, amount: float = 0.04) -> Color:
     """The colour with its brightness and each channel moved a little, kept in 0..1."""
-    moved = np.asarray(color) + rng.normal(0, amount) + rng.normal(0, amount / 2, 3)
+    moved = np.asarray(color, dtype=np.float64) + rng.normal(0, amount) + rng.normal(0, amount / 2, 3)
     r, g, b = np.clip(moved, 0.0, 1.0)
     return float(r), float(g), float(b)
 
@@ -28,7 +29,7 @@ def vivid(rng: np.random.Generator, saturation: float = 0.55, value: float = 0.3
     return float(r), float(g), float(b)
 
 
-def choose(rng: np.random.Generator, weights: dict[str, float]) -> str:
+def choose(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
     """A key drawn in proportion to its weight."""
     shares = np.array(list(weights.values()), dtype=np.float64)
     return list(weights)[int(rng.choice(len(shares), p=shares / shares.sum()))]
