@@ -50,18 +50,21 @@ class DataConfig:
     azimuth_range: tuple[float, float] = (0.0, 360.0)
     elevation_range: tuple[float, float] = (-20.0, 40.0)
     seed: int = 0
-    renderer: Literal["auto", "raycast", "pyrender"] = "auto"
+    renderer: Literal["auto", "raster", "pyrender"] = "auto"
 
 
 @dataclass(frozen=True)
 class ModelConfig:
     """The networks and the volume renderer (section 3 and the supplement's architecture tables)."""
 
-    image_size: int = 64  # input of both encoders; a multiple of 32
+    input_size: int = 64  # pixels along a side of what both encoders see
     volume_size: int = 64  # voxels along a side
     render_size: int = 64  # pixels along a side of the reconstruction
     encoder_channels: tuple[int, ...] = (64, 128, 256, 512, 512, 512)
-    generator_channels: tuple[int, ...] = (512, 512, 128, 128, 128, 128, 16, 16)  # code, then every layer but the last
+    code_size: int = 1024  # the fixed canonical code
+    generator_channels: tuple[int, ...] = (512, 128, 128, 16)  # at 4, 8, 16, 32 ... voxels, up to half the volume's side
+    generator_refine: bool = True  # a second, 3x3x3 layer at each resolution, as in the supplement
+    generator_last_kernel: Literal[2, 4] = 4  # of the layer to the full resolution; 2 is much the cheaper
     appearance_size: int = 256
     heads: int = 3  # M, the number of viewpoint hypotheses
     head_spread: float = 0.0  # the heads start facing different azimuths: how strongly
@@ -80,6 +83,7 @@ class TrainConfig:
     epochs: int = 1000
     batch_size: int = 64  # target images a step
     targets_per_object: int = 1  # target images that share one appearance image
+    coarse: float = 0.0  # this first share of training draws and compares at half the resolution
     learning_rate: float = 1e-4
     schedule: Literal["constant", "cosine"] = "constant"
     patience: int = 30  # epochs without gain on validation before stopping
@@ -92,6 +96,7 @@ class TrainConfig:
     cycle_weight: float = 0.0  # section 3.4; 0 leaves it out
     cycle_start: float = 0.0  # fraction of training before the cycle sets in (then ramped up over a tenth)
     cycle_elevation: tuple[float, float] = (-36.0, 72.0)  # where its viewpoints are drawn, degrees
+    cycle_head: Literal["selected", "closest"] = "selected"  # which head it pulls
     augment: bool = False  # random crop and +-3 degree rotation of the viewpoint encoder's input
     amp: Literal["auto", "off"] = "auto"  # bfloat16 where the hardware has it
     validate_every: int = 1  # epochs
@@ -144,6 +149,7 @@ RECIPES: dict[str, Changes] = {
             "schedule": "cosine",
             "cycle_start": 0.1,
             "cycle_elevation": (-20.0, 40.0),
+            "cycle_head": "closest",
         },
     },
 }
@@ -155,7 +161,8 @@ VARIANTS: dict[str, Changes] = {
     "segmentation_target": {"train": {"target": "mask"}},
     "no_shape_prior": {"model": {"shape_prior": False}},
     "encoder_decoder": {"model": {"decoder": "encoder_decoder"}},
-    "hologan_decoder": {"model": {"decoder": "hologan"}},
+    # Nothing separates object and background after learned layers, so it is trained on black, as printed.
+    "hologan_decoder": {"model": {"decoder": "hologan"}, "train": {"background": "black"}},
 }
 """The trained rows of Tables 1 and 2. The constant predictor needs no training (viewnet.evaluate)."""
 
@@ -163,11 +170,13 @@ PROFILES: dict[str, Changes] = {
     "smoke": {
         "data": {"models": 30, "image_size": 32, "supersample": 1},
         "model": {
-            "image_size": 32,
+            "input_size": 32,
             "volume_size": 16,
             "render_size": 16,
             "encoder_channels": (8, 16, 16, 32, 32, 32),
-            "generator_channels": (16, 16, 8),
+            "code_size": 16,
+            "generator_channels": (16, 8),
+            "generator_refine": False,
             "appearance_size": 16,
         },
         "train": {"epochs": 2, "batch_size": 16, "patience": 2},
@@ -175,18 +184,21 @@ PROFILES: dict[str, Changes] = {
     "tiny": {
         "data": {"models": 1000},
         "model": {
-            "image_size": 32,
+            "input_size": 32,
             "volume_size": 32,
             "render_size": 32,
             "encoder_channels": (32, 64, 128, 256, 256, 256),
-            "generator_channels": (128, 64, 32, 16),
+            "code_size": 64,
+            "generator_channels": (64, 32, 16),
+            "generator_refine": False,
+            "generator_last_kernel": 2,
             "appearance_size": 64,
         },
-        "train": {"epochs": 20, "batch_size": 32},
+        "train": {"epochs": 20, "batch_size": 64, "targets_per_object": 4, "coarse": 0.5},
     },
     "small": {
         "data": {"models": 2000},
-        "model": {"encoder_channels": (64, 128, 256, 512, 512, 512), "generator_channels": (256, 128, 64, 32, 16)},
+        "model": {"encoder_channels": (64, 128, 256, 512, 512, 512), "generator_channels": (256, 128, 64, 32)},
         "train": {"epochs": 60},
     },
     "paper": {"data": {"models": 0}},

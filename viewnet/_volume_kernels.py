@@ -1,0 +1,242 @@
+"""Numba kernels of viewnet.volume_cpu, float32.
+
+`voxels` is (B, P, 4) with P = (nz + 2) (ny + 2) (nx + 2): one empty voxel around the volume spares every bounds check.
+Along a ray the position in the volume is linear in the step k, so the steps inside are an interval, found in advance.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+FLAGS = {"fastmath": {"contract", "arcp", "nsz", "reassoc"}, "cache": True, "error_model": "numpy"}
+OPAQUE = np.float32(1e-5)  # a ray that so little light passes has stopped: what lies behind cannot change a pixel visibly
+ONE = np.float32(1.0)
+HALF = np.float32(0.5)
+ZERO = np.float32(0.0)
+
+
+@njit(inline="always", **FLAGS)
+def _clip(low, high, start, step, limit):
+    """The steps k of [low, high) with 0 <= start + k step < limit."""
+    if abs(step) < 1e-9:
+        return (low, high) if 0 <= start < limit else (low, low)
+    a, b = -start / step, (limit - start) / step
+    if a > b:
+        a, b = b, a
+    low, high = max(low, int(np.ceil(a))), min(high, int(np.floor(b)) + 1)
+    # Rounding may put an end just outside; the caller reads memory there, so it is checked exactly.
+    while low < high and not 0 <= start + np.float32(low) * step < limit:
+        low += 1
+    while low < high and not 0 <= start + np.float32(high - 1) * step < limit:
+        high -= 1
+    return low, high
+
+
+@njit(inline="always", **FLAGS)
+def _ray(frame, focal, steps, shape, px, py):
+    """Position (u, v, w) in padded voxels at step 0, its change a step, and the interval of steps inside the volume."""
+    z0, dz = ONE - ONE / np.float32(steps), np.float32(-2.0) / np.float32(steps)
+    s0, ds = ONE - focal * z0, -focal * dz
+    nz, ny, nx = shape
+    hx, hy, hz = np.float32(nx) * HALF, np.float32(ny) * HALF, np.float32(nz) * HALF
+    a = frame[0, 0] * px + frame[0, 1] * py
+    b = frame[1, 0] * px + frame[1, 1] * py
+    c = frame[2, 0] * px + frame[2, 1] * py
+    u, du = (a * s0 + frame[0, 2] * z0 + ONE) * hx + HALF, (a * ds + frame[0, 2] * dz) * hx
+    v, dv = (b * s0 + frame[1, 2] * z0 + ONE) * hy + HALF, (b * ds + frame[1, 2] * dz) * hy
+    w, dw = (c * s0 + frame[2, 2] * z0 + ONE) * hz + HALF, (c * ds + frame[2, 2] * dz) * hz
+    low, high = _clip(0, steps, u, du, np.float32(nx + 1))
+    low, high = _clip(low, high, v, dv, np.float32(ny + 1))
+    low, high = _clip(low, high, w, dw, np.float32(nz + 1))
+    return u, v, w, du, dv, dw, low, high
+
+
+def _forward(voxels, shape, frames, focal, steps, picture):
+    """Fills `picture` (N, size, size, 4)."""
+    share = len(frames) // len(voxels)
+    for n in prange(len(frames)):
+        _draw(voxels[n // share], shape, frames[n], focal, steps, picture[n])
+
+
+@njit(nogil=True, **FLAGS)
+def _draw(voxels, shape, frame, focal, steps, picture):
+    size = picture.shape[0]
+    row, plane = shape[2] + 2, (shape[1] + 2) * (shape[2] + 2)
+    for i in range(size):
+        py = ONE - np.float32(2 * i + 1) / np.float32(size)
+        for j in range(size):
+            px = np.float32(2 * j + 1) / np.float32(size) - ONE
+            u_start, v_start, w_start, du, dv, dw, low, high = _ray(frame, focal, steps, shape, px, py)
+            red = green = blue = mask = ZERO
+            light = ONE
+            for k in range(low, high):
+                u = u_start + np.float32(k) * du
+                v = v_start + np.float32(k) * dv
+                w = w_start + np.float32(k) * dw
+                u0, v0, w0 = int(u), int(v), int(w)
+                fu, fv, fw = u - np.float32(u0), v - np.float32(v0), w - np.float32(w0)
+                gu, gv, gw = ONE - fu, ONE - fv, ONE - fw
+                p = np.uintp(w0 * plane + v0 * row + u0)
+                c00, c01, c10, c11 = gw * gv, gw * fv, fw * gv, fw * fv
+                w000, w001, w010, w011 = c00 * gu, c00 * fu, c01 * gu, c01 * fu
+                w100, w101, w110, w111 = c10 * gu, c10 * fu, c11 * gu, c11 * fu
+                p000 = p
+                p001 = p + np.uintp(1)
+                p010 = p + np.uintp(row)
+                p011 = p010 + np.uintp(1)
+                p100 = p + np.uintp(plane)
+                p101 = p100 + np.uintp(1)
+                p110 = p100 + np.uintp(row)
+                p111 = p110 + np.uintp(1)
+                q = (
+                    w000 * voxels[p000, 3] + w001 * voxels[p001, 3] + w010 * voxels[p010, 3] + w011 * voxels[p011, 3]
+                    + w100 * voxels[p100, 3] + w101 * voxels[p101, 3] + w110 * voxels[p110, 3] + w111 * voxels[p111, 3]
+                )  # fmt: skip
+                if q <= ZERO:
+                    continue
+                stop = q * light
+                red += stop * (
+                    w000 * voxels[p000, 0] + w001 * voxels[p001, 0] + w010 * voxels[p010, 0] + w011 * voxels[p011, 0]
+                    + w100 * voxels[p100, 0] + w101 * voxels[p101, 0] + w110 * voxels[p110, 0] + w111 * voxels[p111, 0]
+                )  # fmt: skip
+                green += stop * (
+                    w000 * voxels[p000, 1] + w001 * voxels[p001, 1] + w010 * voxels[p010, 1] + w011 * voxels[p011, 1]
+                    + w100 * voxels[p100, 1] + w101 * voxels[p101, 1] + w110 * voxels[p110, 1] + w111 * voxels[p111, 1]
+                )  # fmt: skip
+                blue += stop * (
+                    w000 * voxels[p000, 2] + w001 * voxels[p001, 2] + w010 * voxels[p010, 2] + w011 * voxels[p011, 2]
+                    + w100 * voxels[p100, 2] + w101 * voxels[p101, 2] + w110 * voxels[p110, 2] + w111 * voxels[p111, 2]
+                )  # fmt: skip
+                mask += stop
+                light *= ONE - q
+                if light < OPAQUE:
+                    break
+            picture[i, j, 0] = red
+            picture[i, j, 1] = green
+            picture[i, j, 2] = blue
+            picture[i, j, 3] = mask
+
+
+def _backward(voxels, shape, frames, focal, steps, grad, grad_voxels, grad_frames, grad_focal):
+    """Adds to `grad_voxels` (B, P, 4), `grad_frames` (N, 3, 3) and `grad_focal` (B,) for `grad` (N, size, size, 4)."""
+    share = len(frames) // len(voxels)
+    for b in prange(len(voxels)):
+        for n in range(b * share, (b + 1) * share):
+            grad_focal[b] += _draw_backward(
+                voxels[b], shape, frames[n], focal, steps, grad[n], grad_voxels[b], grad_frames[n]
+            )
+
+
+@njit(nogil=True, **FLAGS)
+def _draw_backward(voxels, shape, frame, focal, steps, grad, grad_voxels, grad_frame):
+    size = grad.shape[0]
+    row, plane = shape[2] + 2, (shape[1] + 2) * (shape[2] + 2)
+    hx, hy, hz = np.float32(shape[2]) * HALF, np.float32(shape[1]) * HALF, np.float32(shape[0]) * HALF
+    occupancy, lights, seen = np.empty(steps, np.float32), np.empty(steps, np.float32), np.empty(steps, np.float32)
+    f00, f01, f02 = frame[0, 0], frame[0, 1], frame[0, 2]
+    f10, f11, f12 = frame[1, 0], frame[1, 1], frame[1, 2]
+    f20, f21, f22 = frame[2, 0], frame[2, 1], frame[2, 2]
+    a00 = a01 = a02 = a10 = a11 = a12 = a20 = a21 = a22 = total_focal = ZERO
+    for i in range(size):
+        py = ONE - np.float32(2 * i + 1) / np.float32(size)
+        for j in range(size):
+            g0, g1, g2, g3 = grad[i, j, 0], grad[i, j, 1], grad[i, j, 2], grad[i, j, 3]
+            if g0 == 0 and g1 == 0 and g2 == 0 and g3 == 0:
+                continue
+            px = np.float32(2 * j + 1) / np.float32(size) - ONE
+            u_start, v_start, w_start, du, dv, dw, low, high = _ray(frame, focal, steps, shape, px, py)
+            light = ONE
+            for k in range(low, high):
+                u = u_start + np.float32(k) * du
+                v = v_start + np.float32(k) * dv
+                w = w_start + np.float32(k) * dw
+                u0, v0, w0 = int(u), int(v), int(w)
+                fu, fv, fw = u - np.float32(u0), v - np.float32(v0), w - np.float32(w0)
+                gu, gv, gw = ONE - fu, ONE - fv, ONE - fw
+                p = np.uintp(w0 * plane + v0 * row + u0)
+                c00, c01, c10, c11 = gw * gv, gw * fv, fw * gv, fw * fv
+                q = s = ZERO
+                for corner in range(8):
+                    at = p
+                    weight = c00
+                    if corner & 4:
+                        at += np.uintp(plane)
+                        weight = c11 if corner & 2 else c10
+                    elif corner & 2:
+                        weight = c01
+                    if corner & 2:
+                        at += np.uintp(row)
+                    if corner & 1:
+                        at += np.uintp(1)
+                        weight *= fu
+                    else:
+                        weight *= gu
+                    q += weight * voxels[at, 3]
+                    s += weight * (g0 * voxels[at, 0] + g1 * voxels[at, 1] + g2 * voxels[at, 2])
+                occupancy[k], seen[k], lights[k] = q, s + g3, light
+                light *= ONE - q
+                if light < OPAQUE:
+                    high = k + 1
+                    break
+            # `beyond`: what the pixel's gradient makes of the light that passes step k; from the far end to the near.
+            beyond = ZERO
+            for k in range(high - 1, low - 1, -1):
+                q = occupancy[k]
+                stop = q * lights[k]
+                d0, d1, d2 = stop * g0, stop * g1, stop * g2
+                d3 = lights[k] * (seen[k] - beyond)
+                beyond = q * seen[k] + (ONE - q) * beyond
+                u = u_start + np.float32(k) * du
+                v = v_start + np.float32(k) * dv
+                w = w_start + np.float32(k) * dw
+                u0, v0, w0 = int(u), int(v), int(w)
+                fu, fv, fw = u - np.float32(u0), v - np.float32(v0), w - np.float32(w0)
+                gu, gv, gw = ONE - fu, ONE - fv, ONE - fw
+                p = np.uintp(w0 * plane + v0 * row + u0)
+                su = sv = sw = ZERO
+                for corner in range(8):
+                    at = p
+                    wu, wv, ww = gu, gv, gw
+                    eu = ev = ew = -ONE
+                    if corner & 4:
+                        at += np.uintp(plane)
+                        ww, ew = fw, ONE
+                    if corner & 2:
+                        at += np.uintp(row)
+                        wv, ev = fv, ONE
+                    if corner & 1:
+                        at += np.uintp(1)
+                        wu, eu = fu, ONE
+                    wvw = ww * wv
+                    weight = wvw * wu
+                    value = d0 * voxels[at, 0] + d1 * voxels[at, 1] + d2 * voxels[at, 2] + d3 * voxels[at, 3]
+                    grad_voxels[at, 0] += weight * d0
+                    grad_voxels[at, 1] += weight * d1
+                    grad_voxels[at, 2] += weight * d2
+                    grad_voxels[at, 3] += weight * d3
+                    su += eu * wvw * value
+                    sv += ev * (ww * wu) * value
+                    sw += ew * (wv * wu) * value
+                gx, gy, gz = su * hx, sv * hy, sw * hz
+                z = ONE - np.float32(2 * k + 1) / np.float32(steps)
+                x, y = px * (ONE - focal * z), py * (ONE - focal * z)
+                a00 += gx * x
+                a01 += gx * y
+                a02 += gx * z
+                a10 += gy * x
+                a11 += gy * y
+                a12 += gy * z
+                a20 += gz * x
+                a21 += gz * y
+                a22 += gz * z
+                total_focal -= z * (
+                    (f00 * gx + f10 * gy + f20 * gz) * px + (f01 * gx + f11 * gy + f21 * gz) * py
+                )
+    grad_frame[0, 0], grad_frame[0, 1], grad_frame[0, 2] = a00, a01, a02
+    grad_frame[1, 0], grad_frame[1, 1], grad_frame[1, 2] = a10, a11, a12
+    grad_frame[2, 0], grad_frame[2, 1], grad_frame[2, 2] = a20, a21, a22
+    return total_focal
+
+
+# On one thread the threaded versions would still wake a pool, whose threads spin on cores that other runs need.
+forward = {False: njit(nogil=True, **FLAGS)(_forward), True: njit(parallel=True, nogil=True, **FLAGS)(_forward)}
+backward = {False: njit(nogil=True, **FLAGS)(_backward), True: njit(parallel=True, nogil=True, **FLAGS)(_backward)}

@@ -1,0 +1,89 @@
+"""Pairs for training: views held in memory, and batches that are a function of (seed, step) alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from viewnet.data.store import ViewStore
+from viewnet.errors import ViewnetError
+
+
+@dataclass(frozen=True)
+class Views:
+    """Some views of a store, in memory: RGB times alpha, and alpha, uint8 (N, 4, S, S), all views of an object in a row."""
+
+    pixels: Tensor
+    objects: Tensor  # (N,) which object each view shows, counting from 0
+    truth: Tensor  # (N, 2) azimuth and elevation in degrees; for scoring only
+    first: Tensor  # (O,) the first view of each object
+    count: Tensor  # (O,) how many views each object has
+
+    def pictures(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
+        """RGB times alpha, and alpha, in [0, 1]: (n, 4, size, size)."""
+        pictures = self.pixels[rows].to(device).float().div_(255)
+        return pictures if pictures.shape[-1] == size else resize(pictures, size)
+
+
+def resize(pictures: Tensor, size: int) -> Tensor:
+    """Pictures (N, C, H, H) at another size, by averaging areas."""
+    return F.interpolate(pictures, (size, size), mode="area")
+
+
+def load_views(store: ViewStore, split: str, size: int) -> Views:
+    """The views of one split at `size` pixels a side. ViewnetError where the split has none."""
+    rows = np.flatnonzero((store.index["split"] == split).to_numpy())
+    if not len(rows):
+        raise ViewnetError(f"{store.folder}: no views in split {split!r}: add models to it or name other splits")
+    index = store.index.iloc[rows]
+    chunks = []
+    for chunk in np.array_split(rows, max(1, len(rows) // 2048)):
+        straight = torch.from_numpy(np.asarray(store.images[chunk])).permute(0, 3, 1, 2).float()
+        # Averaging is only right on colours that are weighted by their alpha.
+        weighted = torch.cat([straight[:, :3] * (straight[:, 3:] / 255), straight[:, 3:]], dim=1)
+        chunks.append(resize(weighted, size).round_().to(torch.uint8))
+    objects = torch.from_numpy(index["model_id"].factorize()[0].astype(np.int64))
+    count = torch.bincount(objects)
+    if (objects.diff() < 0).any():
+        raise ViewnetError(f"{store.folder}: the views of a model do not lie side by side: build the store again")
+    truth = torch.from_numpy(index[["azimuth", "elevation"]].to_numpy(np.float32, copy=True))
+    return Views(torch.cat(chunks), objects, truth, count.cumsum(0) - count, count)
+
+
+def draw_pairs(views: Views, objects: int, targets: int, seed: int, step: int) -> tuple[Tensor, Tensor]:
+    """Rows of `objects` appearance views and of `objects * targets` target views of the same objects, none of them twice.
+
+    An epoch's worth of steps visits every object equally often (a fresh shuffle each time round); the draw depends
+    on (seed, step) alone, so that a resumed run sees what an undisturbed one would.
+    """
+    total = len(views.first)
+    if (views.count < 2).any():
+        raise ViewnetError("training needs two views or more of every object: render more views a model")
+    places = step * objects + torch.arange(objects)
+    rounds = {int(r): _shuffle(total, seed, int(r)) for r in torch.unique(places // total)}
+    chosen = torch.stack([rounds[int(p // total)][p % total] for p in places])
+    keys = torch.rand(objects, int(views.count.max()), generator=_generator(seed, 1, step))
+    keys[torch.arange(keys.shape[1]) >= views.count[chosen, None]] = 2.0
+    order = keys.argsort(1)
+    # An object with fewer views than asked for gives its targets again, never the appearance view.
+    repeat = 1 + torch.arange(targets)[None] % (views.count[chosen, None] - 1)
+    appearance = views.first[chosen] + order[:, 0]
+    return appearance, (views.first[chosen, None] + order.gather(1, repeat)).flatten()
+
+
+def _shuffle(total: int, seed: int, time: int) -> Tensor:
+    return torch.randperm(total, generator=_generator(seed, 0, time))
+
+
+def _generator(*numbers: int) -> torch.Generator:
+    seed = int(np.random.SeedSequence(list(numbers)).generate_state(1, np.uint64)[0] >> 1)
+    return torch.Generator().manual_seed(seed)
+
+
+def step_generator(seed: int, step: int) -> torch.Generator:
+    """Random numbers for one training step."""
+    return _generator(seed, 2, step)

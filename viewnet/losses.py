@@ -1,0 +1,116 @@
+"""What training minimises: reconstruction by pixels and by features, the choice among heads, cycle consistency."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from viewnet.config import TrainConfig
+from viewnet.errors import ViewnetError
+from viewnet.model import Hypotheses
+
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+FEATURE_NETWORKS = {
+    # Indices of torchvision's `features` whose *input* is compared, and their weights; 0 is the picture itself.
+    # VGG16: pixels, then conv1_2, conv2_2 and conv3_3 before their ReLU, as in the released code.
+    "vgg16": ((0, 10.0), (3, 1.0), (8, 1.0), (15, 1.0)),
+    # SqueezeNet 1.1: pixels, then after the first convolution's ReLU, the second and the fourth fire module.
+    "squeezenet": ((0, 10.0), (2, 1.0), (5, 1.0), (8, 1.0)),
+}
+
+
+def composite(picture: Tensor, colour: Tensor) -> Tensor:
+    """Pictures (N, 4, H, W), RGB times mask and mask, over colours (N, 3): (N, 3, H, W)."""
+    return picture[:, :3] + colour[:, :, None, None] * (1 - picture[:, 3:])
+
+
+def pixel_loss(picture: Tensor, target: Tensor) -> Tensor:
+    """L1 + MSE / 2 of pictures (N, C, H, W) at their own and half their resolution, averaged."""
+    total = picture.new_zeros(())
+    for factor in (1, 2):
+        difference = F.avg_pool2d(picture - target, factor) if factor > 1 else picture - target
+        total = total + difference.abs().mean() + 0.5 * difference.square().mean()
+    return total / 2
+
+
+class PerceptualLoss(nn.Module):
+    """Distance of ImageNet features (Johnson et al. 2016): each tap (MSE + L1) / 2, weighted, weights summing to 1.
+
+    `weights` is a file with torchvision's names (`features.*`), else torchvision's usual cache is used. Nothing is
+    downloaded: ViewnetError says where the file is expected.
+    """
+
+    def __init__(self, network: str, weights: Path | None = None):
+        super().__init__()
+        self.taps = FEATURE_NETWORKS[network]
+        layers = _features(network, weights)[: max(index for index, _ in self.taps)]
+        self.layers = layers.eval().requires_grad_(False)
+        for layer in self.layers.modules():
+            if isinstance(layer, nn.ReLU):
+                layer.inplace = False  # a tap before a ReLU must survive it
+        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(1, 3, 1, 1))
+        self.register_buffer("std", torch.tensor(IMAGENET_STD).view(1, 3, 1, 1))
+
+    def features(self, picture: Tensor) -> list[Tensor]:
+        """The taps of pictures (N, 3, H, W) in [0, 1]."""
+        x = (picture - self.mean) / self.std
+        wanted = {index for index, _ in self.taps}
+        found = [x] if 0 in wanted else []
+        for index, layer in enumerate(self.layers, start=1):
+            x = layer(x)
+            if index in wanted:
+                found.append(x)
+        return found
+
+    def forward(self, picture: Tensor, target: Tensor) -> Tensor:
+        with torch.no_grad():
+            wanted = self.features(target)
+        total = picture.new_zeros(())
+        for found, want, (_, weight) in zip(self.features(picture), wanted, self.taps, strict=True):
+            total = total + weight * 0.5 * (F.mse_loss(found, want) + F.l1_loss(found, want))
+        return total / sum(weight for _, weight in self.taps)
+
+
+def _features(network: str, weights: Path | None) -> nn.Sequential:
+    """The convolution layers of a torchvision network with ImageNet weights, from a file or the usual cache."""
+    import torchvision
+
+    if network == "vgg16":
+        model, known = torchvision.models.vgg16(weights=None), torchvision.models.VGG16_Weights.IMAGENET1K_V1
+    else:
+        model = torchvision.models.squeezenet1_1(weights=None)
+        known = torchvision.models.SqueezeNet1_1_Weights.IMAGENET1K_V1
+    path = weights or Path(torch.hub.get_dir()) / "checkpoints" / known.url.rsplit("/", 1)[1]
+    if not path.is_file():
+        raise ViewnetError(
+            f"no {network} weights at {path}: download {known.url} to that place, name another file by "
+            f"VIEWNET_{network.upper()}_WEIGHTS, or train without (perceptual=none)"
+        )
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        model.features.load_state_dict({k.removeprefix("features."): v for k, v in state.items() if "features." in k})
+    except Exception as error:
+        problem = str(error).splitlines()[0]
+        raise ViewnetError(f"{path} does not hold {network} weights ({problem}): download {known.url} anew") from error
+    return model.features
+
+
+def head_errors(pictures: Tensor, target: Tensor) -> Tensor:
+    """Mean absolute error (N, M) of M pictures a target, (N, M, C, H, W) against (N, C, H, W): the norm of equation 2."""
+    return (pictures - target[:, None]).abs().mean(dim=(2, 3, 4))
+
+
+def cycle_loss(found: Hypotheses, truth: Tensor, config: TrainConfig) -> Tensor:
+    """Section 3.4: how far the viewpoint network is from the viewpoints `truth` (N, 3) of generated pictures.
+
+    The head that the network selects is pulled (the released code), or the closest one; either way the selection is
+    taught which was the closest.
+    """
+    with torch.no_grad():
+        closest = (found.vectors - truth[:, None]).square().sum(-1).argmin(1)
+        pulled = closest if config.cycle_head == "closest" else found.logits.argmax(1)
+    return F.mse_loss(found.pick(pulled), truth) + F.cross_entropy(found.logits, closest)

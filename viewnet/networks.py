@@ -1,0 +1,201 @@
+"""The networks: encoder, AdaIN generator and the decoders of the ablation (the supplement's architecture tables).
+
+Where the paper is silent or contradicts itself, docs/decisions.md names what was chosen and why.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from viewnet.config import ModelConfig
+from viewnet.errors import ViewnetError
+
+
+def power_of_two(size: int, at_least: int, what: str) -> int:
+    """The exponent of `size`; ViewnetError unless it is a power of two of `at_least` or more."""
+    if size < at_least or size & (size - 1):
+        raise ViewnetError(f"{what} {size}: expected a power of two of {at_least} or more")
+    return size.bit_length() - 1
+
+
+class Encoder(nn.Sequential):
+    """Images (N, 3, S, S) in [0, 1] -> features (N, outputs): the supplement's encoder table.
+
+    Stride-2 convolutions down to 2x2, a 2x2 convolution and a 1x1 one. The table ends with batch normalisation and
+    ReLU; left out here as in the released code, since a ReLU would confine view vectors to one octant.
+    """
+
+    def __init__(self, channels: tuple[int, ...], outputs: int, image_size: int):
+        levels = power_of_two(image_size, 8, "image_size")
+        if len(channels) < levels:
+            raise ViewnetError(f"encoder_channels {channels}: {levels} are needed for images of {image_size} pixels")
+        layers: list[nn.Module] = []
+        previous = 3
+        for width in channels[: levels - 1]:
+            # Replication, as zero padding tells the network where the picture ends.
+            layers += [nn.Conv2d(previous, width, 3, stride=2, padding=1, padding_mode="replicate", bias=False)]
+            layers += [nn.BatchNorm2d(width), nn.ReLU(inplace=True)]
+            previous = width
+        last = channels[levels - 1]
+        layers += [nn.Conv2d(previous, last, 2, bias=False), nn.BatchNorm2d(last), nn.ReLU(inplace=True)]
+        layers += [nn.Conv2d(last, outputs, 1), nn.Flatten()]
+        super().__init__(*layers)
+
+
+class AdaIN(nn.Module):
+    """Adaptive instance normalisation: features normalised a channel, then scaled and shifted by the appearance."""
+
+    def __init__(self, channels: int, appearance: int):
+        super().__init__()
+        self.affine = nn.Linear(appearance, 2 * channels)
+        nn.init.zeros_(self.affine.bias)
+        with torch.no_grad():
+            self.affine.bias[:channels] = 1  # starts as plain instance normalisation
+
+    def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
+        scale, shift = self.affine(appearance).to(x.dtype).chunk(2, dim=1)
+        shape = (*scale.shape, *[1] * (x.dim() - 2))
+        return torch.addcmul(shift.view(shape), F.instance_norm(x), scale.view(shape))
+
+
+class Stage(nn.Module):
+    """Transposed convolution, normalisation, ReLU: one row of the supplement's generator table.
+
+    With `appearance` None the normalisation is by batch and takes no condition (the encoder-decoder ablation).
+    """
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, appearance: int | None, dims: int = 3):
+        super().__init__()
+        padding = 0 if stride == 1 and kernel == 4 else 1
+        transposed = nn.ConvTranspose3d if dims == 3 else nn.ConvTranspose2d
+        self.convolution = transposed(inputs, outputs, kernel, stride, padding, bias=False)
+        self.conditioned = appearance is not None
+        if appearance is not None:
+            self.norm: nn.Module = AdaIN(outputs, appearance)
+        else:
+            self.norm = nn.BatchNorm3d(outputs) if dims == 3 else nn.BatchNorm2d(outputs)
+
+    def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
+        x = self.convolution(x)
+        return F.relu(self.norm(x, appearance) if self.conditioned else self.norm(x), inplace=True)
+
+
+class Doubling(nn.ConvTranspose3d):
+    """Transposed convolution of kernel and stride 2 to four channels, as the matrix product it is.
+
+    Every voxel becomes its own eight, so nothing is summed; the result's channels lie innermost, as the renderer wants.
+    """
+
+    def __init__(self, inputs: int):
+        super().__init__(inputs, 4, 2, 2)
+
+    def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
+        count, _, nz, ny, nx = x.shape
+        weight = self.weight.permute(0, 2, 3, 4, 1).flatten(1)  # (inputs, 2 2 2 4)
+        bias = self.bias.repeat(8) if self.bias is not None else None
+        eight = F.linear(x.permute(0, 2, 3, 4, 1), weight.T, bias).view(count, nz, ny, nx, 2, 2, 2, 4)
+        return eight.permute(0, 1, 4, 2, 5, 3, 6, 7).reshape(count, 2 * nz, 2 * ny, 2 * nx, 4).permute(0, 4, 1, 2, 3)
+
+
+class Generator(nn.Module):
+    """Appearance (N, A) -> volume logits (N, 4, n, n, n), the last channel the occupancy's (section 3.2, supplement).
+
+    Refines a code drawn once from a normal distribution and never trained. `adain` conditions every stage on the
+    appearance; without it the appearance takes the code's place (the encoder-decoder row of Table 2).
+    """
+
+    def __init__(self, config: ModelConfig):
+        super().__init__()
+        levels = power_of_two(config.volume_size, 8, "volume_size") - 2
+        widths = config.generator_channels[:levels]
+        if len(widths) < levels:
+            raise ViewnetError(
+                f"generator_channels {widths}: {levels} are needed for a volume of {config.volume_size} voxels a side"
+            )
+        self.adain = config.decoder != "encoder_decoder"
+        appearance = config.appearance_size if self.adain else None
+        self.register_buffer("code", torch.randn(1, config.code_size, 1, 1, 1))
+        inputs = config.code_size if self.adain else config.appearance_size
+        stages = [Stage(inputs, widths[0], 4, 1, appearance)]
+        for before, width in zip(widths, widths[1:], strict=False):
+            stages.append(Stage(before, width, 4, 2, appearance))
+            if config.generator_refine:
+                stages.append(Stage(width, width, 3, 1, appearance))
+        self.stages = nn.ModuleList(stages)
+        kernel = config.generator_last_kernel
+        self.last = Doubling(widths[-1]) if kernel == 2 else nn.ConvTranspose3d(widths[-1], 4, kernel, 2, 1)
+
+    def forward(self, appearance: Tensor) -> Tensor:
+        if self.adain:
+            x = self.code.expand(len(appearance), -1, -1, -1, -1)
+        else:
+            x = appearance[:, :, None, None, None]
+        for stage in self.stages:
+            x = stage(x, appearance)
+        return self.last(x)
+
+
+class HoloGANDecoder(nn.Module):
+    """Appearance (N, A) and camera frames -> pictures with learned layers after the rotation (Table 2, last row).
+
+    Features at a quarter of the picture's size are rotated rigidly, their depth is folded into channels, and 2-D
+    transposed convolutions paint the picture: nothing ties one view's pixels to another's.
+    """
+
+    def __init__(self, config: ModelConfig):
+        super().__init__()
+        size = config.render_size // 4
+        levels = power_of_two(size, 4, "render_size / 4") - 2
+        widths = (*config.generator_channels[: levels + 1], *[config.generator_channels[-1]] * 8)[: levels + 1]
+        self.code = nn.Parameter(0.02 * torch.randn(1, widths[0], 4, 4, 4))
+        self.enter = AdaIN(widths[0], config.appearance_size)
+        self.stages = nn.ModuleList(
+            Stage(a, b, 4, 2, config.appearance_size) for a, b in zip(widths, widths[1:], strict=False)
+        )
+        flat = widths[-1] * size
+        self.fold = nn.Conv2d(flat, flat, 1)
+        self.paint = nn.ModuleList(
+            [
+                Stage(flat, max(flat // 4, 16), 4, 2, config.appearance_size, dims=2),
+                Stage(max(flat // 4, 16), max(flat // 16, 16), 4, 2, config.appearance_size, dims=2),
+            ]
+        )
+        self.last = nn.Conv2d(max(flat // 16, 16), 3, 3, padding=1)
+        self.size = size
+
+    def features(self, appearance: Tensor) -> Tensor:
+        """Feature volumes (N, C, s, s, s), before any rotation."""
+        x = F.relu(self.enter(self.code.expand(len(appearance), -1, -1, -1, -1), appearance))
+        for stage in self.stages:
+            x = stage(x, appearance)
+        return x
+
+    def draw(self, features: Tensor, appearance: Tensor, frames: Tensor) -> Tensor:
+        """Pictures (N, 3, S, S) in [0, 1]; N a multiple of the number of feature volumes, as in viewnet.volume."""
+        from viewnet.volume import ray_points
+
+        share = len(frames) // len(features)
+        points = ray_points(self.size, self.size, frames.new_zeros(()))
+        grid = torch.einsum("nij,dhwj->ndhwi", frames, points)
+        volume = features.repeat_interleave(share, dim=0)
+        turned = F.grid_sample(volume, grid.to(volume.dtype), padding_mode="border", align_corners=False)
+        x = F.relu(self.fold(turned.flatten(1, 2)))
+        for stage in self.paint:
+            x = stage(x, appearance.repeat_interleave(share, dim=0))
+        return torch.sigmoid(self.last(x))
+
+
+def gaussian_prior(size: int, width: float = 0.05) -> Tensor:
+    """S of section 3.3 on a volume of `size` voxels a side: exp(-r^2 / width), r in half sides of the volume."""
+    axis = (torch.arange(size) * 2 + 1) / size - 1
+    z, y, x = torch.meshgrid(axis, axis, axis, indexing="ij")
+    return torch.exp(-(x**2 + y**2 + z**2) / width)
+
+
+def parameters(module: nn.Module) -> int:
+    """How many numbers a module learns."""
+    return sum(math.prod(p.shape) for p in module.parameters())

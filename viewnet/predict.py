@@ -1,0 +1,101 @@
+"""From a checkpoint to predictions: one row a picture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import safe_open
+from safetensors.torch import load_file
+from torch import Tensor
+
+from viewnet.config import RunConfig
+from viewnet.data.pairs import load_views
+from viewnet.data.store import ViewStore
+from viewnet.errors import ViewnetError
+from viewnet.model import ViewNet
+from viewnet.predictions import Predictions
+from viewnet.train import reconstruct
+
+BATCH = 256
+
+
+def load_model(folder: Path) -> tuple[ViewNet, RunConfig]:
+    """The network of a run, ready to predict, and its configuration. ViewnetError where the file is none of ours."""
+    path = folder / "checkpoint.safetensors"
+    if not path.is_file():
+        raise ViewnetError(f"no checkpoint at {path}: train the run first")
+    try:
+        with safe_open(path, framework="pt") as file:
+            config = RunConfig.from_dict(json.loads((file.metadata() or {})["config"]))
+        model = ViewNet(config.model)
+        model.load_state_dict(load_file(path), strict=True)
+    except ViewnetError as error:
+        raise ViewnetError(f"{path} is of another version ({error}): train the run again") from error
+    except Exception as error:
+        problem = str(error).splitlines()[0]
+        raise ViewnetError(f"{path} is not a whole checkpoint ({problem}): train the run again") from error
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return model.to(device).eval(), config
+
+
+@torch.no_grad()
+def predict(model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = ("val", "test")) -> Predictions:
+    """Viewpoint hypotheses for every view of the given splits, in the store's order."""
+    network = load_model(model)[0] if isinstance(model, Path) else model.eval()
+    device = network.focal.device
+    rows, vectors, logits, ups = [], [], [], []
+    for split in splits:
+        views = load_views(store, split, network.config.input_size)
+        rows.append(store.index[store.index["split"] == split])
+        for part in torch.arange(len(views.objects)).split(BATCH):
+            found = network.viewpoint(views.pictures(part, network.config.input_size, device)[:, :3])
+            vectors.append(_array(found.vectors))
+            logits.append(_array(found.logits))
+            if found.ups is not None:
+                ups.append(_array(found.ups))
+    import pandas as pd
+
+    ids = pd.concat(rows, ignore_index=True)[["model_id", "category", "split", "view", "azimuth", "elevation"]]
+    return Predictions(ids, np.concatenate(vectors), np.concatenate(logits), np.concatenate(ups) if ups else None)
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.double().cpu().numpy()
+
+
+@torch.no_grad()
+def candidates(folder: Path, store: ViewStore, rows: list[int], split: str = "test") -> tuple[np.ndarray, ...]:
+    """What each head draws of some views of a split, ranked by reconstruction error (figure 3d).
+
+    Returns the views themselves (N, H, W, 3) uint8, the drawings (N, M, H, W, 3) uint8, their errors (N, M) ascending
+    and the heads' numbers (N, M). The appearance comes from the next view of the same object, the background is black.
+    """
+    network, config = load_model(folder)
+    device, size = network.focal.device, network.config.render_size
+    views = load_views(store, split, max(size, network.config.input_size))
+    index = torch.tensor(rows)
+    start, count = views.first[views.objects[index]], views.count[views.objects[index]]
+    others = start + (index - start + 1) % count
+    small = network.config.input_size
+    black = torch.zeros(len(rows), 3, device=device)
+    found = reconstruct(
+        network, views.pictures(others, small, device), views.pictures(index, small, device), config.train, black
+    )
+    heads = network.config.heads
+    drawn = network.draw(found.shape, found.appearance, found.hypotheses.frames.flatten(0, 1))[:, :3]
+    ranked = found.errors.argsort(1)
+    drawn = drawn.unflatten(0, (-1, heads))[torch.arange(len(rows))[:, None], ranked]
+    return (
+        _picture(views.pictures(index, size, device)[:, :3]),
+        _picture(drawn),
+        found.errors.gather(1, ranked).cpu().numpy(),
+        ranked.cpu().numpy(),
+    )
+
+
+def _picture(tensor: Tensor) -> np.ndarray:
+    """(..., 3, H, W) in [0, 1] -> (..., H, W, 3) uint8."""
+    return (tensor.clamp(0, 1) * 255).round().to(torch.uint8).movedim(-3, -1).cpu().numpy()
