@@ -15,7 +15,8 @@ from typing import Literal
 import numpy as np
 
 from viewnet.config import SYNSETS, known
-from viewnet.data.obj import Mesh, UnusableModel, read_obj
+from viewnet.data.mesh import Mesh, UnusableModel
+from viewnet.data.obj import read_obj
 from viewnet.errors import ViewnetError
 
 SPLITS = ("train", "val", "test")

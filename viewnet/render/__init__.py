@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from viewnet.data.obj import Material, Mesh
+from viewnet.data.mesh import Material, Mesh
 from viewnet.errors import ViewnetError
 from viewnet.render.camera import RADIUS, camera_frames
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from viewnet.data.obj import UnusableModel
+from viewnet.data.mesh import UnusableModel
 from viewnet.data.shapenet import ModelFile, load_model
 from viewnet.render import Backend, render_frames
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from viewnet.data.obj import Mesh
+from viewnet.data.mesh import Mesh
 
 AMBIENT = 0.4
 # Texels more transparent than this are holes.

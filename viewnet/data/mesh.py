@@ -1,0 +1,54 @@
+"""A CAD model in memory: triangles with materials, and the error that says why a model cannot be used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from viewnet.errors import ViewnetError
+
+# What a face without a (defined) material looks like.
+GREY = (0.8, 0.8, 0.8)
+
+
+class UnusableModel(ViewnetError):
+    """A CAD model that cannot be rendered; `reason` says why in a few words, `path` which file."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"{path}: {reason}")
+        self.path, self.reason = path, reason
+
+    def __reduce__(self) -> tuple[type, tuple[Path, str]]:
+        return type(self), (self.path, self.reason)
+
+
+@dataclass(frozen=True)
+class Material:
+    """Diffuse colour (3,) in 0..1, opacity 0..1 and, where given, a texture (h, w, 3 or 4) uint8 with its first row on top.
+
+    A texture replaces the diffuse colour (exporters often write it black beside a texture).
+    """
+
+    name: str = ""
+    diffuse: tuple[float, float, float] = GREY
+    opacity: float = 1.0
+    texture: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles: vertices (V, 3) float64, faces (F, 3) int32, material (F,) int32 into `materials`.
+
+    `uv` (F, 3, 2) float32 are the texture coordinates of each face's corners (origin at the lower left, repeating) or None;
+    `colours` (V, 3) float32 in 0..1 are vertex colours or None, which count only on faces without a material of their own
+    (material 0).
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    material: np.ndarray
+    materials: tuple[Material, ...]
+    uv: np.ndarray | None = None
+    colours: np.ndarray | None = None
