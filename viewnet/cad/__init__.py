@@ -32,8 +32,10 @@ _MODULES = {
     "boat": ("boat",),
     "train": ("train",),
     "chair": ("chair",),
-    "furniture": ("sofa", "diningtable"),
-    "objects": ("tvmonitor", "bottle"),
+    "sofa": ("sofa",),
+    "diningtable": ("diningtable",),
+    "tvmonitor": ("tvmonitor",),
+    "bottle": ("bottle",),
 }
 GENERATORS: dict[str, Generator] = {
     category: getattr(importlib.import_module(f"viewnet.cad.{module}"), category)

@@ -167,6 +167,8 @@ class Finishes:
         """Woven cloth, with stripes, checks, dots or flowers in the given share of cases."""
         rng = self._rng
         color = pick(rng, NEUTRAL_FABRICS if rng.random() < 0.55 else BRIGHT_FABRICS)
+        if rng.random() < 0.12:
+            return self._make(color, tweed_texture(rng, color), float(rng.uniform(1.0, 2.5)))
         if rng.random() < patterned:
             other = pick(rng, NEUTRAL_FABRICS if rng.random() < 0.6 else BRIGHT_FABRICS)
             return self._make(color, fabric_texture(rng, color, other), float(rng.uniform(1.2, 4.0)))
@@ -232,6 +234,13 @@ def mottled_texture(rng: np.random.Generator, color: Rgb, depth: float, size: in
     coarse = _even(rng.normal(0, 1, (size // 4, size // 8)))
     blotches = np.kron(coarse, np.ones((4, 4)))
     return _to_bytes(np.asarray(color) * (1 + depth * blotches[..., None]))
+
+
+def tweed_texture(rng: np.random.Generator, color: Rgb, size: int = 48) -> np.ndarray:
+    """Coarse yarn of mixed shades: (size, size, 3) uint8, periodic."""
+    return _to_bytes(
+        np.asarray(color) * (1 + rng.uniform(0.1, 0.3) * _even(rng.normal(0, 1, (size, size // 2)))[..., None])
+    )
 
 
 def weave_texture(color: Rgb, size: int = 32) -> np.ndarray:

@@ -28,6 +28,13 @@ def choose(rng: np.random.Generator, options: Mapping[str, float]) -> str:
     return list(options)[int(rng.choice(len(weights), p=weights / weights.sum()))]
 
 
+def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    # Twice as fast as numpy's for arrays this small.
+    a, b, c = first[..., 0], first[..., 1], first[..., 2]
+    d, e, f = second[..., 0], second[..., 1], second[..., 2]
+    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=-1)
+
+
 def circle(count: int) -> np.ndarray:
     """Unit circle, (count, 2), counter-clockwise, symmetric about both axes for even counts."""
     angle = 2 * np.pi * (np.arange(count) + 0.5) / count
@@ -103,7 +110,7 @@ def sweep(
     reference = np.asarray(side, float)
     if upright:
         across = np.tile(reference / np.linalg.norm(reference), (count, 1))
-        third = np.cross(np.array([0.0, 0.0, 1.0]), across)
+        third = _cross(np.array([0.0, 0.0, 1.0]), across)
     else:
         steps = np.diff(points, axis=0)
         steps = steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-12)
@@ -116,7 +123,7 @@ def sweep(
             across = reference - (tangent @ reference)[:, None] * tangent
             length = np.linalg.norm(across, axis=1, keepdims=True)
         across = across / np.maximum(length, 1e-9)
-        third = np.cross(tangent, across)
+        third = _cross(tangent, across)
     outline = _SECTIONS[section] if isinstance(section, str) else section
     rings = (
         points[:, None, :]
@@ -220,7 +227,7 @@ def shell(
         grid[:, 1] - grid[:, 0],
         grid[:, -1] - grid[:, -2],
     )
-    normal = np.cross(along, across)
+    normal = _cross(along, across)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
     offset = normal * (np.broadcast_to(np.asarray(thickness, float), (rows, columns))[..., None] / 2)
     upper, lower = (grid + offset).reshape(-1, 3), (grid - offset).reshape(-1, 3)

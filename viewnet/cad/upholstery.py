@@ -21,7 +21,7 @@ _ROUND_TOP = np.array([[-1, -1], [1, -1], [1, 0.3], [0.8, 0.75], [0.4, 0.97], [-
 
 @dataclass(frozen=True)
 class Body:
-    """Measures of an upholstered seat: inner width, overall depth, arm width; heights of seat, arms, back, floor gap."""
+    """Measures of an upholstered seat: inner width, overall depth, arm width; heights of seat, arms, back, gap."""
 
     inner: float
     depth: float
@@ -446,6 +446,7 @@ def tub(
     if clear > 0.1 and width is None and rng.random() < 0.2:
         star_base(builder, rng, clear + 0.02, 0.27, fin.metal(), fin.dark(), 4, False)
     elif clear > 0.03:
-        soft_legs(builder, rng, fin, wide * 0.42, depth * 0.4, clear)
+        # Well inside: the corners are round.
+        soft_legs(builder, rng, fin, wide * (0.3 if width is None else 0.37), depth * 0.3, clear)
     else:
         block(builder, (0.02, 0, 0.01), (depth * 0.8, wide * 0.8, 0.02), fin.dark())
