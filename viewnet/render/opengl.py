@@ -1,0 +1,209 @@
+"""The OpenGL renderer: pyrender off screen (EGL or OSMesa), with shaders that light as the software renderer does.
+
+It is the independent check of `raster` and an option where a graphics card is at hand; it needs the `gl` extra.
+"""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+import sys
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from viewnet.data.mesh import Mesh
+from viewnet.render.camera import DISTANCE, FOCAL, RADIUS
+from viewnet.render.raster import ALPHA_CUT, AMBIENT, one_sided
+
+_VERTEX = """#version 330 core
+layout(location = 0) in vec3 position;
+layout(location = NORMAL_LOC) in vec3 normal;
+#ifdef TEXCOORD_0_LOC
+layout(location = TEXCOORD_0_LOC) in vec2 texcoord_0;
+out vec2 uv_0;
+#endif
+#ifdef COLOR_0_LOC
+layout(location = COLOR_0_LOC) in vec4 color_0;
+out vec4 vertex_color;
+#endif
+layout(location = INST_M_LOC) in mat4 inst_m;
+uniform mat4 M;
+uniform mat4 V;
+uniform mat4 P;
+out vec3 point;
+out vec3 face_normal;
+void main() {
+    point = vec3(M * inst_m * vec4(position, 1.0));
+    gl_Position = P * V * vec4(point, 1.0);
+    face_normal = normal;
+#ifdef TEXCOORD_0_LOC
+    uv_0 = texcoord_0;
+#endif
+#ifdef COLOR_0_LOC
+    vertex_color = color_0;
+#endif
+}
+"""
+_FRAGMENT = """#version 330 core
+struct DirectionalLight { vec3 direction; };
+struct Material {
+    vec4 base_color_factor;
+#ifdef HAS_BASE_COLOR_TEX
+    sampler2D base_color_texture;
+#endif
+};
+uniform DirectionalLight directional_lights[1];
+uniform Material material;
+uniform vec3 ambient_light;
+uniform vec3 cam_pos;
+in vec3 point;
+in vec3 face_normal;
+#ifdef TEXCOORD_0_LOC
+in vec2 uv_0;
+#endif
+#ifdef COLOR_0_LOC
+in vec4 vertex_color;
+#endif
+out vec4 frag_color;
+void main() {
+    vec3 albedo = material.base_color_factor.rgb;
+#ifdef HAS_BASE_COLOR_TEX
+    vec4 texel = texture(material.base_color_texture, uv_0);
+    if (texel.a * 255.0 < %d.0) discard;
+    albedo = texel.rgb;
+#endif
+#ifdef COLOR_0_LOC
+    albedo = vertex_color.rgb;
+#endif
+    float side = dot(face_normal, cam_pos - point) < 0.0 ? -1.0 : 1.0;
+    float diffuse = max(side * dot(normalize(face_normal), -directional_lights[0].direction), 0.0);
+    frag_color = vec4(albedo * mix(ambient_light, vec3(1.0), diffuse), 1.0);
+}
+"""
+_LINEAR, _REPEAT = 9729, 10497
+
+
+@lru_cache(maxsize=1)
+def check() -> None:
+    """Draw one triangle; whatever is wrong with OpenGL or pyrender here is raised."""
+    from viewnet.data.mesh import Material
+
+    corners = np.array([[0.0, -0.3, -0.3], [0.0, 0.3, -0.3], [0.0, 0.0, 0.3]])
+    mesh = Mesh(corners, np.array([[0, 1, 2]], np.int32), np.zeros(1, np.int32), (Material(),))
+    frame = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    if draw(mesh, frame[None], frame[None, :, 2], 8, 1)[0, 4, 4, 3] != 255:
+        raise RuntimeError("a triangle that was drawn does not show")
+
+
+def draw(mesh: Mesh, frames: np.ndarray, lights: np.ndarray, size: int, supersample: int) -> np.ndarray:
+    """Straight-alpha RGBA (V, size, size, 4) uint8 for camera frames (V, 3, 3) and unit directions to the light (V, 3)."""
+    renderer, pyrender = _renderer(size * supersample), _pyrender()
+    scene = pyrender.Scene(bg_color=np.zeros(4), ambient_light=np.full(3, AMBIENT))
+    scene.add(pyrender.Mesh(_primitives(mesh)))
+    pixels = size * supersample
+    camera = scene.add(
+        pyrender.IntrinsicsCamera(
+            FOCAL * pixels, FOCAL * pixels, pixels / 2, pixels / 2, DISTANCE - 2 * RADIUS, DISTANCE + 2 * RADIUS
+        )
+    )
+    light = scene.add(pyrender.DirectionalLight())
+    images = np.zeros((len(frames), size, size, 4), np.uint8)
+    for view, (frame, direction) in enumerate(zip(frames, lights, strict=True)):
+        scene.set_pose(camera, _pose(frame, DISTANCE * frame[:, 2]))
+        scene.set_pose(light, _pose(_towards(direction), np.zeros(3)))
+        drawn, _ = renderer.render(scene, flags=pyrender.RenderFlags.RGBA)
+        # Smoothed edges are over black, so colours are weighted by alpha already.
+        total = drawn.astype(np.float64).reshape(size, supersample, size, supersample, 4).sum(axis=(1, 3))
+        alpha = total[..., 3:]
+        colour = np.divide(total[..., :3] * 255, alpha, out=np.zeros_like(total[..., :3]), where=alpha > 0)
+        images[view] = np.concatenate([colour.clip(0, 255), alpha / supersample**2], axis=-1) + 0.5
+    return images
+
+
+def _pyrender() -> Any:
+    """The pyrender module. The platform must be chosen before OpenGL is first imported."""
+    if "PYOPENGL_PLATFORM" not in os.environ and sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        osmesa_only = ctypes.util.find_library("EGL") is None and ctypes.util.find_library("OSMesa") is not None
+        os.environ["PYOPENGL_PLATFORM"] = "osmesa" if osmesa_only else "egl"
+    import pyrender
+
+    return pyrender
+
+
+_kept: dict[int, Any] = {}
+
+
+def _renderer(pixels: int) -> Any:
+    """An off-screen renderer with our shaders. Creating one takes half a second, so the last one is kept."""
+    if pixels in _kept:
+        return _kept[pixels]
+    # One at a time: deleting a context ends the display that a second one would share.
+    while _kept:
+        _kept.popitem()[1].delete()
+    pyrender = _pyrender()
+    from pyrender.shader_program import ShaderProgramCache
+
+    renderer = pyrender.OffscreenRenderer(pixels, pixels)
+    folder = tempfile.TemporaryDirectory(prefix="viewnet-shaders-")
+    (Path(folder.name) / "mesh.vert").write_text(_VERTEX, encoding="ascii")
+    (Path(folder.name) / "mesh.frag").write_text(_FRAGMENT % ALPHA_CUT, encoding="ascii")
+    # pyrender has no public way to other shaders; it has not changed since 2021.
+    renderer._renderer._program_cache = ShaderProgramCache(shader_dir=folder.name)
+    renderer.shader_folder = folder
+    _kept[pixels] = renderer
+    return renderer
+
+
+def _primitives(mesh: Mesh) -> list[Any]:
+    """One primitive for each material and sidedness; corners are not shared, for flat normals."""
+    pyrender = _pyrender()
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    single = one_sided(mesh)
+    primitives = []
+    for number in np.unique(mesh.material):
+        entry = mesh.materials[number]
+        texture = None
+        if entry.texture is not None:
+            texels = entry.texture
+            if texels.shape[2] == 3:
+                texels = np.concatenate([texels, np.full_like(texels[..., :1], 255)], axis=2)
+            sampler = pyrender.Sampler(magFilter=_LINEAR, minFilter=_LINEAR, wrapS=_REPEAT, wrapT=_REPEAT)
+            texture = pyrender.Texture(source=texels, source_channels="RGBA", sampler=sampler)
+        for one in (False, True):
+            faces = (mesh.material == number) & (single == one)
+            if not faces.any():
+                continue
+            coloured = number == 0 and mesh.colours is not None
+            primitives.append(
+                pyrender.Primitive(
+                    positions=corners[faces].reshape(-1, 3),
+                    normals=np.repeat(normals[faces], 3, axis=0),
+                    texcoord_0=None if texture is None or mesh.uv is None else mesh.uv[faces].reshape(-1, 2),
+                    color_0=mesh.colours[mesh.faces[faces]].reshape(-1, 3) if coloured and mesh.colours is not None else None,
+                    material=pyrender.MetallicRoughnessMaterial(
+                        baseColorFactor=(*entry.diffuse, 1.0), baseColorTexture=texture, doubleSided=not one
+                    ),
+                    mode=4,
+                )
+            )
+    return primitives
+
+
+def _pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, position
+    return pose
+
+
+def _towards(direction: np.ndarray) -> np.ndarray:
+    """A rotation whose third column is `direction`."""
+    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    first = np.cross(helper, direction)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first), direction], axis=1)
