@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +24,9 @@ class UnusableModel(ViewnetError):
         return type(self), (self.path, self.reason)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Material:
-    """Diffuse colour (3,) in 0..1, opacity 0..1 and, where given, a texture (h, w, 3 or 4) uint8 with its first row on top.
+    """Diffuse colour (3,) in 0..1, opacity 0..1 and, where given, a texture (h, w, 3 or 4) uint8, top row first.
 
     A texture replaces the diffuse colour (exporters often write it black beside a texture).
     """
@@ -34,16 +34,16 @@ class Material:
     name: str = ""
     diffuse: tuple[float, float, float] = GREY
     opacity: float = 1.0
-    texture: np.ndarray | None = None
+    texture: np.ndarray | None = field(default=None, repr=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mesh:
     """Triangles: vertices (V, 3) float64, faces (F, 3) int32, material (F,) int32 into `materials`.
 
-    `uv` (F, 3, 2) float32 are the texture coordinates of each face's corners (origin at the lower left, repeating) or None;
-    `colours` (V, 3) float32 in 0..1 are vertex colours or None, which count only on faces without a material of their own
-    (material 0).
+    `uv` (F, 3, 2) float32 are the texture coordinates of each face's corners (origin at the lower left, repeating) or
+    None; `colours` (V, 3) float32 in 0..1 are vertex colours or None, which count only on faces without a material of
+    their own (material 0).
     """
 
     vertices: np.ndarray

@@ -1,7 +1,7 @@
 """Wavefront MTL material libraries and their textures.
 
-Nothing outside a model's own folder is ever opened: a library or texture path that is absolute or leads out of the folder
-makes the model unusable.
+Nothing outside a model's own folder is ever opened: a library or texture path that is absolute or leads out of the
+folder makes the model unusable.
 """
 
 from __future__ import annotations
@@ -133,9 +133,9 @@ def read_texture(obj: Path, folder: Path, file: Path) -> np.ndarray:
                     raise UnusableModel(obj, f"texture '{name}' has more than {MAX_TEXTURE_PIXELS} pixels")
                 picture.draft("RGB", (TEXTURE_SIZE, TEXTURE_SIZE))
                 alpha = "A" in picture.getbands() or "transparency" in picture.info
-                picture = picture.convert("RGBA" if alpha else "RGB")
-                picture.thumbnail((TEXTURE_SIZE, TEXTURE_SIZE), Image.Resampling.BOX)
-                return np.array(picture)
+                small = picture.convert("RGBA" if alpha else "RGB")
+                small.thumbnail((TEXTURE_SIZE, TEXTURE_SIZE), Image.Resampling.BOX)
+                return np.array(small)
     except UnusableModel:
         raise
     except Exception as error:  # Pillow's decoders raise errors of many types on broken files.

@@ -1,9 +1,9 @@
 """Wavefront OBJ files as triangle meshes.
 
-The reader covers what CAD collections hold: polygons, every index form (`v`, `v/t`, `v//n`, `v/t/n`, negative), several
-materials and libraries, vertex colours, texture options and texture names with spaces. It exists because a general loader
-spends many times longer on a model than drawing its views takes, and drops the opacity that decides what is seen. Lines are
-sorted by keyword and numbers read with array operations, never in a loop over lines.
+The reader covers what CAD collections hold: polygons, every index form (`v`, `v/t`, `v//n`, `v/t/n`, negative),
+several materials and libraries, vertex colours, texture options and texture names with spaces. It exists because a
+general loader spends many times longer on a model than drawing its views takes, and drops the opacity that decides
+what is seen. Lines are sorted by keyword and numbers read with array operations, never in a loop over lines.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ MIN_OPACITY = 0.05
 def read_obj(path: Path, folder: Path | None = None) -> Mesh:
     """The visible faces of an OBJ file as it stands (no change of frame or scale).
 
-    Polygons are cut as fans; faces of no area and faces that are (almost) wholly transparent are left out; normals in the
-    file are not used. Faces without a material, or with one that no library defines, are light grey. `folder` (default:
-    the file's own) is the one that libraries and textures must lie in. Raises UnusableModel with the reason.
+    Polygons are cut as fans; faces of no area and faces that are (almost) wholly transparent are left out; normals in
+    the file are not used. Faces without a material, or with one that no library defines, are light grey. `folder`
+    (default: the file's own) is the one that libraries and textures must lie in. Raises UnusableModel with the
+    reason.
     """
     folder = path.parent if folder is None else folder
     lines = _Lines(path)
@@ -136,7 +137,7 @@ def _numbers(path: Path, keyword: str, text: bytes, dtype: type) -> tuple[np.nda
         # NumPy only warns where it stops at something that is not a number; the count then tells.
         warnings.simplefilter("ignore", DeprecationWarning)
         try:
-            values = np.fromstring(text, dtype, sep=" ")
+            values: np.ndarray = np.fromstring(text, dtype, sep=" ")
         except ValueError:
             values = np.zeros(0, dtype)
     if len(values) != counts.sum():
@@ -180,7 +181,9 @@ def _corners(lines: _Lines, vertices: int) -> tuple[np.ndarray, np.ndarray, np.n
         default=2 * ((slashes == 2 * sizes) & (doubles == sizes)),
     )
     if (wrong := width * sizes != counts).any():
-        raise UnusableModel(path, f"cannot understand the face '{text.splitlines()[int(wrong.argmax())].decode().strip()}'")
+        raise UnusableModel(
+            path, f"cannot understand the face '{text.splitlines()[int(wrong.argmax())].decode().strip()}'"
+        )
     step = np.repeat(width, sizes)
     at = np.cumsum(step) - step
     textured = np.repeat((slashes > 0) & (doubles == 0), sizes)
@@ -235,7 +238,7 @@ def _materials(
     lines: _Lines,
     corners: np.ndarray,
 ) -> tuple[tuple[Material, ...], np.ndarray | None]:
-    """Material 0 (none) and those of `names`, with the textures that faces use; texture coordinates (F, 3, 2) if any do."""
+    """Material 0 (none) and those of `names` with the textures that faces use, and (F, 3, 2) coordinates if any do."""
     used = np.bincount(material, minlength=len(names) + 1) > 0
     textured = {
         number: entry.texture
@@ -253,7 +256,7 @@ def _materials(
             texture = read_texture(path, folder, textured[number])
             if entry.scale != (1.0, 1.0) or entry.offset != (0.0, 0.0):
                 mine = material == number
-                uv[mine] = uv[mine] * np.float32(entry.scale) + np.float32(entry.offset)
+                uv[mine] = uv[mine] * np.array(entry.scale) + np.array(entry.offset)
         materials.append(Material(name, entry.diffuse, entry.shown, texture))
     return tuple(materials), uv
 

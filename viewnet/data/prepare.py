@@ -23,7 +23,13 @@ def view_store(config: DataConfig, workers: int | None = None, progress: bool = 
         raise ViewnetError(f"models {config.models}: expected 1 or more, or 0 for all of a collection")
     backend = choose_backend(config.renderer)
     described = describe(
-        config.views, config.image_size, config.supersample, config.azimuth_range, config.elevation_range, config.seed, backend
+        config.views,
+        config.image_size,
+        config.supersample,
+        config.azimuth_range,
+        config.elevation_range,
+        config.seed,
+        backend,
     )
     models: list[ModelFile] | None = None
     if config.root is None:
@@ -55,7 +61,9 @@ def view_store(config: DataConfig, workers: int | None = None, progress: bool = 
 def built_in(category: str, models: int, seed: int = 0, progress: bool = True) -> Path:
     """The folder of a collection of built-in models of one category, written if it is not there yet."""
     if models < 1:
-        raise ViewnetError("models 0 means all of a collection, but built-in models have no end: give a number or a root")
+        raise ViewnetError(
+            "models 0 means all of a collection, but built-in models have no end: give a number or a root"
+        )
     root = paths.data() / "cad" / f"{category}-{models}-seed{seed}-v{cad.VERSION}"
     root.parent.mkdir(parents=True, exist_ok=True)
     with locked(root):

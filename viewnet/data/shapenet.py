@@ -1,4 +1,4 @@
-"""CAD collections in the layouts of ShapeNetCore v1 and v2: which models there are, their splits, and one model's mesh."""
+"""CAD collections in the layouts of ShapeNetCore v1 and v2: their models, the splits of these, and a model's mesh."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FRAMES = {
     "v2": np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
 }
 
-# One chair is missing from the validation list of the DPC release, though present in the table the lists were made from.
+# This chair is missing from the validation list of the DPC release, but is in the table the lists were made from.
 _DPC_CHAIR = ("03001627", 4744, 677, "901cab3f56c74894d7f7a4c4609b0913")
 
 log = logging.getLogger(__name__)
@@ -54,10 +54,10 @@ class ModelFile:
 def find_models(root: Path | str, category: str, splits: Path | str | None = None, seed: int = 0) -> list[ModelFile]:
     """The models of a category under `root`, sorted by id, each with its split (train, val or test).
 
-    Splits come from `splits` when given, a folder of lists `<synset>_{train,val,test}.txt` with one id a line; else from
-    `all.csv` at the root (columns id, synsetId, subSynsetId, modelId, split); else models are shuffled by `seed` and their
-    ids and cut at 0.7, 0.1 and 0.2 (section 4.2). Models that a list leaves out are not used, and listed models that
-    are not there are skipped; both are counted in the log.
+    Splits come from `splits` when given, a folder of lists `<synset>_{train,val,test}.txt` with one id a line; else
+    from `all.csv` at the root (columns id, synsetId, subSynsetId, modelId, split); else models are shuffled by `seed`
+    and their ids and cut at 0.7, 0.1 and 0.2 (section 4.2). Models that a list leaves out are not used, and listed
+    models that are not there are skipped; both are counted in the log.
 
     Raises ViewnetError for a root that is not a collection, an unknown category, a category without models, and a
     malformed list, or one whose models of some split are all missing.
@@ -75,14 +75,18 @@ def find_models(root: Path | str, category: str, splits: Path | str | None = Non
     there = {model.id for model in models}
     for split in SPLITS:
         names = [name for name, value in listed.items() if value == split]
+        if not names:
+            raise ViewnetError(f"{source}: the {split} split of {category} is empty: list models for it, or use more")
         if not there.intersection(names):
             raise ViewnetError(
-                f"{source}: the {split} split of {category} is empty ({len(names)} listed, none of them in {root / synset}):"
-                " check that list and collection belong together"
+                f"{source}: the {split} split of {category} is empty: none of its {len(names)} models is in"
+                f" {root / synset}: check that list and collection belong together"
             )
     unlisted, absent = sum(model.id not in listed for model in models), len(listed.keys() - there)
     if unlisted or absent:
-        log.warning("%s: %d models not in %s left out, %d listed models missing", root / synset, unlisted, source, absent)
+        log.warning(
+            "%s: %d models not in %s left out, %d listed models missing", root / synset, unlisted, source, absent
+        )
     return [replace(model, split=listed[model.id]) for model in models if model.id in listed]
 
 
@@ -124,18 +128,22 @@ def load_model(model: ModelFile) -> Mesh:
 
 
 def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
-    """Every model folder of the category, sorted by id. A folder without its .obj is listed too (it will be rejected)."""
+    """Every model folder of the category, sorted by id; also one without its .obj, which will be rejected."""
     if not root.is_dir():
         raise ViewnetError(f"{root}: no such folder: give the folder of a ShapeNetCore collection")
     folder = root / synset
     if not folder.is_dir():
-        names = sorted(entry.name for entry in os.scandir(root) if re.fullmatch(r"\d{8}", entry.name) and entry.is_dir())
+        names = sorted(
+            entry.name for entry in os.scandir(root) if re.fullmatch(r"\d{8}", entry.name) and entry.is_dir()
+        )
         if (root / f"{synset}.zip").exists():
             raise ViewnetError(f"{folder}: not there, but {synset}.zip is: unpack it")
         if not names:
             raise ViewnetError(f"{root}: not a ShapeNetCore collection: expected a folder {synset} ({category}) in it")
         raise ViewnetError(f"{root}: no folder {synset} ({category}); it has {', '.join(names)}")
-    names = sorted(entry.name for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith((".", "_")))
+    names = sorted(
+        entry.name for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith((".", "_"))
+    )
     models, missing, layouts = [], [], Counter[str]()
     for name in names:
         for layout, file in _paths(folder / name).items():
@@ -159,7 +167,7 @@ def _paths(folder: Path) -> dict[Literal["v1", "v2"], Path]:
 
 
 def _seeded_splits(models: list[ModelFile], seed: int) -> list[ModelFile]:
-    """Exact shares of the models in an order that depends on the seed and their ids only; none empty from three models."""
+    """Exact shares of the models, in an order by seed and id only; from three models on none is empty."""
     order = sorted(range(len(models)), key=lambda i: _rank(seed, "split", models[i].id))
     test = max(round(SHARES[2] * len(models)), int(len(models) > 1))
     val = max(round(SHARES[1] * len(models)), int(len(models) > 2))
@@ -193,7 +201,9 @@ def _read_lists(folder: Path, synset: str) -> dict[str, str]:
     for split in SPLITS:
         file = folder / f"{synset}_{split}.txt"
         if not file.is_file():
-            raise ViewnetError(f"{file}: no such list: expected {synset}_train.txt, {synset}_val.txt, {synset}_test.txt")
+            raise ViewnetError(
+                f"{file}: no such list: expected {synset}_train.txt, {synset}_val.txt, {synset}_test.txt"
+            )
         pairs += [(name, split) for line in file.read_text(encoding="utf-8").splitlines() if (name := line.strip())]
     counts = Counter(split for _, split in pairs)
     chair, train, val, name = _DPC_CHAIR

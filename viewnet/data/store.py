@@ -69,7 +69,9 @@ class ViewStore:
         try:
             index = pd.read_parquet(folder / "index.parquet")
         except Exception as error:  # The parquet reader raises its own types on damaged files.
-            raise ViewnetError(f"{folder / 'index.parquet'}: cannot be read ({type(error).__name__}): {_AGAIN}") from None
+            raise ViewnetError(
+                f"{folder / 'index.parquet'}: cannot be read ({type(error).__name__}): {_AGAIN}"
+            ) from None
         check_index(index, len(images), folder / "index.parquet")
         return cls(folder, images, index, meta)
 
@@ -88,7 +90,9 @@ class ViewStore:
         rows = np.flatnonzero((self.index["split"] == name).to_numpy())
         if not len(rows):
             names = ", ".join(sorted(self.index["split"].unique()))
-            raise ViewnetError(f"{self.folder}: no views in split {name!r} (it has {names}): use another, or more models")
+            raise ViewnetError(
+                f"{self.folder}: no views in split {name!r} (it has {names}): use another, or more models"
+            )
         return rows
 
     def __len__(self) -> int:
@@ -109,8 +113,9 @@ def write_store(
 ) -> ViewStore:
     """Write a store to `folder` from batches (n, H, W, 4) uint8 in the order of `index`, and open it.
 
-    `made_by` (JSON values) holds everything that decided the views. The folder appears when it is whole; memory holds one
-    batch at a time. Raises ViewnetError where `folder` exists, the index is not valid, or batches and index differ in length.
+    `made_by` (JSON values) holds everything that decided the views. The folder appears when it is whole; memory holds
+    one batch at a time. Raises ViewnetError where `folder` exists, the index is not valid, or batches and index
+    differ in length.
     """
     if folder.exists():
         raise ViewnetError(f"{folder}: exists already: remove it or name another folder")

@@ -31,17 +31,19 @@ def render(
 ) -> np.ndarray:
     """Straight-alpha RGBA pictures (V, size, size, 4) uint8 of a normalised mesh from viewpoints (V,) in degrees.
 
-    `lights` (V, 3) are unit directions from the object to the light in the world frame; None puts it at the camera. Both
-    back ends share camera, lighting, flat normals, bilinear repeating textures and the treatment of transparency
-    (nearly transparent faces and holes of RGBA textures are not drawn, all else is opaque). Where there is nothing the
-    colour is black and alpha 0.
+    `lights` (V, 3) are unit directions from the object to the light in the world frame; None puts it at the camera.
+    Both back ends share camera, lighting, flat normals, bilinear repeating textures and the treatment of transparency
+    (nearly transparent faces and holes of RGBA textures are not drawn, all else is opaque). Where there is nothing
+    the colour is black and alpha 0.
 
     Raises ViewnetError for sizes below 1, counts that do not match, and a mesh that reaches beyond the unit sphere's
     half radius (not normalised).
     """
     azimuth, elevation = np.atleast_1d(azimuth), np.atleast_1d(elevation)
     if azimuth.ndim != 1 or azimuth.shape != elevation.shape:
-        raise ViewnetError(f"azimuth {azimuth.shape} and elevation {elevation.shape}: expected one of each for every view")
+        raise ViewnetError(
+            f"azimuth {azimuth.shape} and elevation {elevation.shape}: expected one of each for every view"
+        )
     frames = camera_frames(azimuth, elevation)
     lights = frames[:, :, 2] if lights is None else np.asarray(lights, dtype=np.float64)
     if lights.shape != (len(frames), 3):

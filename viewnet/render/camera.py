@@ -1,7 +1,7 @@
 """The rendering camera: pinhole, square pictures, looking at the origin from a fixed distance without tilt.
 
-The values are those of the renders the paper's baselines are trained on (a 60 mm lens on a 32 mm sensor, 2 units away), where
-an object's bounding box has a diagonal of 1.
+The values are those of the renders the paper's baselines are trained on (a 60 mm lens on a 32 mm sensor, 2 units
+away), where an object's bounding box has a diagonal of 1.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def camera_frames(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
 
 
 def project(points: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """Picture positions (V, P, 2) of world points (P, 3): x to the right, y down, (0, 0) and (1, 1) the picture's corners."""
+    """Picture positions (V, P, 2) of world points (P, 3): x right, y down, (0, 0) and (1, 1) the picture's corners."""
     camera = np.einsum("pi,vij->vpj", points, frames)
     depth = DISTANCE - camera[..., 2:]
     return 0.5 + np.array([FOCAL, -FOCAL]) * camera[..., :2] / depth

@@ -1,4 +1,4 @@
-"""What a rendering process does: draw the models of one chunk into one file. Imports nothing heavy: many processes start it."""
+"""What a rendering process does: draw the models of one chunk into one file. Many start it, so imports are light."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ def check() -> None:
 
 
 def draw(mesh: Mesh, frames: np.ndarray, lights: np.ndarray, size: int, supersample: int) -> np.ndarray:
-    """Straight-alpha RGBA (V, size, size, 4) uint8 for camera frames (V, 3, 3) and unit directions to the light (V, 3)."""
+    """Straight-alpha RGBA (V, size, size, 4) uint8 for camera frames and unit directions to the light (see render)."""
     renderer, pyrender = _renderer(size * supersample), _pyrender()
     scene = pyrender.Scene(bg_color=np.zeros(4), ambient_light=np.full(3, AMBIENT))
     scene.add(pyrender.Mesh(_primitives(mesh)))
@@ -185,7 +185,9 @@ def _primitives(mesh: Mesh) -> list[Any]:
                     positions=corners[faces].reshape(-1, 3),
                     normals=np.repeat(normals[faces], 3, axis=0),
                     texcoord_0=None if texture is None or mesh.uv is None else mesh.uv[faces].reshape(-1, 2),
-                    color_0=mesh.colours[mesh.faces[faces]].reshape(-1, 3) if coloured and mesh.colours is not None else None,
+                    color_0=mesh.colours[mesh.faces[faces]].reshape(-1, 3)
+                    if coloured and mesh.colours is not None
+                    else None,
                     material=pyrender.MetallicRoughnessMaterial(
                         baseColorFactor=(*entry.diffuse, 1.0), baseColorTexture=texture, doubleSided=not one
                     ),

@@ -1,9 +1,9 @@
 """The software renderer: a z-buffer in compiled loops, without OpenGL.
 
-Every sample (pixel divided `supersample` times each way) takes the nearest face at its centre; a pixel's colour is the mean
-of its covered samples and its alpha the share of them. Shading is `AMBIENT + (1 - AMBIENT) max(0, n.l)` with the face's flat
-normal turned to the camera and one directional light. Where faces coincide the first in the file is seen, and of two that
-face opposite ways (a surface modelled once for each side) the one turned to the camera.
+Every sample (pixel divided `supersample` times each way) takes the nearest face at its centre; a pixel's colour is
+the mean of its covered samples and its alpha the share of them. Shading is `AMBIENT + (1 - AMBIENT) max(0, n.l)` with
+the face's flat normal turned to the camera and one directional light. Where faces coincide the first in the file is
+seen, and of two that face opposite ways (a surface modelled once for each side) the one turned to the camera.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numba
 import numpy as np
 
 from viewnet.data.mesh import Mesh
+from viewnet.render.camera import DISTANCE, FOCAL
 
 AMBIENT = 0.4
 # Texels more transparent than this are holes.
@@ -22,7 +23,7 @@ ALPHA_CUT = 128
 TIE = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Surface:
     """A mesh as the kernel takes it: all textures in one buffer, a unit normal a face."""
 
@@ -83,9 +84,7 @@ def one_sided(mesh: Mesh) -> np.ndarray:
 
 
 def draw(surface: Surface, frames: np.ndarray, lights: np.ndarray, size: int, supersample: int) -> np.ndarray:
-    """Straight-alpha RGBA (V, size, size, 4) uint8 for camera frames (V, 3, 3) and unit directions to the light (V, 3)."""
-    from viewnet.render.camera import DISTANCE, FOCAL
-
+    """Straight-alpha RGBA (V, size, size, 4) uint8 for camera frames and unit directions to the light (see render)."""
     images = np.zeros((len(frames), size, size, 4), np.uint8)
     # Always of the same types and memory layout: the kernel is compiled anew for each combination.
     arrays = [
@@ -105,7 +104,7 @@ def draw(surface: Surface, frames: np.ndarray, lights: np.ndarray, size: int, su
             (lights, np.float64),
         )
     ]
-    _draw(*arrays, supersample, DISTANCE, FOCAL, images)
+    _draw(*arrays, supersample, DISTANCE, FOCAL, images)  # type: ignore[call-arg]
     return images
 
 
@@ -220,7 +219,9 @@ def _draw(  # type: ignore[no-untyped-def]
                                 rgb[axis] += shade * _texel(texels, texture[number], u, v, axis)
                         elif number == 0 and len(colours) > 0:
                             for axis in range(3):
-                                rgb[axis] += shade * (a * colours[i, axis] + b * colours[j, axis] + c * colours[k, axis])
+                                rgb[axis] += shade * (
+                                    a * colours[i, axis] + b * colours[j, axis] + c * colours[k, axis]
+                                )
                         else:
                             for axis in range(3):
                                 rgb[axis] += shade * diffuse[number, axis]

@@ -53,12 +53,12 @@ def render_views(
 ) -> ViewStore:
     """Draw `views` views of every model into the view store `folder` (section 4.2) and open it.
 
-    Azimuth and elevation (degrees) are uniform in their ranges, the light's direction uniform on the camera's side. They
-    depend on (seed, model id, view) only, so neither order nor number of processes nor other models matter. The store
-    appears when it is whole; a killed call started again goes on from what is done and ends with the same bytes; of two
-    calls at once one draws and the other waits. A store that is there already is opened if it was made from the same.
-    Models that cannot be used are named with the reason in `rejected.csv`. `workers`: processes, None for one a
-    processor; 1 draws in this process.
+    Azimuth and elevation (degrees) are uniform in their ranges, the light's direction uniform on the camera's side.
+    They depend on (seed, model id, view) only, so neither order nor number of processes nor other models matter. The
+    store appears when it is whole; a killed call started again goes on from what is done and ends with the same
+    bytes; of two calls at once one draws and the other waits. A store that is there already is opened if it was made
+    from the same. Models that cannot be used are named with the reason in `rejected.csv`. `workers`: processes, None
+    for one a processor; 1 draws in this process.
 
     Raises ViewnetError for values out of range, a folder that holds something else, no model that can be used, and too
     little room on the disk.
@@ -163,7 +163,11 @@ def _check(
     names = [(model.category, model.id) for model in models]
     if twice := [name for name, other in itertools.pairwise(names) if name == other]:
         raise ViewnetError(f"model {twice[0][1]} of {twice[0][0]} is given twice")
-    for name, value, most in (("views", views, 10_000), ("image_size", image_size, 4096), ("supersample", supersample, 16)):
+    for name, value, most in (
+        ("views", views, 10_000),
+        ("image_size", image_size, 4096),
+        ("supersample", supersample, 16),
+    ):
         if not 1 <= value <= most:
             raise ViewnetError(f"{name} {value}: expected 1 to {most}")
     if workers is not None and workers < 1:
@@ -199,7 +203,9 @@ def locked(folder: Path) -> Iterator[None]:
 def _reopen(folder: Path, made_by: dict[str, Any]) -> ViewStore:
     store = ViewStore.open(folder)
     if store.identity != identity_of(made_by):
-        raise ViewnetError(f"{folder}: holds views made from other models or settings: remove it or name another folder")
+        raise ViewnetError(
+            f"{folder}: holds views made from other models or settings: remove it or name another folder"
+        )
     return store
 
 
@@ -225,7 +231,9 @@ def _check_room(folder: Path, size: int, open_share: float) -> None:
     needed = int(size * (1 + open_share) * 1.02) + 2**20
     free = shutil.disk_usage(folder.parent).free
     if free < needed:
-        raise ViewnetError(f"{folder}: {needed} bytes needed and {free} free on that disk: make room or use fewer views")
+        raise ViewnetError(
+            f"{folder}: {needed} bytes needed and {free} free on that disk: make room or use fewer views"
+        )
 
 
 def _draw(jobs: list[Chunk], total: int, workers: int | None, progress: bool, views: int) -> None:
@@ -246,13 +254,15 @@ def _draw(jobs: list[Chunk], total: int, workers: int | None, progress: bool, vi
                     bar.update(done.result())
         except BrokenProcessPool:
             raise ViewnetError(
-                "a rendering process was killed, most likely for want of memory: call again with fewer workers"
-                " (what is drawn is kept)"
+                "a rendering process died: call again with fewer workers if memory ran out (what is drawn is kept);"
+                " a script must start its work under `if __name__ == '__main__':`"
             ) from None
         except OSError as error:
             if error.errno != errno.ENOSPC:
                 raise
-            raise ViewnetError(f"{error.filename}: the disk is full: make room and call again (what is drawn is kept)") from None
+            raise ViewnetError(
+                f"{error.filename}: the disk is full: make room and call again (what is drawn is kept)"
+            ) from None
 
 
 @contextmanager
