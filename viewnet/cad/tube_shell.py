@@ -15,8 +15,8 @@ Painter = Callable[[int, float, float, int, str], str]
 
 @dataclass(frozen=True)
 class End:
-    """How a body closes: shares of the width from the middle of its face to the full width, the distance behind the face
-    at which each is reached, the share of the height there, and how far each row leans back."""
+    """How a body closes: shares of the width from the middle of its face to the full width, the distance behind the
+    face at which each is reached, the share of the height there, and how far each row leans back."""
 
     width: Sequence[float]
     depth: Sequence[float]
