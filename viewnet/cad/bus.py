@@ -48,8 +48,8 @@ def bus(rng: np.random.Generator) -> Builder:
     tuck = rng.uniform(0.90, 0.98)
     outline = np.array(
         [
-            (inner, low), (inner, low), (half * 0.985, low), (half, low + 0.32), (half, waist + 0.12), (half, size.sill),
-            (half * rng.uniform(0.96, 1.0), size.head), (half * tuck, size.height - 0.12),
+            (inner, low), (inner, low), (half * 0.985, low), (half, low + 0.32), (half, waist + 0.12),
+            (half, size.sill), (half * rng.uniform(0.96, 1.0), size.head), (half * tuck, size.height - 0.12),
             (half * 0.72, size.height),
         ]
     )  # fmt: skip
