@@ -1,0 +1,44 @@
+"""The numbers the paper prints, as data (`paper_tables/published/*.csv`), never mixed with measured ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from viewnet import paths
+from viewnet.config import known
+from viewnet.errors import ViewnetError
+
+TABLES = ("table1_shapenet", "table2_ablation", "table3_pascal3d", "table4_dva", "table5_freiburg")
+COLUMNS = ("row", "metric", "category", "value", "bold", "source")
+
+
+def folder() -> Path:
+    """Where the files are: under the project's root, else in the checkout this package lies in."""
+    places = [base / "paper_tables" / "published" for base in (paths.root(), Path(__file__).resolve().parent.parent)]
+    for place in places:
+        if place.is_dir():
+            return place
+    raise ViewnetError(f"{places[0]}: no such folder: set VIEWNET_ROOT to a checkout of the project")
+
+
+def load(table: str) -> pd.DataFrame:
+    """A printed table, one row a number: row (as printed), metric (acc30 in %, median in degrees, dva in %,
+    confidence_index), category, value (the text as printed; "" where the paper has a dash), bold, source.
+    """
+    path = folder() / f"{known(table, TABLES, 'table')}.csv"
+    try:
+        frame = pd.read_csv(path, dtype=str, keep_default_na=False)
+    except (OSError, ValueError) as error:
+        raise ViewnetError(f"{path}: cannot be read ({error})") from error
+    if tuple(frame.columns) != COLUMNS:
+        raise ViewnetError(f"{path}: columns are {', '.join(frame.columns)}, expected {', '.join(COLUMNS)}")
+    return frame.assign(bold=frame["bold"] == "1")
+
+
+def architecture(part: str) -> pd.DataFrame:
+    """The supplement's table of the "encoder" or the "generator", a row a layer: layer, channels, kernel, stride."""
+    known(part, ("encoder", "generator"), "part")
+    frame = pd.read_csv(folder() / "architecture.csv", dtype=str, keep_default_na=False)
+    return frame[frame["part"] == part].drop(columns="part").reset_index(drop=True)

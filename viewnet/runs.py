@@ -1,0 +1,301 @@
+"""The run store: what is missing is trained, what is there is reused.
+
+    <paths.runs()>/<variant>/<key>/config.json            what was asked for
+                                   log.csv                a row a validation (viewnet.train)
+                                   checkpoint.safetensors the kept weights
+                                   predictions.parquet    of the validation and the test split
+                                   result.json            metrics and where they come from; written last
+
+The key is a hash of everything that decides the training: configuration, identity of the views, and the code of
+`TRAINING`. Prediction and evaluation are cheap, so a change in their code repeats them and not the training.
+"""
+
+from __future__ import annotations
+
+import datetime
+import logging
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from filelock import FileLock, Timeout
+
+from viewnet import baselines, evaluate, paths, provenance
+from viewnet.config import DataConfig, ModelConfig, RunConfig, TrainConfig
+from viewnet.errors import ViewnetError
+from viewnet.files import read_json, write_json
+from viewnet.predictions import Predictions, joined
+
+log = logging.getLogger(__name__)
+
+SCHEMA = 1
+TRAINING = (
+    "_volume_kernels.py",
+    "volume.py",
+    "volume_cpu.py",
+    "networks.py",
+    "losses.py",
+    "model.py",
+    "train.py",
+    "geometry.py",
+    "alignment.py",
+    "data/pairs.py",
+)
+UNTRAINED_CODE = ("baselines.py", "geometry.py")
+PREDICTING = ("predict.py", "predictions.py")
+EVALUATING = ("evaluate.py", "metrics.py", "alignment.py", "geometry.py", "predictions.py")
+
+UNTRAINED: dict[str, Callable[[pd.DataFrame], Predictions]] = {
+    "constant": baselines.constant,
+    "best_constant": baselines.best_constant,
+    "random": baselines.random,
+}
+"""Variants that need no training: view-store index -> predictions in the annotated frame."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The functions a run is made of; spawned processes must be able to import them."""
+
+    views: Callable[..., Any]  # (DataConfig, workers=, progress=) -> ViewStore
+    open: Callable[[Path], Any]  # folder of a view store -> ViewStore
+    train: Callable[..., None]  # (RunConfig, ViewStore, folder, threads=, progress=), resumable
+    predict: Callable[..., Predictions]  # (folder of the run, ViewStore, splits=)
+
+
+def default_steps() -> Steps:
+    """The project's own, imported only when needed."""
+    from viewnet.data.prepare import view_store
+    from viewnet.data.store import ViewStore
+    from viewnet.predict import predict
+    from viewnet.train import train
+
+    return Steps(view_store, ViewStore.open, train, predict)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run."""
+
+    config: RunConfig
+    folder: Path
+
+    @property
+    def key(self) -> str:
+        """The name of the folder."""
+        return self.folder.name
+
+    @property
+    def trained(self) -> bool:
+        """Whether there is a checkpoint."""
+        return self.config.variant not in UNTRAINED
+
+    @property
+    def alignment(self) -> str:
+        """The alignment of its row in the tables: rigid for what is learned without labels, none for constants."""
+        return "procrustes" if self.trained else "none"
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """The content of result.json."""
+        return read_json(self.folder / "result.json")
+
+    @property
+    def predictions(self) -> Predictions:
+        """Of the splits "val" and "test"."""
+        return Predictions.from_parquet(self.folder / "predictions.parquet")
+
+    @property
+    def log(self) -> pd.DataFrame:
+        """A row a validation: epoch, step, seconds, losses, val_accuracy, val_reconstruction."""
+        if not (self.folder / "log.csv").is_file():
+            raise ViewnetError(f"{self.folder}: no log.csv: {name(self.config)} needs no training, or it was removed")
+        return pd.read_csv(self.folder / "log.csv")
+
+
+def name(config: RunConfig) -> str:
+    """How messages call a run."""
+    return f"{config.variant} {config.category} seed {config.seed} ({config.profile}, {config.recipe})"
+
+
+def untrained(variant: str, config: RunConfig) -> RunConfig:
+    """The configuration of a predictor of `UNTRAINED` on the views of `config`; the settings it ignores at default."""
+    if variant not in UNTRAINED:
+        raise ViewnetError(f"unknown untrained variant {variant!r}: choose one of {', '.join(UNTRAINED)}")
+    return replace(config, variant=variant, seed=0, model=ModelConfig(), train=TrainConfig())
+
+
+def locate(config: RunConfig, identity: str) -> Path:
+    """The folder of a run on the views of that identity."""
+    code = TRAINING if config.variant not in UNTRAINED else UNTRAINED_CODE
+    return paths.runs() / config.variant / config.key(identity, provenance.code_identity(code))
+
+
+def ensure(
+    configs: Sequence[RunConfig], workers: int | None = None, progress: bool = True, steps: Steps | None = None
+) -> list[Run]:
+    """The runs of `configs`, in their order, whatever is missing trained first.
+
+    Up to `workers` are trained side by side in processes of their own, each with its share of the cores (default: as
+    many as there are GPUs, or cores without any). Runs that another process is training are waited for. A failed run
+    leaves the others to end; then ViewnetError names each failed run and why.
+    """
+    from viewnet.workers import run_all
+
+    if workers is not None and workers < 1:
+        raise ViewnetError(f"workers {workers}: expected 1 or more")
+    steps = steps or default_steps()
+    wanted = list(dict.fromkeys(configs))
+    stores: dict[DataConfig, Any] = {}
+    for config in wanted:
+        if config.data not in stores:
+            stores[config.data] = steps.views(config.data, workers=workers, progress=progress)
+    folders = {config: locate(config, stores[config.data].identity) for config in wanted}
+    missing = [config for config in wanted if not is_complete(folders[config])]
+    jobs = [Job(config, folders[config], Path(stores[config.data].folder)) for config in missing]
+    if failures := run_all(jobs, steps, workers, progress):
+        raise ViewnetError(f"{len(failures)} of {len(wanted)} runs failed: {'; '.join(failures)}")
+    return [Run(config, folders[config]) for config in configs]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run that is not finished, and where its views lie."""
+
+    config: RunConfig
+    folder: Path
+    views: Path
+
+
+def is_complete(folder: Path) -> bool:
+    """Whether a run is finished by the present code."""
+    if not ((folder / "result.json").is_file() and (folder / "predictions.parquet").is_file()):
+        return False
+    result = read_json(folder / "result.json")
+    return result.get("schema") == SCHEMA and "metrics" in result and result["code"] == _codes()
+
+
+def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = True) -> None:
+    """Train, predict and evaluate what of a run is not there. Waits where another process does."""
+    config, folder = job.config, job.folder
+    with _locked(folder):
+        if is_complete(folder):
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(folder / "config.json", config.to_dict())
+        views = steps.open(job.views)
+        result = read_json(folder / "result.json") if (folder / "result.json").is_file() else {}
+        predictions = None
+        if config.variant in UNTRAINED:
+            predictions = UNTRAINED[config.variant](views.index)
+        else:
+            if not ("training" in result and (folder / "checkpoint.safetensors").is_file()):
+                training = _train(config, views, folder, steps, threads, progress)
+                result = {"schema": SCHEMA, "training": training}
+                write_json(folder / "result.json", result)
+            current = result.get("code", {}).get("predicting") == _codes()["predicting"]
+            if not (current and (folder / "predictions.parquet").is_file()):
+                predictions = steps.predict(folder, views, splits=("val", "test"))
+        if predictions is None:
+            predictions = Predictions.from_parquet(folder / "predictions.parquet")
+        else:
+            predictions.to_parquet(folder / "predictions.parquet")
+        kinds = ("procrustes", "linear") if config.variant not in UNTRAINED else ("none", "procrustes")
+        result = {
+            "schema": SCHEMA,
+            "key": folder.name,
+            "variant": config.variant,
+            "category": config.category,
+            "profile": config.profile,
+            "recipe": config.recipe,
+            "seed": config.seed,
+            "views": views.identity,
+            "metrics": {kind: evaluate.evaluate(predictions, kind) for kind in kinds},
+            "code": _codes(),
+            "git": provenance.commit(),
+            "training": result.get("training"),
+        }
+        write_json(folder / "result.json", result)
+
+
+def _train(
+    config: RunConfig, views: Any, folder: Path, steps: Steps, threads: int | None, progress: bool
+) -> dict[str, Any]:
+    resumed = (folder / "log.csv").is_file()
+    started, begun = datetime.datetime.now(datetime.UTC), time.perf_counter()
+    steps.train(config, views, folder, threads=threads, progress=progress)
+    if not (folder / "checkpoint.safetensors").is_file():
+        raise ViewnetError(f"{folder}: training left no checkpoint")
+    seconds = time.perf_counter() - begun
+    if (folder / "log.csv").is_file() and len(kept := pd.read_csv(folder / "log.csv")) and "seconds" in kept:
+        seconds = max(seconds, float(kept["seconds"].iloc[-1]))  # what was spent before an interruption counts too
+    return {
+        "started": started.isoformat(timespec="seconds"),
+        "finished": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "seconds": round(seconds, 1),
+        "resumed": resumed,
+        "seeds": {"run": config.seed, "data": config.data.seed, "evaluation": 0},
+        "hardware": provenance.hardware(threads),
+        "git": provenance.commit(),
+        "versions": provenance.versions(),
+    }
+
+
+def score_on(run: Run, views: Any, alignment: str | None = None, steps: Steps | None = None) -> dict[str, Any]:
+    """How a finished run does on other views, say of CAD models made by artists: `evaluate`'s dictionary.
+
+    All views of the store `views` are scored, whatever their split; the alignment is still fitted on the run's own
+    validation views. Raises ViewnetError for the run's own views and for objects it was trained or calibrated on.
+    """
+    return evaluate.evaluate(transferred(run, views, steps), alignment or run.alignment)
+
+
+def transferred(run: Run, views: Any, steps: Steps | None = None) -> Predictions:
+    """The run's own validation predictions, and as "test" its predictions of all views of another store."""
+    steps = steps or default_steps()
+    own = steps.views(run.config.data, progress=False)
+    if own.identity == views.identity:
+        raise ViewnetError(f"{name(run.config)}: these are the views it was trained on: its scores are in result.json")
+    seen = own.index[own.index["split"] != "test"]
+    if both := set(seen["model_id"]) & set(views.index["model_id"]):
+        raise ViewnetError(
+            f"{name(run.config)}: model {sorted(both)[0]} was seen in training: score it on other models"
+        )
+    validation = run.predictions.subset("val")
+    if run.trained:
+        splits = tuple(views.index["split"].unique())
+        other = steps.predict(run.folder, views, splits=splits)
+    else:
+        chosen = validation.hypotheses[:1]  # the same for every image
+        other = Predictions(
+            views.index, chosen.repeat(len(views.index), 0), validation.logits[:1].repeat(len(views.index), 0)
+        )
+    scored = Predictions(other.ids.assign(split="test"), other.hypotheses, other.logits, other.ups)
+    return joined([validation, scored])
+
+
+def _codes() -> dict[str, str]:
+    return {
+        "predicting": provenance.code_identity(PREDICTING),
+        "evaluating": provenance.code_identity(EVALUATING),
+    }
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """One process at a time works on `folder`. The system drops the lock of a process that dies."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder.with_name(f".{folder.name}.lock"))
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        log.info("%s is being made by another process: waiting for it", folder)
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
