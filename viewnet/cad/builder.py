@@ -6,9 +6,11 @@ made of few triangles on purpose, since ray casting time depends on their number
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -170,15 +172,16 @@ class Builder:
             grid = np.concatenate([grid, grid[:, :1]], axis=1)
             coordinates = coordinates.reshape(-1, 2)
         width = grid.shape[1]
-        i, k = np.meshgrid(np.arange(count - 1), np.arange(around), indexing="ij")
-        a, b = i * width + k, i * width + (k + 1) % width
-        faces = np.stack([np.stack([a, b, b + width], -1), np.stack([a, b + width, a + width], -1)], 2)
-        names = np.array(cells, dtype=object)
+        faces = _cells(count, around, width)
         points = grid.reshape(-1, 3)
-        for name in dict.fromkeys(names.ravel()):
-            self.add(points, faces[names == name].reshape(-1, 3), str(name), coordinates)
+        if isinstance(material, str):
+            self.add(points, faces.reshape(-1, 3), material, coordinates)
+        else:
+            names = np.array(cells, dtype=object)
+            for name in dict.fromkeys(names.ravel()):
+                self.add(points, faces[names == name].reshape(-1, 3), str(name), coordinates)
         low, high = (caps, caps) if isinstance(caps, bool) else caps
-        fan = np.array([(0, j, j + 1) for j in range(1, around - 1)])
+        fan = _fan(around)
         if low:
             self.add(points, fan[:, ::-1], cells[0][0], coordinates)
         if high:
@@ -221,21 +224,19 @@ class Builder:
     def tube(self, points: ArrayLike, radius: float | Sequence[float], material: str, sections: int = 8) -> None:
         """A round tube along a polyline (K, 3) with one radius or one for each point; not closed."""
         path = np.asarray(points, dtype=np.float64)
-        steps = np.diff(path, axis=0)
-        steps /= np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-12)
-        tangents = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]])
+        steps = _unit(np.diff(path, axis=0))
+        tangents = _unit(np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]]))
         radii = np.broadcast_to(np.asarray(radius, dtype=np.float64), len(path))
         angle = np.arange(sections) * (2 * np.pi / sections)
+        cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
         side = _across(tangents[0])[0]
         rings = []
         for point, tangent, r in zip(path, tangents, radii, strict=True):
             # Carrying the frame along keeps the tube from twisting where the path turns.
-            tangent = tangent / max(float(np.linalg.norm(tangent)), 1e-12)
             side = side - (side @ tangent) * tangent
-            norm = float(np.linalg.norm(side))
+            norm = math.sqrt(side @ side)
             side = side / norm if norm > 1e-6 else _across(tangent)[0]
-            other = np.cross(tangent, side)
-            rings.append(point + r * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other))
+            rings.append(point + r * (cosine * side + sine * _cross(tangent, side)))
         self.loft(rings, material)
 
     def bounds(self) -> Array:
@@ -292,11 +293,39 @@ def _area(outline: Array) -> float:
 
 def _across(direction: Array) -> tuple[Array, Array]:
     """Two unit vectors that make a right-handed frame with `direction` as the third."""
-    unit = direction / max(float(np.linalg.norm(direction)), 1e-12)
+    unit = _unit(direction)
     helper = np.array([0.0, 0.0, 1.0]) if abs(unit[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    side = np.cross(helper, unit)
-    side /= np.linalg.norm(side)
-    return side, np.cross(unit, side)
+    side = _unit(_cross(helper, unit))
+    return side, _cross(unit, side)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """The cross product of two vectors (3,), without the generality that makes numpy's slow."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
+def _unit(vectors: Array) -> Array:
+    """Vectors (..., 3) scaled to length 1; those of no length stay 0."""
+    return vectors / np.maximum(np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True)), 1e-12)
+
+
+@lru_cache(maxsize=512)
+def _cells(count: int, around: int, width: int) -> NDArray[np.int64]:
+    """The two triangles of each cell of a skin, (count - 1, around, 2, 3)."""
+    i, k = np.meshgrid(np.arange(count - 1), np.arange(around), indexing="ij")
+    a, b = i * width + k, i * width + (k + 1) % width
+    faces = np.stack([np.stack([a, b, b + width], -1), np.stack([a, b + width, a + width], -1)], 2)
+    faces.setflags(write=False)
+    return faces
+
+
+@lru_cache(maxsize=64)
+def _fan(around: int) -> NDArray[np.int64]:
+    """Triangles of a convex polygon."""
+    fan = np.array([(0, j, j + 1) for j in range(1, around - 1)])
+    fan.setflags(write=False)
+    return fan
 
 
 def _quads(count: int) -> NDArray[np.int64]:
