@@ -1,4 +1,4 @@
-"""Chairs: wooden and upholstered frame chairs here, the other kinds in chair_modern and upholstery. Units: metres."""
+"""Chairs: wooden and upholstered frame chairs here, the other kinds in chair_modern and chair_soft. Units: metres."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from viewnet.cad import chair_modern, upholstery
+from viewnet.cad import chair_modern, chair_soft
 from viewnet.cad.builder import Builder
 from viewnet.cad.chair_frames import (
     BACK_FILLS,
@@ -324,10 +324,10 @@ KINDS: dict[str, tuple[float, Kind]] = {
     "folding": (0.05, chair_modern.folding),
     "stacking": (0.05, chair_modern.stacking),
     "lounge": (0.03, chair_modern.lounge),
-    "parsons": (0.06, upholstery.parsons),
-    "armchair": (0.09, upholstery.armchair),
-    "wingback": (0.03, upholstery.wingback),
-    "tub": (0.05, upholstery.tub),
+    "parsons": (0.06, chair_soft.parsons),
+    "armchair": (0.09, chair_soft.armchair),
+    "wingback": (0.03, chair_soft.wingback),
+    "tub": (0.05, chair_soft.tub),
 }
 
 

@@ -121,14 +121,14 @@ def pick(rng: np.random.Generator, palette: tuple[Rgb, ...]) -> Rgb:
 
 
 class Finishes:
-    """Hands out the materials of one model. One model in eight comes without colours: every material a pale grey."""
+    """Hands out the materials of one model. A share `plain` of the models has no colours, all is pale grey."""
 
-    def __init__(self, builder: Builder, rng: np.random.Generator) -> None:
+    def __init__(self, builder: Builder, rng: np.random.Generator, plain: float = 0.12) -> None:
         self._builder = builder
         self._rng = rng
         self._count = 0
         self._plain: Rgb | None = None
-        if rng.random() < 0.12:
+        if rng.random() < plain:
             shade = float(rng.choice([0.64, 0.8, 0.9, 0.95])) * float(rng.uniform(0.93, 1.02))
             self._plain = (shade, shade, shade)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from viewnet.cad.builder import Builder
 from viewnet.cad.chair_frames import cross_bar, four_legs, stretchers
+from viewnet.cad.chair_soft import tub
 from viewnet.cad.finishes import Finishes
 from viewnet.cad.parts import BackSurface, bar, block, choose, cushion, patch, pillow, rail, shell, sweep
 from viewnet.cad.upholstery import (
@@ -20,7 +21,6 @@ from viewnet.cad.upholstery import (
     random_body,
     seat_cushions,
     soft_legs,
-    tub,
     upholstered,
 )
 
