@@ -1,0 +1,220 @@
+"""What a notebook asks for, checked before anything runs: which rows, categories, seeds, profile and data.
+
+Notebooks and the command line pass plain values, as papermill gives them: names, whole numbers, "car,chair" or lists.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from viewnet import paths
+from viewnet.config import (
+    CATEGORIES,
+    PROFILE_RECIPE,
+    PROFILES,
+    RECIPES,
+    SHAPENET_CATEGORIES,
+    VARIANTS,
+    DataConfig,
+    RunConfig,
+    known,
+    make_config,
+)
+from viewnet.errors import ViewnetError
+from viewnet.predictions import Predictions
+from viewnet.runs import UNTRAINED, Run, ensure, transferred, untrained
+from viewnet.tables import LAYOUTS, Table
+
+DEFAULT_PROFILE = "tiny"
+
+
+@dataclass(frozen=True)
+class Design:
+    """What a notebook shows unless told otherwise."""
+
+    variants: tuple[str, ...] = ()
+    categories: tuple[str, ...] = SHAPENET_CATEGORIES
+    profile: str = DEFAULT_PROFILE
+
+
+DESIGNS = {
+    **{name: Design(layout.variants, layout.categories) for name, layout in LAYOUTS.items()},
+    "figure3_azimuth": Design(("viewnet",)),
+    # Nothing is trained for it, so the default is the paper's size.
+    "architecture": Design(categories=(), profile="paper"),
+}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A checked request. Made by `experiment`."""
+
+    name: str
+    profile: str
+    recipe: str
+    variants: tuple[str, ...]
+    categories: tuple[str, ...]
+    seeds: tuple[int, ...]
+    data_root: str | None
+    splits: str | None
+    eval_root: str | None
+    folder: Path  # where tables and figures go
+    workers: int | None
+
+    @property
+    def configs(self) -> list[RunConfig]:
+        """One configuration a run: by variant, category and seed; untrained variants once a category."""
+        configs = []
+        for variant in self.variants:
+            for category in self.categories:
+                for seed in self.seeds:
+                    base = self._config("viewnet" if variant in UNTRAINED else variant, category, seed)
+                    configs.append(untrained(variant, base) if variant in UNTRAINED else base)
+        return list(dict.fromkeys(configs))
+
+    @property
+    def note(self) -> str:
+        """What the numbers were measured on, in a line."""
+        data = "built-in models" if self.data_root is None else "a CAD collection"
+        if self.eval_root is not None:
+            data += ", scored on another collection"
+        seeds = "1 seed" if len(self.seeds) == 1 else f"mean of {len(self.seeds)} seeds"
+        return f"{data}, profile {self.profile}, recipe {self.recipe}, {seeds}"
+
+    def run(self, progress: bool = True) -> list[Run]:
+        """Every run of the experiment, whatever is missing trained first (viewnet.runs.ensure)."""
+        return ensure(self.configs, self.workers, progress)
+
+    def table(self, runs: Sequence[Run]) -> Table:
+        """The table of these runs; with `eval_root`, scored on all its models and not on the own test split."""
+        if self.eval_root is None:
+            return Table.build(self.name, runs, self.categories, note=self.note)
+        return Table.build(self.name, runs, self.categories, self._elsewhere, self.note)
+
+    def _elsewhere(self, run: Run) -> Predictions:
+        from viewnet.data.prepare import view_store
+
+        return transferred(run, view_store(self.eval_data(run.config)))
+
+    def eval_data(self, config: RunConfig) -> DataConfig:
+        """The views of `eval_root` in the manner of a run's own."""
+        assert self.eval_root is not None
+        overrides: dict[str, Any] = {} if self.profile == "smoke" else {"models": 0}
+        return make_config(category=config.category, profile=self.profile, data_root=self.eval_root, **overrides).data
+
+    def _config(self, variant: str, category: str, seed: int) -> RunConfig:
+        return make_config(variant, category, self.profile, self.recipe, seed, self.data_root, self.splits)
+
+
+def experiment(
+    name: str,
+    *,
+    profile: str = "default",
+    categories: str | Sequence[str] = "all",
+    seeds: int | str | Sequence[int] = 1,
+    recipe: str = "default",
+    variant: str = "",
+    data_root: str = "",
+    splits: str = "",
+    eval_root: str = "",
+    output: str = "",
+    workers: int = 0,
+) -> Experiment:
+    """Check the parameters of the notebook `name`.
+
+    profile     smoke, tiny, small or paper; "default": the environment variable VIEWNET_PROFILE, else the notebook's
+    categories  "car", "car,chair" or a list; "all": the table's
+    seeds       how many (3: seeds 0, 1, 2), or which ("0,2" or a list)
+    recipe      paper or matting; "default": the profile's
+    variant     the trained row that a figure shows; "": the notebook's
+    data_root   a ShapeNetCore folder (v1 or v2); "": the built-in models
+    splits      a folder of <synset>_{train,val,test}.txt lists for it; "": its own all.csv, else a seeded split
+    eval_root   a ShapeNetCore folder to score on instead of the own test split
+    output      where tables and figures go; "": paper_tables
+    workers     trainings side by side; 0: what the machine has room for
+
+    What is not the plain default goes into a subfolder of `output` that says so ("smoke", "tiny-car"), so that no
+    table replaces one of another kind. Raises ViewnetError naming the parameter and its valid values.
+    """
+    design = DESIGNS[known(name, DESIGNS, "notebook")]
+    if profile == "default":
+        profile = os.environ.get("VIEWNET_PROFILE", design.profile)
+    known(profile, PROFILES, "profile")
+    recipe = PROFILE_RECIPE[profile] if recipe == "default" else known(recipe, RECIPES, "recipe")
+    chosen = design.categories if categories == "all" else _names(categories, "categories")
+    for category in chosen:
+        known(category, CATEGORIES, "category")
+    if variant:
+        known(variant, (*VARIANTS, *UNTRAINED), "variant")
+    variants = (variant,) if variant else design.variants
+    numbers = _seeds(seeds)
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
+        raise ViewnetError(f"workers {workers!r}: expected a whole number, 0 for what the machine has room for")
+    base = Path(output).expanduser() if output else paths.tables()
+    parts = [profile] if profile != design.profile else []
+    parts += [recipe] if recipe != PROFILE_RECIPE[profile] else []
+    parts += [variant] if variant and variants != design.variants else []
+    parts += chosen if chosen != design.categories else []
+    parts += ["data_root"] if data_root else []
+    parts += ["eval_root"] if eval_root else []
+    if parts and parts[0] != profile:
+        parts.insert(0, profile)
+    return Experiment(
+        name=name,
+        profile=profile,
+        recipe=recipe,
+        variants=variants,
+        categories=chosen,
+        seeds=numbers,
+        data_root=_folder(data_root, "data_root"),
+        splits=_folder(splits, "splits"),
+        eval_root=_folder(eval_root, "eval_root"),
+        folder=base / "-".join(parts),
+        workers=workers or None,
+    )
+
+
+def _names(value: Any, what: str) -> tuple[str, ...]:
+    names = value.split(",") if isinstance(value, str) else value
+    if not isinstance(names, (list, tuple)) or not all(isinstance(n, str) and n.strip() for n in names) or not names:
+        raise ViewnetError(f"{what} {value!r}: expected names such as car or car,chair")
+    names = tuple(n.strip() for n in names)
+    if len(set(names)) < len(names):
+        raise ViewnetError(f"{what} {value!r}: a name is there twice")
+    return names
+
+
+def _seeds(value: Any) -> tuple[int, ...]:
+    """Seeds from a count, a list, or text of either."""
+    problem = ViewnetError(f"seeds {value!r}: expected how many (3) or which (0,2), whole numbers of 0 or more")
+    if isinstance(value, str):
+        try:
+            numbers = [int(part) for part in value.split(",")]
+        except ValueError:
+            raise problem from None
+        value = numbers if "," in value else numbers[0]
+    if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
+        return tuple(range(value))
+    if (
+        isinstance(value, (list, tuple))
+        and value
+        and all(isinstance(n, int) and not isinstance(n, bool) and n >= 0 for n in value)
+        and len(set(value)) == len(value)
+    ):
+        return tuple(value)
+    raise problem
+
+
+def _folder(value: str, what: str) -> str | None:
+    if not isinstance(value, str):
+        raise ViewnetError(f"{what} {value!r}: expected a folder")
+    if not value:
+        return None
+    folder = Path(value).expanduser().resolve()
+    if not folder.is_dir():
+        raise ViewnetError(f"{what} {value}: no such folder")
+    return str(folder)

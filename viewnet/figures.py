@@ -1,0 +1,118 @@
+"""Figure 3: true against predicted azimuth, and what each head draws."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+from viewnet import geometry
+from viewnet.errors import ViewnetError
+from viewnet.evaluate import Aligned, align
+from viewnet.files import replacing
+from viewnet.predictions import Floats
+from viewnet.runs import Run
+
+STYLE: Any = {
+    "font.size": 8,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "pdf.fonttype": 42,  # TrueType: text stays text
+    "svg.hashsalt": "viewnet",
+}
+COLUMN = 3.25  # inches: a column of the paper; the page is twice as wide and a gap
+INK = "#1f4e79"
+
+
+def azimuth_scatter(runs: Sequence[Run]) -> Figure:
+    """Figure 3 (a)-(c): predicted azimuth after alignment over the true one, a panel for each run (category)."""
+    if not runs:
+        raise ViewnetError("figure 3: no runs to show")
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(2.2 * len(runs), 2.5), layout="constrained")
+        for axes, run in zip(np.atleast_1d(figure.subplots(1, len(runs), sharey=True)), runs, strict=True):
+            aligned = align(run.predictions, run.alignment)
+            axes.plot([0, 360], [0, 360], color="0.8", linewidth=0.6, zorder=0)
+            axes.scatter(*azimuths(aligned), s=2, linewidths=0, alpha=0.5, color=INK)
+            axes.set_title(run.config.category)
+            axes.set_xlabel("true azimuth (degrees)")
+            ticks = [0, 90, 180, 270, 360]
+            axes.set(xlim=(0, 360), ylim=(0, 360), xticks=ticks, yticks=ticks, aspect="equal")
+        figure.axes[0].set_ylabel("predicted azimuth (degrees)")
+    return figure
+
+
+def azimuths(aligned: Aligned) -> tuple[Floats, Floats]:
+    """True and predicted azimuths (N,), in [0, 360)."""
+    predicted, _ = geometry.azimuth_elevation(torch.from_numpy(np.array(aligned.selected)))
+    return aligned.predictions.ids["azimuth"].to_numpy(), predicted.numpy()
+
+
+def candidate_grid(
+    inputs: np.ndarray, drawings: np.ndarray, errors: np.ndarray, angles: np.ndarray, labels: Sequence[str]
+) -> Figure:
+    """Figure 3 (d): each row a picture and what the heads draw of it, by rising reconstruction error.
+
+    inputs (N, H, W, 3) and drawings (N, M, H, W, 3) uint8; errors (N, M) of reconstruction, angles (N, M) of viewpoint
+    in degrees, both in the order of the drawings; labels (N,) beside the rows.
+    """
+    n, m = drawings.shape[:2]
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(0.9 * (m + 1), 1.05 * n + 0.2), layout="constrained")
+        grid = figure.subplots(n, m + 1, squeeze=False)
+        for i in range(n):
+            for j, axes in enumerate(grid[i]):
+                axes.imshow(inputs[i] if j == 0 else drawings[i, j - 1], interpolation="nearest")
+                axes.set(xticks=[], yticks=[])
+                axes.spines[:].set_visible(False)
+                if j:
+                    axes.set_xlabel(f"{errors[i, j - 1]:.3f} / {angles[i, j - 1]:.0f}°", labelpad=2, fontsize=7)
+            grid[i, 0].set_ylabel(labels[i])
+        grid[0, 0].set_title("input", fontsize=8)
+        grid[0, 1].set_title("error / angle", fontsize=8, loc="left")
+    return figure
+
+
+def candidates(
+    runs: Sequence[Run], views: Callable[..., Any] | None = None, draw: Callable[..., Any] | None = None, count: int = 1
+) -> Figure:
+    """Figure 3 (d) of trained runs of the same number of heads, `count` test pictures of each, evenly spaced.
+
+    `views` and `draw` stand in for viewnet.data.prepare.view_store and viewnet.predict.candidates.
+    """
+    if views is None or draw is None:
+        from viewnet.data.prepare import view_store
+        from viewnet.predict import candidates as drawn
+
+        views, draw = views or view_store, draw or drawn
+    parts, labels = [], []
+    for run in runs:
+        if not run.trained:
+            raise ViewnetError(f"figure 3: {run.config.variant} draws nothing: choose a trained variant")
+        aligned = align(run.predictions, run.alignment)
+        rows = np.linspace(0, len(aligned.predictions) - 1, count + 2).round().astype(int)[1:-1]
+        inputs, drawings, errors, heads = draw(run.folder, views(run.config.data, progress=False), rows.tolist())
+        parts.append((inputs, drawings, errors, np.take_along_axis(aligned.errors[rows], heads, axis=1)))
+        labels += [run.config.category] * len(rows)
+    if not parts:
+        raise ViewnetError("figure 3: no runs to show")
+    if len(sizes := {part[1].shape[1:] for part in parts}) > 1:
+        raise ViewnetError(f"figure 3: drawings of {len(sizes)} sizes cannot share a grid: show runs of one profile")
+    inputs, drawings, errors, angles = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return candidate_grid(inputs, drawings, errors, angles, labels)
+
+
+def save(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """`<name>.png` and `<name>.pdf`, the same bytes each time."""
+    files = [folder / f"{name}.png", folder / f"{name}.pdf"]
+    with matplotlib.rc_context(STYLE):
+        for path, metadata in zip(files, ({"Software": None}, {"CreationDate": None, "ModDate": None}), strict=True):
+            with replacing(path) as temporary:
+                figure.savefig(temporary, dpi=200, metadata=metadata)
+    return files
