@@ -1,4 +1,4 @@
-"""Chairs: wooden and upholstered frame chairs here, the other kinds in chair_modern and chair_soft. Units: metres."""
+"""Chairs: those of wooden frames here; other kinds in chair_modern, chair_soft and chair_rare. Units: metres."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from viewnet.cad import chair_modern, chair_soft
+from viewnet.cad import chair_modern, chair_rare, chair_soft
 from viewnet.cad.builder import Builder
 from viewnet.cad.chair_frames import (
     BACK_FILLS,
@@ -328,6 +328,11 @@ KINDS: dict[str, tuple[float, Kind]] = {
     "armchair": (0.09, chair_soft.armchair),
     "wingback": (0.03, chair_soft.wingback),
     "tub": (0.05, chair_soft.tub),
+    "chunky": (0.025, chair_rare.chunky),
+    "floor": (0.01, chair_rare.floor_chair),
+    "chaise": (0.015, chair_rare.chaise),
+    "wheelchair": (0.015, chair_rare.wheelchair),
+    "high_chair": (0.02, chair_rare.high_chair),
 }
 
 
