@@ -29,16 +29,16 @@ from viewnet.cad.aeroplane_small import biplane, glider, light_plane, warbird
 from viewnet.cad.aeroplane_war import fighter, flying_wing
 from viewnet.cad.builder import Builder
 
-_SHARES = {
+KINDS = {
     "airliner": 42, "jumbo": 6, "rear_jet": 12, "turboprop": 8, "transport": 4, "fighter": 14, "light": 7, "warbird": 5,
     "glider": 3, "biplane": 3, "wing": 1.5, "delta": 1.5,
 }  # fmt: skip
 
 
-def aeroplane(rng: np.random.Generator) -> Builder:
+def aeroplane(rng: np.random.Generator, kind: str | None = None) -> Builder:
     """An aeroplane: airliner, regional or business jet, turboprop, transport, fighter, light plane, glider, biplane."""
     builder = Builder()
-    kind = palette.choose(rng, _SHARES)
+    kind = palette.pick(rng, KINDS, kind)
     makers: dict[str, Callable[[np.random.Generator, Builder], None]] = {
         "fighter": fighter,
         "wing": flying_wing,

@@ -8,13 +8,13 @@ from viewnet.cad import palette
 from viewnet.cad.builder import Builder
 from viewnet.cad.cycle_parts import Point, blob, disc, fender, mix, spokes, tyre
 
-_SHARES = {"road": 22, "mountain": 24, "city": 18, "step": 12, "bmx": 9, "folding": 4, "cruiser": 6, "child": 5}
+KINDS = {"road": 22, "mountain": 24, "city": 18, "step": 12, "bmx": 9, "folding": 4, "cruiser": 6, "child": 5}
 
 
-def bicycle(rng: np.random.Generator) -> Builder:
+def bicycle(rng: np.random.Generator, kind: str | None = None) -> Builder:
     """A bicycle; the chain is on its right side."""
     builder = Builder()
-    kind = palette.choose(rng, _SHARES)
+    kind = palette.pick(rng, KINDS, kind)
     c = _materials(rng, builder, kind)
     u = rng.uniform
     small = kind in ("bmx", "folding", "child")

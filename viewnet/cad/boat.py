@@ -10,16 +10,16 @@ from viewnet.cad import palette
 from viewnet.cad.boat_hull import Hull, deckhouse, hull, mast_and_sails, outboard, railing, windscreen
 from viewnet.cad.builder import Builder
 
-_SHARES = {
+KINDS = {
     "rowing": 12, "motor": 20, "sail": 22, "cruiser": 14, "fishing": 8, "tug": 4, "freighter": 7, "liner": 4,
     "warship": 6, "raft": 3, "longship": 3,
 }  # fmt: skip
 
 
-def boat(rng: np.random.Generator) -> Builder:
+def boat(rng: np.random.Generator, kind: str | None = None) -> Builder:
     """A boat or ship with its bow forward."""
     builder = Builder()
-    kind = palette.choose(rng, _SHARES)
+    kind = palette.pick(rng, KINDS, kind)
     makers: dict[str, Callable[[np.random.Generator, Builder, dict[str, str]], None]] = {
         "rowing": _rowing,
         "motor": _motor,

@@ -66,14 +66,13 @@ class Builder:
 
     def add(self, vertices: ArrayLike, faces: ArrayLike, material: str, uv: ArrayLike | None = None) -> None:
         """Add triangles: vertices (N, 3), faces (M, 3) of vertex indices, texture coordinates (N, 2) (v upwards)."""
-        if material not in self.materials:
-            raise ValueError(f"material {material!r} is not declared")
+        textured = self._textured(material)
         points = np.asarray(vertices, dtype=np.float64)
         for rotation, offset in reversed(self._frames):
             points = points @ rotation.T + offset
         indices = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
         coordinates = None if uv is None else np.asarray(uv, dtype=np.float64)
-        if self.materials[material].texture is not None and coordinates is None:
+        if textured and coordinates is None:
             raise ValueError(f"material {material!r} has a texture: its faces need texture coordinates")
         self.parts.append(Part(points, indices, material, coordinates))
 
@@ -112,7 +111,7 @@ class Builder:
             corners = corners @ np.asarray(rotation, dtype=np.float64).T
         corners = corners + np.asarray(center, dtype=np.float64)
         sides = [(0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7), (3, 2, 1, 0)]
-        if self.materials[material].texture is None:
+        if not self._textured(material):
             self.add(corners, [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))], material)
         else:
             uv = np.tile([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], (6, 1))
@@ -205,7 +204,7 @@ class Builder:
         lid = triangulate(flat)
         faces = np.concatenate([walls, lid + count, lid[:, ::-1]])
         uv = None
-        if self.materials[material].texture is not None:
+        if self._textured(material):
             uv = np.tile((flat - flat.min(0)) / np.maximum(np.ptp(flat, axis=0), 1e-12), (2, 1))
         # (x, z) is the one pair of axes whose product points backwards along the third.
         self.add(points, faces[:, ::-1] if axis == "y" else faces, material, uv)
@@ -217,7 +216,7 @@ class Builder:
 
     def quad(self, corners: ArrayLike, material: str, uv: ArrayLike | None = None) -> None:
         """A four-sided face (4, 3), counter-clockwise from the lower left corner of its texture."""
-        if uv is None and self.materials[material].texture is not None:
+        if uv is None and self._textured(material):
             uv = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
         self.add(corners, _quads(1), material, uv)
 
@@ -238,6 +237,11 @@ class Builder:
             side = side / norm if norm > 1e-6 else _across(tangent)[0]
             rings.append(point + r * (cosine * side + sine * _cross(tangent, side)))
         self.loft(rings, material)
+
+    def _textured(self, material: str) -> bool:
+        if material not in self.materials:
+            raise ValueError(f"material {material!r} is not declared: expected one of {', '.join(self.materials)}")
+        return self.materials[material].texture is not None
 
     def bounds(self) -> Array:
         """Lowest and highest corner (2, 3) of everything added so far; raises ValueError for an empty model."""

@@ -13,7 +13,7 @@ from viewnet.cad.tube_shell import edges, flat_end, tube, window_row
 
 # Rows of the cross-section: cell r lies above point r.
 FLOOR, WELL, SKIRT, LOWER, WAIST, GLASS, CANTRAIL, CURVE, ROOF = range(9)
-_SHARES = {"city": 40, "coach": 28, "double": 14, "school": 9, "mini": 9}
+KINDS = {"city": 40, "coach": 28, "double": 14, "school": 9, "mini": 9}
 
 
 @dataclass(frozen=True)
@@ -27,10 +27,10 @@ class _Size:
     wheel: float
 
 
-def bus(rng: np.random.Generator) -> Builder:
+def bus(rng: np.random.Generator, kind: str | None = None) -> Builder:
     """A bus: city bus, coach, double decker, school bus with a bonnet, or minibus."""
     builder = Builder()
-    kind = palette.choose(rng, _SHARES)
+    kind = palette.pick(rng, KINDS, kind)
     size = _draw_size(rng, kind)
     colors = _colors(rng, builder, kind)
     bonnet = (

@@ -83,22 +83,23 @@ _KINDS: dict[str, dict[str, _Range]] = {
         "deck": (0.60, 0.65), "tail": (0.56, 0.63), "roof_width": (0.70, 0.80),
     },
 }  # fmt: skip
-_SHARES = {
+KINDS = {
     "sedan": 20, "hatchback": 15, "estate": 8, "suv": 14, "minivan": 6, "van": 6, "pickup": 6, "coupe": 11,
     "sports": 10, "micro": 4, "retro": 6,
 }  # fmt: skip
 _SERVICES = {"private": 86.0, "taxi": 5.0, "police": 5.0, "ambulance": 2.0, "racing": 7.0}
 
 
-def car(rng: np.random.Generator) -> Builder:
+def car(rng: np.random.Generator, kind: str | None = None) -> Builder:
     """A car: sedan, hatchback, estate, SUV, van, pickup, coupe, convertible, sports car, toy, police car ..."""
     builder = Builder()
-    kind = palette.choose(rng, _SHARES)
+    drawn = kind is None
+    kind = palette.pick(rng, KINDS, kind)
     toy = rng.random() < 0.12
     service = palette.choose(rng, _SERVICES)
-    if service == "racing":
+    if service == "racing" and drawn:
         kind = palette.choose(rng, {"sports": 3, "coupe": 2, "hatchback": 0.6})
-    if service == "ambulance":
+    if service == "ambulance" and drawn:
         kind = "van"
     shape = draw_shape(rng, kind, toy)
     open_top = kind in ("sports", "coupe") and service == "private" and rng.random() < 0.22
@@ -268,7 +269,7 @@ class Painting:
         self.bumpers = bool(shape.bumper > 0 and rng.random() < 0.6) or bool(shape.coarse and rng.random() < 0.7)
         self.pillars = bool(rng.random() < 0.5)
         self.tall_lamps = kind in ("estate", "suv", "minivan", "van", "micro", "hatchback") and bool(rng.random() < 0.5)
-        self.lamp_reach = float(rng.uniform(0.5, 1.0))
+        self.lamp_reach = 1.0 if rng.random() < 0.6 else 0.9
         self.grille = palette.choose(rng, {"dark": 6, "chrome": 2, "none": 1.5})
         self.intake = bool(rng.random() < 0.6)
         self.tail_bar = bool(rng.random() < 0.12)
@@ -327,9 +328,10 @@ class Painting:
         if row == LOW:
             return f.trim if self.bumpers else f.dark if self.intake and across < 0.3 else f.paint
         if row in (MID, HIGH):
+            if row == MID and 0.3 < across < self.lamp_reach:
+                return f.lamp
             if across > (0.3 if row == MID else 0.5):
-                outer = across > 0.3 + 0.5 * self.lamp_reach
-                return f.lamp if row == MID and (not outer or self.lamp_reach > 0.6) else f.paint
+                return f.paint
             return {"dark": f.dark, "chrome": f.chrome, "none": f.paint}[self.grille]
         return self._side(row, 0.0)
 

@@ -96,10 +96,10 @@ def details(
     base = s.clearance + 0.05
     plate_z = base + rng.uniform(0.18, 0.32) * (s.nose_z - base)
     if rng.random() < 0.75:
-        builder.box((front + 0.0, 0, plate_z), (0.06, 0.48, 0.11), finish.plate)
+        builder.box((front, 0, plate_z), (0.06, 0.48, 0.11), finish.plate)
     if rng.random() < 0.85:
         height = base + rng.uniform(0.25, 0.6) * (s.tail_z - base)
-        builder.box((rear - 0.0, 0, height), (0.06, 0.48, 0.11), finish.plate)
+        builder.box((rear, 0, height), (0.06, 0.48, 0.11), finish.plate)
     if kind in ("sedan", "coupe", "sports", "estate") and rng.random() < 0.5:
         at = rng.uniform(0.25, 0.38) * s.width
         with builder.both_sides():

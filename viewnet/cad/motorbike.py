@@ -8,13 +8,13 @@ from viewnet.cad import palette
 from viewnet.cad.builder import Builder
 from viewnet.cad.cycle_parts import Point, blob, disc, fender, mix, spokes, tyre
 
-_SHARES = {"sport": 27, "naked": 16, "cruiser": 20, "tourer": 8, "dirt": 13, "scooter": 16}
+KINDS = {"sport": 27, "naked": 16, "cruiser": 20, "tourer": 8, "dirt": 13, "scooter": 16}
 
 
-def motorbike(rng: np.random.Generator) -> Builder:
+def motorbike(rng: np.random.Generator, kind: str | None = None) -> Builder:
     """A motorbike or scooter; the exhaust is on its right side, or on both."""
     builder = Builder()
-    kind = palette.choose(rng, _SHARES)
+    kind = palette.pick(rng, KINDS, kind)
     c = _materials(rng, builder, kind)
     u = rng.uniform
     base = {

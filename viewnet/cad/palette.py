@@ -42,6 +42,15 @@ def choose(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
     return list(weights)[int(rng.choice(len(shares), p=shares / shares.sum()))]
 
 
+def pick(rng: np.random.Generator, kinds: Mapping[str, float], kind: str | None) -> str:
+    """`kind` itself, or one drawn in proportion to the shares. Raises ValueError for a kind that is not among them."""
+    if kind is None:
+        return choose(rng, kinds)
+    if kind not in kinds:
+        raise ValueError(f"kind {kind!r}: expected one of {', '.join(kinds)}")
+    return kind
+
+
 # Shares follow the paints of new cars (white, black and grays three quarters of all), with colours raised a little
 # because collections of models hold more coloured ones than roads do.
 _PAINTS: dict[str, tuple[float, Color]] = {

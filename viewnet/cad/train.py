@@ -9,15 +9,15 @@ from viewnet.cad.builder import Builder
 from viewnet.cad.train_steam import steam
 from viewnet.cad.tube_shell import End, edges, flat_end, tube, window_row
 
-_SHARES = {"highspeed": 20, "electric": 16, "diesel": 16, "metro": 18, "carriage": 8, "tram": 8, "steam": 16}
+KINDS = {"highspeed": 20, "electric": 16, "diesel": 16, "metro": 18, "carriage": 8, "tram": 8, "steam": 16}
 # Rows of the cross-section of cars with windows.
 SKIRT, LOWER, WAIST, GLASS, CANTRAIL, CURVE, ROOF = range(7)
 
 
-def train(rng: np.random.Generator) -> Builder:
+def train(rng: np.random.Generator, kind: str | None = None) -> Builder:
     """A locomotive, a railcar, a tram or the head of a train; now and then with a second car behind."""
     builder = Builder()
-    kind = palette.choose(rng, _SHARES)
+    kind = palette.pick(rng, KINDS, kind)
     if kind == "steam":
         steam(rng, builder)
     elif kind == "diesel" and rng.random() < 0.5:

@@ -53,9 +53,9 @@ def tube(
         x for middle, half in arches for x in (middle - half, middle - 0.7 * half, middle + 0.7 * half, middle + half)
     }
     inner: list[float] = []
-    for x in sorted({*cuts, *steps}, reverse=True):
-        if low < x < high and (not inner or inner[-1] - x > 0.02):
-            inner.append(x)
+    for cut in sorted({*cuts, *steps}, reverse=True):
+        if low < cut < high and (not inner or inner[-1] - cut > 0.02):
+            inner.append(cut)
     along = np.array([*(front - d for d in head.depth), *inner, *(rear + d for d in reversed(tail.depth))])
     width = np.array([*head.width, *[1.0] * len(inner), *reversed(tail.width)])
     tall = np.array([*head.tall, *[1.0] * len(inner), *reversed(tail.tall)])

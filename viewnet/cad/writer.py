@@ -49,6 +49,7 @@ def normalized(builder: Builder, points: Array) -> Array:
 
 def _obj(builder: Builder) -> str:
     """The text of the .obj: shared vertices, faces in groups of one material."""
+    builder.bounds()  # names an empty model before numpy stumbles over it
     used = _used_materials(builder)
     sizes = np.cumsum([0] + [len(p.vertices) for p in builder.parts])
     points = normalized(builder, np.concatenate([p.vertices for p in builder.parts]))
