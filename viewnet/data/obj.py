@@ -1,9 +1,9 @@
 """Wavefront OBJ files as triangle meshes.
 
 The reader covers what CAD collections hold: polygons, every index form (`v`, `v/t`, `v//n`, `v/t/n`, negative),
-several materials and libraries, vertex colours, texture options and texture names with spaces. It exists because a
-general loader spends many times longer on a model than drawing its views takes, and drops the opacity that decides
-what is seen. Lines are sorted by keyword and numbers read with array operations, never in a loop over lines.
+several materials and libraries, vertex colours, texture options and texture names with spaces. It exists because
+trimesh goes on in silence where a library or texture is missing or cannot be read, applies neither opacity nor texture
+options, and is slower. Lines are sorted by keyword and numbers read with array operations, never in a loop over lines.
 """
 
 from __future__ import annotations
@@ -223,7 +223,8 @@ def _assign(uses: list[tuple[int, str]], polygons: int) -> tuple[list[str], np.n
     """Names of the materials in order of use, and each polygon's number: 0 for none, i + 1 for names[i]."""
     numbers: dict[str, int] = {}
     material = np.zeros(polygons, np.int64)
-    for (start, name), (end, _) in zip(uses, [*uses[1:], (polygons, "")], strict=True):
+    ends = [*(start for start, _ in uses[1:]), polygons]
+    for (start, name), end in zip(uses, ends, strict=False):
         if end > start:
             material[start:end] = numbers.setdefault(name, len(numbers) + 1)
     return list(numbers), material
