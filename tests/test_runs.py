@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import fake_steps
@@ -73,6 +74,8 @@ def test_the_result_tells_where_it_comes_from():
 def test_the_key_follows_config_views_and_code(monkeypatch):
     base = runs.locate(config(), "views")
     assert base == runs.locate(config(), "views")
+    moved = replace(config(), data=replace(config().data, root="elsewhere"))
+    assert base == runs.locate(moved, "views")  # the views' identity knows the models, not their place
     others = [runs.locate(config(1), "views"), runs.locate(config(), "other")]
     monkeypatch.setattr(provenance, "code_identity", lambda modules: "edited")
     others.append(runs.locate(config(), "views"))

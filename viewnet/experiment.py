@@ -62,8 +62,14 @@ class Experiment:
     data_root: str | None
     splits: str | None
     eval_root: str | None
-    folder: Path  # where tables and figures go
+    output: Path
+    label: str  # what is not the plain default, "" if nothing
     workers: int | None
+
+    @property
+    def folder(self) -> Path:
+        """Where tables and figures go: a folder of its own for what is not the plain default."""
+        return self.output / self.label
 
     @property
     def configs(self) -> list[RunConfig]:
@@ -154,7 +160,6 @@ def experiment(
     numbers = _seeds(seeds)
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
         raise ViewnetError(f"workers {workers!r}: expected a whole number, 0 for what the machine has room for")
-    base = Path(output).expanduser() if output else paths.tables()
     parts = [profile] if profile != design.profile else []
     parts += [recipe] if recipe != PROFILE_RECIPE[profile] else []
     parts += [variant] if variant and variants != design.variants else []
@@ -173,7 +178,8 @@ def experiment(
         data_root=_folder(data_root, "data_root"),
         splits=_folder(splits, "splits"),
         eval_root=_folder(eval_root, "eval_root"),
-        folder=base / "-".join(parts),
+        output=Path(output).expanduser() if output else paths.tables(),
+        label="-".join(parts),
         workers=workers or None,
     )
 

@@ -130,9 +130,10 @@ def untrained(variant: str, config: RunConfig) -> RunConfig:
 
 
 def locate(config: RunConfig, identity: str) -> Path:
-    """The folder of a run on the views of that identity."""
+    """The folder of a run on the views of that identity, wherever the models they show lie on this machine."""
     code = TRAINING if config.variant not in UNTRAINED else UNTRAINED_CODE
-    return paths.runs() / config.variant / config.key(identity, provenance.code_identity(code))
+    placeless = replace(config, data=replace(config.data, root=None, splits=None))
+    return paths.runs() / config.variant / placeless.key(identity, provenance.code_identity(code))
 
 
 def ensure(

@@ -1,0 +1,64 @@
+"""The command `viewnet`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from viewnet.errors import ViewnetError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; the exit code: 0, 2 for what the user can mend (told in one line), 130 when interrupted."""
+    options = _parser().parse_args(arguments)
+    try:
+        options.run(options)
+    except ViewnetError as error:
+        print(f"viewnet: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("viewnet: interrupted: the same command goes on where it was", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="viewnet", description="ViewNet, replicated: tables and figures of the paper."
+    )
+    commands = parser.add_subparsers(required=True, metavar="command")
+    notebook = commands.add_parser(
+        "notebook",
+        help="make a table or figure: run its notebook",
+        description="Run a notebook with papermill. Whatever it needs and is not there is rendered and trained first.",
+    )
+    notebook.add_argument("name", help="for example table2_ablation")
+    notebook.add_argument(
+        "-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), dest="values", help="a parameter"
+    )
+    notebook.add_argument("-o", "--output", type=Path, help="the executed copy (default: runs/notebooks/NAME.ipynb)")
+    notebook.add_argument("--parameters", action="store_true", help="list the parameters and stop")
+    notebook.add_argument("--refresh", action="store_true", help="run with the defaults and keep the outputs in place")
+    notebook.set_defaults(run=_notebook)
+    return parser
+
+
+def _notebook(options: argparse.Namespace) -> None:
+    from viewnet import notebook
+
+    if options.parameters:
+        for name, found in notebook.parameters(notebook.find(options.name)).items():
+            print(f"{name} = {found['default']}  ({found['inferred_type_name']}) {found['help']}")
+        return
+    if options.refresh:
+        if options.values or options.output:
+            raise ViewnetError("--refresh takes neither -p nor --output: set VIEWNET_PROFILE for another profile")
+        print(notebook.refresh(options.name))
+        return
+    print(notebook.run(options.name, [(name, value) for name, value in options.values], options.output))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
