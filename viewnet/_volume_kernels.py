@@ -50,15 +50,30 @@ def _ray(frame, focal, steps, shape, px, py):
     return u, v, w, du, dv, dw, low, high
 
 
-def _forward(voxels, shape, frames, focal, steps, picture):
-    """Fills `picture` (N, size, size, 4)."""
+def _forward(voxels, cells, shape, frames, focal, steps, picture):
+    """Fills `picture` (N, size, size, 4); cells that `cells` (B, P) says are empty are passed over."""
     share = len(frames) // len(voxels)
     for n in prange(len(frames)):
-        _draw(voxels[n // share], shape, frames[n], focal, steps, picture[n])
+        _draw(voxels[n // share], cells[n // share], shape, frames[n], focal, steps, picture[n])
+
+
+def _occupied(voxels, shape, cells):
+    """Marks in `cells` (B, P) every cell, named by its lowest corner, that has a corner with occupancy."""
+    row, plane = shape[2] + 2, (shape[1] + 2) * (shape[2] + 2)
+    for b in prange(len(voxels)):
+        for w in range(shape[0]):
+            for v in range(shape[1]):
+                at = (w + 1) * plane + (v + 1) * row + 1
+                for p in range(at, at + shape[2]):
+                    if voxels[b, p, 3] != 0:
+                        for dw in (0, plane):
+                            for dv in (0, row):
+                                cells[b, p - dw - dv] = 1
+                                cells[b, p - dw - dv - 1] = 1
 
 
 @njit(nogil=True, **FLAGS)
-def _draw(voxels, shape, frame, focal, steps, picture):
+def _draw(voxels, cells, shape, frame, focal, steps, picture):
     size = picture.shape[0]
     row, plane = shape[2] + 2, (shape[1] + 2) * (shape[2] + 2)
     for i in range(size):
@@ -73,9 +88,11 @@ def _draw(voxels, shape, frame, focal, steps, picture):
                 v = v_start + np.float32(k) * dv
                 w = w_start + np.float32(k) * dw
                 u0, v0, w0 = int(u), int(v), int(w)
+                p = np.uintp(w0 * plane + v0 * row + u0)
+                if not cells[p]:
+                    continue
                 fu, fv, fw = u - np.float32(u0), v - np.float32(v0), w - np.float32(w0)
                 gu, gv, gw = ONE - fu, ONE - fv, ONE - fw
-                p = np.uintp(w0 * plane + v0 * row + u0)
                 c00, c01, c10, c11 = gw * gv, gw * fv, fw * gv, fw * fv
                 w000, w001, w010, w011 = c00 * gu, c00 * fu, c01 * gu, c01 * fu
                 w100, w101, w110, w111 = c10 * gu, c10 * fu, c11 * gu, c11 * fu
@@ -91,8 +108,6 @@ def _draw(voxels, shape, frame, focal, steps, picture):
                     w000 * voxels[p000, 3] + w001 * voxels[p001, 3] + w010 * voxels[p010, 3] + w011 * voxels[p011, 3]
                     + w100 * voxels[p100, 3] + w101 * voxels[p101, 3] + w110 * voxels[p110, 3] + w111 * voxels[p111, 3]
                 )  # fmt: skip
-                if q <= ZERO:
-                    continue
                 stop = q * light
                 red += stop * (
                     w000 * voxels[p000, 0] + w001 * voxels[p001, 0] + w010 * voxels[p010, 0] + w011 * voxels[p011, 0]
@@ -116,21 +131,25 @@ def _draw(voxels, shape, frame, focal, steps, picture):
             picture[i, j, 3] = mask
 
 
-def _backward(voxels, shape, frames, focal, steps, grad, grad_voxels, grad_frames, grad_focal):
-    """Adds to `grad_voxels` (B, P, 4), `grad_frames` (N, 3, 3) and `grad_focal` (B,) for `grad` (N, size, size, 4)."""
+def _backward(voxels, cells, shape, frames, focal, steps, grad, grad_voxels, grad_frames, grad_focal):
+    """For `grad` (N, size, size, 4): adds to `grad_voxels` (B, P, 4) and `grad_focal` (B,), fills `grad_frames` (N, 3, 3).
+
+    Cells that `cells` (B, P) leaves out get no gradient.
+    """
     share = len(frames) // len(voxels)
     for b in prange(len(voxels)):
         for n in range(b * share, (b + 1) * share):
             grad_focal[b] += _draw_backward(
-                voxels[b], shape, frames[n], focal, steps, grad[n], grad_voxels[b], grad_frames[n]
+                voxels[b], cells[b], shape, frames[n], focal, steps, grad[n], grad_voxels[b], grad_frames[n]
             )
 
 
 @njit(nogil=True, **FLAGS)
-def _draw_backward(voxels, shape, frame, focal, steps, grad, grad_voxels, grad_frame):
+def _draw_backward(voxels, cells, shape, frame, focal, steps, grad, grad_voxels, grad_frame):
     size = grad.shape[0]
     row, plane = shape[2] + 2, (shape[1] + 2) * (shape[2] + 2)
     hx, hy, hz = np.float32(shape[2]) * HALF, np.float32(shape[1]) * HALF, np.float32(shape[0]) * HALF
+    visited = np.empty(steps, np.int64)
     occupancy, lights, seen = np.empty(steps, np.float32), np.empty(steps, np.float32), np.empty(steps, np.float32)
     f00, f01, f02 = frame[0, 0], frame[0, 1], frame[0, 2]
     f10, f11, f12 = frame[1, 0], frame[1, 1], frame[1, 2]
@@ -145,14 +164,17 @@ def _draw_backward(voxels, shape, frame, focal, steps, grad, grad_voxels, grad_f
             px = np.float32(2 * j + 1) / np.float32(size) - ONE
             u_start, v_start, w_start, du, dv, dw, low, high = _ray(frame, focal, steps, shape, px, py)
             light = ONE
+            visits = 0
             for k in range(low, high):
                 u = u_start + np.float32(k) * du
                 v = v_start + np.float32(k) * dv
                 w = w_start + np.float32(k) * dw
                 u0, v0, w0 = int(u), int(v), int(w)
+                p = np.uintp(w0 * plane + v0 * row + u0)
+                if not cells[p]:
+                    continue
                 fu, fv, fw = u - np.float32(u0), v - np.float32(v0), w - np.float32(w0)
                 gu, gv, gw = ONE - fu, ONE - fv, ONE - fw
-                p = np.uintp(w0 * plane + v0 * row + u0)
                 c00, c01, c10, c11 = gw * gv, gw * fv, fw * gv, fw * fv
                 q = s = ZERO
                 for corner in range(8):
@@ -172,19 +194,19 @@ def _draw_backward(voxels, shape, frame, focal, steps, grad, grad_voxels, grad_f
                         weight *= gu
                     q += weight * voxels[at, 3]
                     s += weight * (g0 * voxels[at, 0] + g1 * voxels[at, 1] + g2 * voxels[at, 2])
-                occupancy[k], seen[k], lights[k] = q, s + g3, light
+                visited[visits], occupancy[visits], seen[visits], lights[visits] = k, q, s + g3, light
+                visits += 1
                 light *= ONE - q
                 if light < OPAQUE:
-                    high = k + 1
                     break
             # `beyond`: what the pixel's gradient makes of the light that passes step k; from the far end to the near.
             beyond = ZERO
-            for k in range(high - 1, low - 1, -1):
-                q = occupancy[k]
-                stop = q * lights[k]
+            for visit in range(visits - 1, -1, -1):
+                k, q = visited[visit], occupancy[visit]
+                stop = q * lights[visit]
                 d0, d1, d2 = stop * g0, stop * g1, stop * g2
-                d3 = lights[k] * (seen[k] - beyond)
-                beyond = q * seen[k] + (ONE - q) * beyond
+                d3 = lights[visit] * (seen[visit] - beyond)
+                beyond = q * seen[visit] + (ONE - q) * beyond
                 u = u_start + np.float32(k) * du
                 v = v_start + np.float32(k) * dv
                 w = w_start + np.float32(k) * dw
@@ -239,4 +261,5 @@ def _draw_backward(voxels, shape, frame, focal, steps, grad, grad_voxels, grad_f
 
 # On one thread the threaded versions would still wake a pool, whose threads spin on cores that other runs need.
 forward = {False: njit(nogil=True, **FLAGS)(_forward), True: njit(parallel=True, nogil=True, **FLAGS)(_forward)}
+occupied = {False: njit(nogil=True, **FLAGS)(_occupied), True: njit(parallel=True, nogil=True, **FLAGS)(_occupied)}
 backward = {False: njit(nogil=True, **FLAGS)(_backward), True: njit(parallel=True, nogil=True, **FLAGS)(_backward)}

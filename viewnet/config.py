@@ -60,11 +60,15 @@ class ModelConfig:
     input_size: int = 64  # pixels along a side of what both encoders see
     volume_size: int = 64  # voxels along a side
     render_size: int = 64  # pixels along a side of the reconstruction
+    crop: bool = False  # the viewpoint network sees the object's tight square box, enlarged (the released code)
+    backdrop: float = 0.0  # grey level behind what both encoders see
+    encoder_padding: Literal["replicate", "zeros"] = "replicate"
     encoder_channels: tuple[int, ...] = (64, 128, 256, 512, 512, 512)
     code_size: int = 1024  # the fixed canonical code
     generator_channels: tuple[int, ...] = (512, 128, 128, 16)  # at 4, 8, 16, 32 ... voxels, up to half the volume's side
     generator_refine: bool = True  # a second, 3x3x3 layer at each resolution, as in the supplement
     generator_last_kernel: Literal[2, 4] = 4  # of the layer to the full resolution; 2 is much the cheaper
+    template: float = 0.0  # a learned mean volume is added; its learning rate, as a multiple of the others'. 0: none
     appearance_size: int = 256
     heads: int = 3  # M, the number of viewpoint hypotheses
     head_spread: float = 0.0  # the heads start facing different azimuths: how strongly
@@ -85,6 +89,7 @@ class TrainConfig:
     targets_per_object: int = 1  # target images that share one appearance image
     coarse: float = 0.0  # this first share of training draws and compares at half the resolution
     learning_rate: float = 1e-4
+    betas: tuple[float, float] = (0.9, 0.999)
     schedule: Literal["constant", "cosine"] = "constant"
     patience: int = 30  # epochs without gain on validation before stopping
     select_by: Literal["accuracy", "reconstruction"] = "accuracy"  # what "gain" means; accuracy uses validation labels
@@ -139,7 +144,7 @@ RECIPES: dict[str, Changes] = {
     # Ours: target and reconstruction over the same random colour, so that the mask is learned from colour alone; heads
     # that start apart; elevations within a plausible camera range; stopping without labels. See docs/recipes.md.
     "matting": {
-        "model": {"head_spread": 0.5, "elevation_limits": (-22.0, 42.0), "focal": 0.27},
+        "model": {"crop": True, "backdrop": 0.5, "head_spread": 0.5, "elevation_limits": (-22.0, 42.0), "focal": 0.27},
         "train": {
             "background": "random",
             "perceptual": "none",

@@ -39,7 +39,8 @@ class ViewpointNetwork(nn.Module):
     def __init__(self, config: ModelConfig):
         super().__init__()
         self.heads, self.in_plane, self.limits = config.heads, config.in_plane, config.elevation_limits
-        self.encoder = Encoder(config.encoder_channels, (7 if config.in_plane else 4) * config.heads, config.input_size)
+        outputs = (7 if config.in_plane else 4) * config.heads
+        self.encoder = Encoder(config.encoder_channels, outputs, config.input_size, config.encoder_padding)
         azimuth = torch.arange(config.heads) * (2 * math.pi / config.heads)
         offset = config.head_spread * torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros_like(azimuth)], dim=1)
         self.register_buffer("offset", offset, persistent=False)
@@ -72,24 +73,33 @@ class ViewNet(nn.Module):
         super().__init__()
         self.config = config
         self.viewpoint = ViewpointNetwork(config)
-        self.appearance = Encoder(config.encoder_channels, config.appearance_size, config.input_size)
+        self.appearance = Encoder(
+            config.encoder_channels, config.appearance_size, config.input_size, config.encoder_padding
+        )
         self.decoder = HoloGANDecoder(config) if config.decoder == "hologan" else Generator(config)
         self.focal = nn.Parameter(torch.tensor(config.focal), requires_grad=config.learn_focal)
         prior = gaussian_prior(config.volume_size) if config.shape_prior else torch.empty(0)
         self.register_buffer("prior", prior, persistent=False)
 
-    def shape(self, appearance: Tensor) -> Tensor:
+    def see(self, pictures: Tensor) -> Tensor:
+        """Pictures (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S) over the backdrop."""
+        return pictures[:, :3] + self.config.backdrop * (1 - pictures[:, 3:])
+
+    def shape(self, appearance: Tensor, coarse: bool = False) -> Tensor:
         """Volumes (N, 4, n, n, n): colour and occupancy in [0, 1] (or the HoloGAN decoder's features).
+
+        `coarse` gives them at half the resolution where the generator can.
 
         With the prior, Q = S + Q' as printed, where Q' = 2 sigmoid - 1 lies in [-1, 1] and the sum is kept in [0, 1].
         """
         if isinstance(self.decoder, HoloGANDecoder):
             return self.decoder.features(appearance)
         # Both orders of squashing and sampling are in use; squashing first keeps the volume itself a picture's worth.
-        values = torch.sigmoid(self.decoder(appearance).float())
+        values = torch.sigmoid(self.decoder(appearance, coarse).float())
         if not self.config.shape_prior:
             return values
-        occupancy = (2 * values[:, 3:] - 1 + self.prior).clamp(0, 1)
+        prior = self.prior if len(self.prior) == values.shape[-1] else F.avg_pool3d(self.prior[None, None], 2)[0, 0]
+        occupancy = (2 * values[:, 3:] - 1 + prior).clamp(0, 1)
         return torch.cat([values[:, :3], occupancy], dim=1)
 
     def draw(self, shape: Tensor, appearance: Tensor, frames: Tensor, size: int | None = None) -> Tensor:
@@ -98,4 +108,4 @@ class ViewNet(nn.Module):
         if isinstance(self.decoder, HoloGANDecoder):
             picture = self.decoder.draw(shape, appearance, frames).float()
             return torch.cat([picture, torch.ones_like(picture[:, :1])], dim=1)
-        return volume.render(shape, frames, self.focal, size)
+        return volume.render(shape, frames, self.focal, size, sparse=self.config.shape_prior)

@@ -29,21 +29,24 @@ class Encoder(nn.Sequential):
     ReLU; left out here as in the released code, since a ReLU would confine view vectors to one octant.
     """
 
-    def __init__(self, channels: tuple[int, ...], outputs: int, image_size: int):
+    def __init__(self, channels: tuple[int, ...], outputs: int, image_size: int, padding: str = "replicate"):
         levels = power_of_two(image_size, 8, "image_size")
         if len(channels) < levels:
             raise ViewnetError(f"encoder_channels {channels}: {levels} are needed for images of {image_size} pixels")
         layers: list[nn.Module] = []
         previous = 3
         for width in channels[: levels - 1]:
-            # Replication, as zero padding tells the network where the picture ends.
-            layers += [nn.Conv2d(previous, width, 3, stride=2, padding=1, padding_mode="replicate", bias=False)]
+            layers += [nn.Conv2d(previous, width, 3, stride=2, padding=1, padding_mode=padding, bias=False)]
             layers += [nn.BatchNorm2d(width), nn.ReLU(inplace=True)]
             previous = width
         last = channels[levels - 1]
         layers += [nn.Conv2d(previous, last, 2, bias=False), nn.BatchNorm2d(last), nn.ReLU(inplace=True)]
         layers += [nn.Conv2d(last, outputs, 1), nn.Flatten()]
         super().__init__(*layers)
+        self.to(memory_format=torch.channels_last)
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        return super().forward(pictures.contiguous(memory_format=torch.channels_last))
 
 
 class AdaIN(nn.Module):
@@ -88,10 +91,17 @@ class Doubling(nn.ConvTranspose3d):
     """Transposed convolution of kernel and stride 2 to four channels, as the matrix product it is.
 
     Every voxel becomes its own eight, so nothing is summed; the result's channels lie innermost, as the renderer wants.
+    The eight start equal: detail is learned where it helps, and the volume at half the resolution is their mean.
     """
 
     def __init__(self, inputs: int):
         super().__init__(inputs, 4, 2, 2)
+        with torch.no_grad():
+            self.weight.copy_(self.weight[:, :, :1, :1, :1].expand_as(self.weight))
+
+    def coarse(self, x: Tensor) -> Tensor:
+        """The mean of every eight: (N, inputs, n, n, n) -> (N, 4, n, n, n)."""
+        return F.linear(x.permute(0, 2, 3, 4, 1), self.weight.mean((2, 3, 4)).T, self.bias).permute(0, 4, 1, 2, 3)
 
     def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
         count, _, nz, ny, nx = x.shape
@@ -128,15 +138,22 @@ class Generator(nn.Module):
         self.stages = nn.ModuleList(stages)
         kernel = config.generator_last_kernel
         self.last = Doubling(widths[-1]) if kernel == 2 else nn.ConvTranspose3d(widths[-1], 4, kernel, 2, 1)
+        side = config.volume_size
+        self.template = nn.Parameter(torch.zeros(1, side, side, side, 4)) if config.template else None
 
-    def forward(self, appearance: Tensor) -> Tensor:
+    def forward(self, appearance: Tensor, coarse: bool = False) -> Tensor:
         if self.adain:
             x = self.code.expand(len(appearance), -1, -1, -1, -1)
         else:
             x = appearance[:, :, None, None, None]
         for stage in self.stages:
             x = stage(x, appearance)
-        return self.last(x)
+        coarse = coarse and isinstance(self.last, Doubling)
+        logits = self.last.coarse(x) if coarse else self.last(x)
+        if self.template is None:
+            return logits
+        mean = self.template.permute(0, 4, 1, 2, 3)
+        return logits + (F.avg_pool3d(mean, 2) if coarse else mean)
 
 
 class HoloGANDecoder(nn.Module):

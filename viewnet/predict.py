@@ -45,13 +45,13 @@ def load_model(folder: Path) -> tuple[ViewNet, RunConfig]:
 def predict(model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = ("val", "test")) -> Predictions:
     """Viewpoint hypotheses for every view of the given splits, in the store's order."""
     network = load_model(model)[0] if isinstance(model, Path) else model.eval()
-    device = network.focal.device
+    device, size = network.focal.device, network.config.input_size
     rows, vectors, logits, ups = [], [], [], []
     for split in splits:
-        views = load_views(store, split, network.config.input_size)
+        views = load_views(store, split, size, size if network.config.crop else None)
         rows.append(store.index[store.index["split"] == split])
         for part in torch.arange(len(views.objects)).split(BATCH):
-            found = network.viewpoint(views.pictures(part, network.config.input_size, device)[:, :3])
+            found = network.viewpoint(network.see(views.seen(part, size, device)))
             vectors.append(_array(found.vectors))
             logits.append(_array(found.logits))
             if found.ups is not None:
@@ -75,14 +75,19 @@ def candidates(folder: Path, store: ViewStore, rows: list[int], split: str = "te
     """
     network, config = load_model(folder)
     device, size = network.focal.device, network.config.render_size
-    views = load_views(store, split, max(size, network.config.input_size))
+    small = network.config.input_size
+    views = load_views(store, split, max(size, small), small if network.config.crop else None)
     index = torch.tensor(rows)
     start, count = views.first[views.objects[index]], views.count[views.objects[index]]
     others = start + (index - start + 1) % count
-    small = network.config.input_size
     black = torch.zeros(len(rows), 3, device=device)
     found = reconstruct(
-        network, views.pictures(others, small, device), views.pictures(index, small, device), config.train, black
+        network,
+        views.pictures(others, small, device),
+        views.pictures(index, small, device),
+        views.seen(index, small, device),
+        config.train,
+        black,
     )
     heads = network.config.heads
     drawn = network.draw(found.shape, found.appearance, found.hypotheses.frames.flatten(0, 1))[:, :3]

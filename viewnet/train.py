@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 from viewnet.alignment import fit_rotation
 from viewnet.config import RunConfig, TrainConfig
-from viewnet.data.pairs import Views, draw_pairs, load_views, resize, step_generator
+from viewnet.data.pairs import Views, draw_pairs, load_views, resize, step_generator, tight_crop
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.geometry import look_at, rotation_angle, view_vector
@@ -52,23 +52,22 @@ def reconstruct(
     model: ViewNet,
     appearance: Tensor,
     target: Tensor,
+    seen: Tensor,
     config: TrainConfig,
     colour: Tensor,
-    *,
-    seen: Tensor | None = None,
     size: int | None = None,
 ) -> Reconstruction:
     """Draws targets (N, 4, s, s) from appearance views (B, 4, s, s), N = B K, over colours (N, 3) (equations 1 and 2).
 
     All heads are compared without gradients; only the best is drawn with them ("gradients will only be propagated
-    through m*"). `seen` replaces what the viewpoint network sees of the targets (augmentation); `size` is the
-    drawings' side in pixels (default: the configuration's).
+    through m*"). `seen` (N, 4, s, s) is what the viewpoint network sees of the targets: themselves, or cut and augmented.
+    `size` is the drawings' side in pixels (default: the configuration's).
     """
     size, heads = size or model.config.render_size, model.config.heads
     with autocast(appearance.device, config):
-        code = model.appearance(appearance[:, :3])
-        shape = model.shape(code)
-        hypotheses = model.viewpoint((target if seen is None else seen)[:, :3])
+        code = model.appearance(model.see(appearance))
+        shape = model.shape(code, coarse=size < model.config.render_size)
+        hypotheses = model.viewpoint(model.see(seen))
     wanted = _over(target if target.shape[-1] == size else resize(target, size), config, colour)
     frames = hypotheses.frames
     if heads > 1:
@@ -122,21 +121,21 @@ def augment(pictures: Tensor, generator: torch.Generator) -> Tensor:
 
 def step_loss(
     model: ViewNet,
-    batch: tuple[Tensor, Tensor],
+    batch: tuple[Tensor, Tensor, Tensor],
     config: TrainConfig,
     perceptual: PerceptualLoss | None,
     progress: float,
     generator: torch.Generator,
 ) -> dict[str, Tensor]:
     """The terms of one step's loss, weighted; their sum is minimised. `progress` is the share of training done."""
-    appearance, target = batch
+    appearance, target, seen = batch
     device = appearance.device
     colour = backgrounds(config, len(target), generator, device)
-    seen = augment(target, generator) if config.augment else None
+    seen = augment(seen, generator) if config.augment else seen
     # The HoloGAN decoder's layers paint one size only.
     coarse = progress < config.coarse and model.config.decoder != "hologan"
     size = model.config.render_size // 2 if coarse else model.config.render_size
-    found = reconstruct(model, appearance, target, config, colour, seen=seen, size=size)
+    found = reconstruct(model, appearance, target, seen, config, colour, size)
     terms: dict[str, Tensor] = {}
     if perceptual is not None:
         channels = (found.picture.expand(-1, 3, -1, -1), found.target.expand(-1, 3, -1, -1))
@@ -160,8 +159,10 @@ def _cycle(model: ViewNet, found: Reconstruction, config: TrainConfig, generator
     truth = view_vector(azimuth, elevation).to(found.appearance.device)
     with torch.no_grad(), autocast(truth.device, config):
         novel = model.draw(found.shape, found.appearance, look_at(truth), model.config.input_size)
+        if model.config.crop:
+            novel = tight_crop(novel, model.config.input_size)
     with autocast(truth.device, config):
-        return cycle_loss(model.viewpoint(novel[:, :3]), truth, config)
+        return cycle_loss(model.viewpoint(model.see(novel)), truth, config)
 
 
 @torch.no_grad()
@@ -179,7 +180,8 @@ def validate(model: ViewNet, views: Views, config: TrainConfig, device: torch.de
     size = model.config.input_size
     for part in rows.split(64):
         appearance, target = views.pictures(others[part], size, device), views.pictures(rows[part], size, device)
-        found = reconstruct(model, appearance, target, config, torch.full((len(part), 3), 0.5, device=device))
+        grey = torch.full((len(part), 3), 0.5, device=device)
+        found = reconstruct(model, appearance, target, views.seen(rows[part], size, device), config, grey)
         error += found.errors.amin(1).sum().item()
         vectors.append(found.hypotheses.pick(found.hypotheses.logits.argmax(1)))
     predicted = torch.cat(vectors).cpu().double()
@@ -211,14 +213,15 @@ def train(
     if (folder / "checkpoint.safetensors").exists():
         return
     size = max(config.model.input_size, config.model.render_size)
-    training, validation = load_views(views, "train", size), load_views(views, "val", size)
+    crop = config.model.input_size if config.model.crop else None
+    training, validation = load_views(views, "train", size, crop), load_views(views, "val", size, crop)
     torch.manual_seed(config.seed)
     model = ViewNet(config.model).to(device)
     weights = os.environ.get(f"VIEWNET_{settings.perceptual.upper()}_WEIGHTS")
     perceptual = None
     if settings.perceptual != "none":
         perceptual = PerceptualLoss(settings.perceptual, Path(weights) if weights else None).to(device)
-    optimiser = torch.optim.Adam(model.parameters(), lr=settings.learning_rate)
+    optimiser = torch.optim.Adam(_parameter_groups(model), lr=settings.learning_rate, betas=settings.betas)
     steps = max(1, len(training.objects) // settings.batch_size)  # an epoch: as many targets as there are views
     objects = settings.batch_size // settings.targets_per_object
     total = settings.epochs * steps
@@ -242,13 +245,14 @@ def train(
         for step in range(epoch * steps, (epoch + 1) * steps):
             done = step / total
             for group in optimiser.param_groups:
-                group["lr"] = settings.learning_rate * _schedule(settings, done)
+                group["lr"] = settings.learning_rate * group["factor"] * _schedule(settings, done)
             appearance_rows, target_rows = draw_pairs(
                 training, objects, settings.targets_per_object, config.seed, step
             )
             batch = (
                 training.pictures(appearance_rows, config.model.input_size, device),
                 training.pictures(target_rows, config.model.input_size, device),
+                training.seen(target_rows, config.model.input_size, device),
             )
             terms = step_loss(model, batch, settings, perceptual, done, step_generator(config.seed, step))
             loss = torch.stack(list(terms.values())).sum()
@@ -291,6 +295,14 @@ def train(
     metadata = {"config": json.dumps(config.to_dict()), "epoch": str(best["epoch"] + 1), "score": repr(best["score"])}
     _replace(folder / "checkpoint.safetensors", lambda path: save_file(best["weights"], path, metadata=metadata))
     (folder / "state.pt").unlink(missing_ok=True)
+
+
+def _parameter_groups(model: ViewNet) -> list[dict[str, Any]]:
+    """The mean volume's voxels see few gradients each and learn faster than shared weights should."""
+    template = [p for name, p in model.named_parameters() if name.endswith("template")]
+    others = [p for name, p in model.named_parameters() if not name.endswith("template")]
+    groups = [{"params": others, "factor": 1.0}, {"params": template, "factor": model.config.template}]
+    return [group for group in groups if group["params"]]
 
 
 def _schedule(config: TrainConfig, done: float) -> float:

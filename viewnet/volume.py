@@ -49,11 +49,17 @@ def render_reference(volume: Tensor, frames: Tensor, focal: Tensor, size: int, s
     return torch.cat([(stopping * colour).sum(2), stopping.sum(2)], dim=1)  # equation 4
 
 
-def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int | None = None) -> Tensor:
-    """`render_reference` by the fastest path there is for the device; `steps` along a ray defaults to `size`."""
+def render(
+    volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int | None = None, sparse: bool = False
+) -> Tensor:
+    """`render_reference` by the fastest path there is for the device; `steps` along a ray defaults to `size`.
+
+    `sparse` promises that occupancy of exactly 0 is clamped and takes no gradient (as with the shape prior), so that
+    empty space may be passed over backwards too.
+    """
     steps = size if steps is None else steps
     if len(frames) % len(volume):
         raise ValueError(f"{len(frames)} frames cannot be shared out evenly over {len(volume)} volumes")
     if volume.device.type == "cpu" and volume_cpu.available():
-        return volume_cpu.render(volume.float(), frames.float(), focal.float(), size, steps)
+        return volume_cpu.render(volume.float(), frames.float(), focal.float(), size, steps, sparse)
     return render_reference(volume.float(), frames.float(), focal.float(), size, steps)

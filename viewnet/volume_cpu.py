@@ -27,32 +27,39 @@ def available() -> bool:
     return True
 
 
-def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
-    """As viewnet.volume.render_reference, in float32 on the CPU."""
-    return _Render.apply(volume, frames, focal, size, steps)
+def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
+    """As viewnet.volume.render_reference, in float32 on the CPU.
+
+    `sparse` leaves out the gradient of voxels without an occupied neighbour, which is most of the work.
+    """
+    return _Render.apply(volume, frames, focal, size, steps, sparse)
 
 
 class _Render(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
+    def forward(
+        ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool
+    ) -> Tensor:
         voxels, frames = _padded(volume.detach()), frames.detach().contiguous()
+        cells = torch.zeros(voxels.shape[:2], dtype=torch.uint8)
         picture = torch.empty(len(frames), size, size, 4)
         shape = tuple(volume.shape[2:])
-        _run("forward", voxels, shape, frames, focal, steps, picture)
-        ctx.save_for_backward(voxels, frames, focal)
+        _run("occupied", voxels, shape, cells)
+        _run("forward", voxels, cells, shape, frames, focal, steps, picture)
+        ctx.save_for_backward(voxels, cells if sparse else torch.ones_like(cells), frames, focal)
         ctx.shape, ctx.steps = shape, steps
         return picture.permute(0, 3, 1, 2)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
-        voxels, frames, focal = ctx.saved_tensors
+        voxels, cells, frames, focal = ctx.saved_tensors
         nz, ny, nx = ctx.shape
         grad = grads[0].permute(0, 2, 3, 1).contiguous()
         grad_voxels, grad_frames = torch.zeros_like(voxels), torch.empty_like(frames)
         grad_focal = torch.zeros(len(voxels))
-        _run("backward", voxels, ctx.shape, frames, focal, ctx.steps, grad, grad_voxels, grad_frames, grad_focal)
+        _run("backward", voxels, cells, ctx.shape, frames, focal, ctx.steps, grad, grad_voxels, grad_frames, grad_focal)
         grad_volume = grad_voxels.view(-1, nz + 2, ny + 2, nx + 2, 4)[:, 1:-1, 1:-1, 1:-1]
-        return grad_volume.permute(0, 4, 1, 2, 3), grad_frames, grad_focal.sum().reshape(focal.shape), None, None
+        return grad_volume.permute(0, 4, 1, 2, 3), grad_frames, grad_focal.sum().reshape(focal.shape), None, None, None
 
 
 def _padded(volume: Tensor) -> Tensor:

@@ -18,6 +18,7 @@ class Views:
     """Some views of a store, in memory: RGB times alpha, and alpha, uint8 (N, 4, S, S), all views of an object in a row."""
 
     pixels: Tensor
+    crops: Tensor | None  # the same views cut to their object's tight square box, if asked for
     objects: Tensor  # (N,) which object each view shows, counting from 0
     truth: Tensor  # (N, 2) azimuth and elevation in degrees; for scoring only
     first: Tensor  # (O,) the first view of each object
@@ -28,30 +29,69 @@ class Views:
         pictures = self.pixels[rows].to(device).float().div_(255)
         return pictures if pictures.shape[-1] == size else resize(pictures, size)
 
+    def seen(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
+        """What the viewpoint network sees: the crops where there are any, the views themselves otherwise."""
+        if self.crops is None:
+            return self.pictures(rows, size, device)
+        return self.crops[rows].to(device).float().div_(255)
+
 
 def resize(pictures: Tensor, size: int) -> Tensor:
     """Pictures (N, C, H, H) at another size, by averaging areas."""
     return F.interpolate(pictures, (size, size), mode="area")
 
 
-def load_views(store: ViewStore, split: str, size: int) -> Views:
-    """The views of one split at `size` pixels a side. ViewnetError where the split has none."""
+def tight_crop(pictures: Tensor, size: int, margin: float = 0.05) -> Tensor:
+    """Pictures (N, 4, H, H), RGB times alpha and alpha in [0, 1], cut to the square box of their alpha: (N, 4, size, size).
+
+    The box keeps its aspect (a square around the longer side, centred) and a `margin` of its side all around; what it
+    needs beyond the picture is empty. A picture without an object is left whole.
+    """
+    full = pictures.shape[-1]
+    covered = pictures[:, 3] > 0.5
+    edges = torch.arange(full, device=pictures.device)
+    low, high = [], []
+    for axis in (2, 1):  # columns, then rows
+        occupied = covered.any(3 - axis)
+        low.append(torch.where(occupied, edges, full).amin(1))
+        high.append(torch.where(occupied, edges + 1, 0).amax(1))
+    start, end = torch.stack(low, 1).float(), torch.stack(high, 1).float()
+    empty = ~covered.flatten(1).any(1)[:, None]
+    start, end = start.masked_fill(empty, 0), end.masked_fill(empty, full)
+    half = (end - start).amax(1) / 2 * (1 + 2 * margin)
+    centre = (start + end) / 2
+    scale = (half / (full / 2))[:, None, None]
+    matrix = torch.eye(2, device=pictures.device) * scale
+    shift = (centre / (full / 2) - 1)[:, :, None]
+    # More samples than pixels, averaged: an enlarged crop stays smooth and a whole picture is not aliased.
+    fine = size * max(1, -(-full // size))
+    grid = F.affine_grid(torch.cat([matrix, shift], 2), [len(pictures), 4, fine, fine], align_corners=False)
+    return resize(F.grid_sample(pictures, grid, align_corners=False), size)
+
+
+def load_views(store: ViewStore, split: str, size: int, crop: int | None = None) -> Views:
+    """The views of one split at `size` pixels a side, and cut to `crop` pixels a side where that is given.
+
+    ViewnetError where the split has none.
+    """
     rows = np.flatnonzero((store.index["split"] == split).to_numpy())
     if not len(rows):
         raise ViewnetError(f"{store.folder}: no views in split {split!r}: add models to it or name other splits")
     index = store.index.iloc[rows]
-    chunks = []
-    for chunk in np.array_split(rows, max(1, len(rows) // 2048)):
+    chunks, crops = [], []
+    for chunk in np.array_split(rows, max(1, len(rows) // 512)):
         straight = torch.from_numpy(np.asarray(store.images[chunk])).permute(0, 3, 1, 2).float()
         # Averaging is only right on colours that are weighted by their alpha.
         weighted = torch.cat([straight[:, :3] * (straight[:, 3:] / 255), straight[:, 3:]], dim=1)
         chunks.append(resize(weighted, size).round_().to(torch.uint8))
+        if crop:
+            crops.append(tight_crop(weighted / 255, crop).mul_(255).round_().to(torch.uint8))
     objects = torch.from_numpy(index["model_id"].factorize()[0].astype(np.int64))
     count = torch.bincount(objects)
     if (objects.diff() < 0).any():
         raise ViewnetError(f"{store.folder}: the views of a model do not lie side by side: build the store again")
     truth = torch.from_numpy(index[["azimuth", "elevation"]].to_numpy(np.float32, copy=True))
-    return Views(torch.cat(chunks), objects, truth, count.cumsum(0) - count, count)
+    return Views(torch.cat(chunks), torch.cat(crops) if crop else None, objects, truth, count.cumsum(0) - count, count)
 
 
 def draw_pairs(views: Views, objects: int, targets: int, seed: int, step: int) -> tuple[Tensor, Tensor]:
