@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-import importlib.util
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,33 +14,17 @@ from tqdm import tqdm
 
 from viewnet.cad.builder import Builder
 from viewnet.cad.writer import write_model
-from viewnet.config import SYNSETS
+from viewnet.config import CATEGORIES, SYNSETS
 from viewnet.errors import ViewnetError
 
 Generator = Callable[[np.random.Generator], Builder]
 
 # Part of every model's name: raise it when any generator changes, so that old and new models are never mixed.
-VERSION = 1
+VERSION = 2
 SPLITS = {"train": 0.7, "val": 0.1, "test": 0.2}
-_MODULES = {
-    "car": ("car",),
-    "bus": ("bus",),
-    "motorbike": ("motorbike",),
-    "bicycle": ("bicycle",),
-    "aeroplane": ("aeroplane",),
-    "boat": ("boat",),
-    "train": ("train",),
-    "chair": ("chair",),
-    "sofa": ("sofa",),
-    "diningtable": ("diningtable",),
-    "tvmonitor": ("tvmonitor",),
-    "bottle": ("bottle",),
-}
+# Each category's module has the function of the same name.
 GENERATORS: dict[str, Generator] = {
-    category: getattr(importlib.import_module(f"viewnet.cad.{module}"), category)
-    for module, categories in _MODULES.items()
-    if importlib.util.find_spec(f"viewnet.cad.{module}")
-    for category in categories
+    category: getattr(importlib.import_module(f"viewnet.cad.{category}"), category) for category in CATEGORIES
 }
 
 

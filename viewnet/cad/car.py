@@ -8,8 +8,9 @@ import numpy as np
 
 from viewnet.cad import palette
 from viewnet.cad.builder import Builder, Color
-from viewnet.cad.car_parts import Finish, convertible_top, details, pickup_cover, roof_extras, wheels, wing
-from viewnet.cad.car_shell import BELT, EDGE, FLOOR, HIGH, LOW, MID, RAIL, SILL, TOP, WELL, Shape, body
+from viewnet.cad.car_parts import Finish, convertible_top, details, number, pickup_cover, roof_extras, wheels, wing
+from viewnet.cad.car_shell import BELT, EDGE, FLOOR, HALF, HIGH, LOW, MID, RAIL, SILL, TOP, WELL, Shape, body
+from viewnet.cad.car_special import cargo_box, single_seater, veteran
 
 _Range = tuple[float, float]
 
@@ -85,7 +86,7 @@ _KINDS: dict[str, dict[str, _Range]] = {
 }  # fmt: skip
 KINDS = {
     "sedan": 20, "hatchback": 15, "estate": 8, "suv": 14, "minivan": 6, "van": 6, "pickup": 6, "coupe": 11,
-    "sports": 10, "micro": 4, "retro": 6,
+    "sports": 10, "micro": 4, "retro": 6, "truck": 4, "veteran": 3, "formula": 2.5,
 }  # fmt: skip
 _SERVICES = {"private": 86.0, "taxi": 5.0, "police": 5.0, "ambulance": 2.0, "racing": 7.0}
 
@@ -100,8 +101,12 @@ def car(rng: np.random.Generator, kind: str | None = None) -> Builder:
     if service == "racing" and drawn:
         kind = palette.choose(rng, {"sports": 3, "coupe": 2, "hatchback": 0.6})
     if service == "ambulance" and drawn:
-        kind = "van"
-    shape = draw_shape(rng, kind, toy)
+        kind = "van" if rng.random() < 0.4 else "truck"
+    if kind in ("veteran", "formula"):
+        finish = draw_finish(rng, builder, "racing" if kind == "formula" else "private", toy, kind)
+        (veteran if kind == "veteran" else single_seater)(rng, builder, finish)
+        return builder
+    shape = draw_shape(rng, "pickup" if kind == "truck" else kind, toy)
     open_top = kind in ("sports", "coupe") and service == "private" and rng.random() < 0.22
     if open_top:
         shape = replace(shape, trough=(shape.screen - 0.02, shape.roof_end + 0.35 * (shape.back - shape.roof_end), 0.0))
@@ -111,11 +116,17 @@ def car(rng: np.random.Generator, kind: str | None = None) -> Builder:
     if open_top:
         shape = _opened(shape)
     body(builder, shape, Painting(rng, shape, finish, kind, open_top))
-    wheels(rng, builder, shape, finish, toy)
+    # A few collections hold bodies whose wheels are models of their own.
+    if rng.random() > 0.015:
+        wheels(rng, builder, shape, finish, toy)
     details(rng, builder, shape, finish, kind, open_top)
     roof_extras(rng, builder, shape, finish, kind, service)
+    if service == "racing":
+        number(rng, builder, shape, finish)
     if open_top:
         convertible_top(rng, builder, shape, finish)
+    if kind == "truck":
+        cargo_box(rng, builder, shape, finish, service)
     if kind == "pickup" and rng.random() < 0.25:
         pickup_cover(builder, shape, finish)
     wanted = {"racing": 0.9, "private": {"sports": 0.35, "coupe": 0.15, "hatchback": 0.08}.get(kind, 0.0)}
@@ -219,7 +230,7 @@ def _opened(shape: Shape) -> Shape:
 
 def draw_finish(rng: np.random.Generator, builder: Builder, service: str, toy: bool, kind: str) -> Finish:
     """Declare the materials of a car."""
-    base: Color = palette.paint(rng)
+    base: Color = palette.vivid(rng) if kind == "formula" and rng.random() < 0.7 else palette.paint(rng)
     second = base
     if service == "taxi":
         base = second = palette.jitter(rng, (0.92, 0.72, 0.08) if rng.random() < 0.75 else (0.08, 0.08, 0.08))
@@ -263,8 +274,9 @@ class Painting:
     def __init__(self, rng: np.random.Generator, shape: Shape, finish: Finish, kind: str, open_top: bool) -> None:
         self.shape, self.finish, self.kind, self.open_top = shape, finish, kind, open_top
         self.style = palette.choose(
-            rng, {"plain": 6, "stripe": 0.8, "roof": 1.0, "doors": 0.6, "lower": 0.8, "hood": 0.5}
+            rng, {"plain": 6, "stripe": 0.8, "roof": 1.0, "doors": 0.6, "lower": 0.8, "hood": 0.5, "patches": 0.6}
         )
+        self.patches = rng.random((HALF, 12)) < rng.uniform(0.15, 0.45)
         self.cladding = bool(rng.random() < (0.5 if kind in ("suv", "pickup", "van") else 0.15))
         self.bumpers = bool(shape.bumper > 0 and rng.random() < 0.6) or bool(shape.coarse and rng.random() < 0.7)
         self.pillars = bool(rng.random() < 0.5)
@@ -306,6 +318,8 @@ class Painting:
     def _side(self, row: int, x: float) -> str:
         s, f = self.shape, self.finish
         doors = s.cowl + 0.2 < x < s.roof_end
+        if self.style == "patches" and self.patches[row, int(12 * x / s.length) % 12]:
+            return f.second
         if self.style == "doors" and doors:
             return f.second
         if self.style == "lower" and row in (SILL, LOW):
@@ -316,6 +330,8 @@ class Painting:
         s, f = self.shape, self.finish
         cabin = s.screen - 0.05 < x < s.roof_end + 0.05
         if self.style == "stripe" and row == TOP:
+            return f.second
+        if self.style == "patches" and self.patches[row, int(12 * x / s.length) % 12]:
             return f.second
         if (self.style in ("roof", "doors") and cabin) or (self.style == "hood" and x < s.cowl):
             return f.second

@@ -170,6 +170,25 @@ def wing(rng: np.random.Generator, builder: Builder, shape: Shape, finish: Finis
             builder.box((x, span / 2, top + 0.03), (chord * 1.15, 0.03, 0.2), name)
 
 
+def number(rng: np.random.Generator, builder: Builder, shape: Shape, finish: Finish) -> None:
+    """A starting number: a pale or dark disc with bars on the doors and on the bonnet."""
+    s = shape
+    radius = rng.uniform(0.2, 0.32)
+    ground = builder.material("roundel", (0.95, 0.95, 0.93) if rng.random() < 0.7 else (0.95, 0.8, 0.1))
+    x, z = s.length / 2 - (s.screen + 0.1 * (s.roof_end - s.screen)), s.clearance + 0.55 * (s.belt[0] - s.clearance)
+    bars = [(-0.25, 0.0, 0.0), (0.2, 0.0, 0.5)] if rng.random() < 0.5 else [(0.0, 0.0, 0.0)]
+    with builder.both_sides():
+        y = s.width / 2 + 0.008
+        builder.cylinder((x, y - 0.06, z), (x, y, z), radius, ground, sections=10)
+        for shift, _, wide in bars:
+            builder.box((x + shift * radius, y, z), (radius * (0.2 + 0.4 * wide), 0.012, radius * 1.1), finish.dark)
+    if rng.random() < 0.7:
+        hood_x = s.length / 2 - 0.55 * s.cowl
+        hood_z = s.nose_z + 0.75 * (s.cowl_z - s.nose_z) + 0.4 * s.crown + 0.012
+        builder.box((hood_x, 0, hood_z), (radius * 1.6, radius * 1.6, 0.03), ground)
+        builder.box((hood_x, 0, hood_z + 0.005), (radius * 1.1, radius * 0.3, 0.03), finish.dark)
+
+
 def convertible_top(rng: np.random.Generator, builder: Builder, shape: Shape, finish: Finish) -> None:
     """What an open car shows: windscreen with its frame, seats, steering wheel, a folded hood."""
     s = shape
