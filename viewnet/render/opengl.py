@@ -1,6 +1,6 @@
 """The OpenGL renderer: pyrender off screen (EGL or OSMesa), with shaders that light as the software renderer does.
 
-It is the independent check of `raster` and an option where a graphics card is at hand; it needs the `gl` extra.
+It is the independent check of `raster`, and an option; it needs pyrender and a driver, which not every machine has.
 """
 
 from __future__ import annotations
