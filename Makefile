@@ -1,0 +1,69 @@
+# Everything a reader needs, with only Python (3.11 or newer), git and make installed:
+#   make table2   set up a virtual environment and make Table 2 on built-in data
+#   make test     style, types, tests and notebooks
+#   make help     all targets
+# All paths are relative, so the checkout may lie anywhere. Another interpreter: make PYTHON=python3.12 setup
+
+PYTHON ?= python3
+VENV ?= .venv
+OUTPUT ?= runs/notebooks/table2_ablation.ipynb
+# Passed on to papermill, e.g. PARAMETERS="-p categories car -p seeds 3"
+PARAMETERS ?=
+# make lock UPGRADE=--upgrade takes the newest versions; without it, pins change only where they have to.
+UPGRADE ?=
+
+RUN := $(VENV)/bin/python -m
+.DEFAULT_GOAL := help
+.PHONY: help setup table2 test test-fast lint format lock clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z0-9-]*\):.*## /\1\t/p' Makefile | expand -t 12
+
+setup: $(VENV)/.installed ## make the virtual environment from environment.lock
+
+# Two stamps: the libraries are installed anew when the lock changes, the package itself when its metadata does.
+$(VENV)/.locked: environment.lock
+	@command -v "$(PYTHON)" >/dev/null || { \
+	  echo "make: no $(PYTHON) here: install Python 3.11 or newer, or name one: make PYTHON=python3.12 ..." >&2; exit 1; }
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "make: $$("$(PYTHON)" --version) is too old: 3.11 or newer is needed: make PYTHON=python3.12 ..." >&2; exit 1; }
+	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || { \
+	  echo "make: $(PYTHON) cannot make virtual environments: install python3-venv (Debian, Ubuntu)" >&2; exit 1; }
+	"$(PYTHON)" -m venv --clear "$(VENV)"
+	@echo "installing what environment.lock lists: several GB to download, PyTorch's CUDA libraries among them"
+	$(RUN) pip install --disable-pip-version-check --quiet --require-hashes -r environment.lock
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.locked pyproject.toml
+	$(RUN) pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+table2: setup ## Table 2 on built-in data, trained here where it is missing
+	@mkdir -p "$(dir $(OUTPUT))"
+	$(RUN) papermill notebooks/table2_ablation.ipynb "$(OUTPUT)" $(PARAMETERS)
+	@echo "the executed notebook: $(OUTPUT)"
+
+test: lint ## style, types, all tests and every notebook
+	$(RUN) pytest --nbval
+
+test-fast: setup ## the tests that take seconds, without notebooks
+	$(RUN) pytest tests -m "not slow" -q
+
+lint: setup ## style and types
+	$(RUN) ruff check
+	$(RUN) ruff format --check
+	$(RUN) mypy
+
+format: setup ## mend the style where that can be done by a tool
+	$(RUN) ruff check --fix
+	$(RUN) ruff format
+
+lock: ## pin every dependency anew in environment.lock
+	"$(PYTHON)" -m venv build/uv
+	build/uv/bin/python -m pip install --disable-pip-version-check --quiet uv
+	UV_CUSTOM_COMPILE_COMMAND="make lock" build/uv/bin/uv pip compile pyproject.toml --extra test --universal \
+	  --python-version 3.11 --generate-hashes --quiet $(UPGRADE) --output-file environment.lock
+
+clean: ## remove the virtual environment and caches; data and runs stay
+	rm -rf "$(VENV)" build .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info
+	find viewnet tests notebooks -name __pycache__ -type d -prune -exec rm -rf {} +
