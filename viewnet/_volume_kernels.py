@@ -8,7 +8,9 @@ import numpy as np
 from numba import njit, prange
 
 FLAGS = {"fastmath": {"contract", "arcp", "nsz", "reassoc"}, "cache": True, "error_model": "numpy"}
-OPAQUE = np.float32(1e-5)  # a ray that so little light passes has stopped: what lies behind cannot change a pixel visibly
+OPAQUE = np.float32(
+    1e-5
+)  # a ray that so little light passes has stopped: what lies behind cannot change a pixel visibly
 ONE = np.float32(1.0)
 HALF = np.float32(0.5)
 ZERO = np.float32(0.0)
@@ -132,7 +134,7 @@ def _draw(voxels, cells, shape, frame, focal, steps, picture):
 
 
 def _backward(voxels, cells, shape, frames, focal, steps, grad, grad_voxels, grad_frames, grad_focal):
-    """For `grad` (N, size, size, 4): adds to `grad_voxels` (B, P, 4) and `grad_focal` (B,), fills `grad_frames` (N, 3, 3).
+    """For `grad` (N, size, size, 4): adds to `grad_voxels` (B, P, 4), `grad_focal` (B,); fills `grad_frames` (N, 3, 3).
 
     Cells that `cells` (B, P) leaves out get no gradient.
     """
@@ -151,9 +153,9 @@ def _draw_backward(voxels, cells, shape, frame, focal, steps, grad, grad_voxels,
     hx, hy, hz = np.float32(shape[2]) * HALF, np.float32(shape[1]) * HALF, np.float32(shape[0]) * HALF
     visited = np.empty(steps, np.int64)
     occupancy, lights, seen = np.empty(steps, np.float32), np.empty(steps, np.float32), np.empty(steps, np.float32)
-    f00, f01, f02 = frame[0, 0], frame[0, 1], frame[0, 2]
-    f10, f11, f12 = frame[1, 0], frame[1, 1], frame[1, 2]
-    f20, f21, f22 = frame[2, 0], frame[2, 1], frame[2, 2]
+    f00, f01 = frame[0, 0], frame[0, 1]
+    f10, f11 = frame[1, 0], frame[1, 1]
+    f20, f21 = frame[2, 0], frame[2, 1]
     a00 = a01 = a02 = a10 = a11 = a12 = a20 = a21 = a22 = total_focal = ZERO
     for i in range(size):
         py = ONE - np.float32(2 * i + 1) / np.float32(size)
@@ -250,9 +252,7 @@ def _draw_backward(voxels, cells, shape, frame, focal, steps, grad, grad_voxels,
                 a20 += gz * x
                 a21 += gz * y
                 a22 += gz * z
-                total_focal -= z * (
-                    (f00 * gx + f10 * gy + f20 * gz) * px + (f01 * gx + f11 * gy + f21 * gz) * py
-                )
+                total_focal -= z * ((f00 * gx + f10 * gy + f20 * gz) * px + (f01 * gx + f11 * gy + f21 * gz) * py)
     grad_frame[0, 0], grad_frame[0, 1], grad_frame[0, 2] = a00, a01, a02
     grad_frame[1, 0], grad_frame[1, 1], grad_frame[1, 2] = a10, a11, a12
     grad_frame[2, 0], grad_frame[2, 1], grad_frame[2, 2] = a20, a21, a22

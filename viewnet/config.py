@@ -1,4 +1,4 @@
-"""What a run is: profiles (how big), recipes (how trained), variants (rows of the tables), and the key that names a run.
+"""What a run is: profiles (how big), recipes (how trained), variants (rows of the tables), and the key that names it.
 
 Everything is a frozen dataclass. A variant is a named set of changes to the base configuration, so that Table 2 is
 literally `VARIANTS`; a recipe and a profile are the same, so there is one place where each setting is decided.
@@ -65,7 +65,12 @@ class ModelConfig:
     encoder_padding: Literal["replicate", "zeros"] = "replicate"
     encoder_channels: tuple[int, ...] = (64, 128, 256, 512, 512, 512)
     code_size: int = 1024  # the fixed canonical code
-    generator_channels: tuple[int, ...] = (512, 128, 128, 16)  # at 4, 8, 16, 32 ... voxels, up to half the volume's side
+    generator_channels: tuple[int, ...] = (
+        512,
+        128,
+        128,
+        16,
+    )  # at 4, 8, 16, 32 ... voxels, up to half the volume's side
     generator_refine: bool = True  # a second, 3x3x3 layer at each resolution, as in the supplement
     generator_last_kernel: Literal[2, 4] = 4  # of the layer to the full resolution; 2 is much the cheaper
     template: float = 0.0  # a learned mean volume is added; its learning rate, as a multiple of the others'. 0: none
@@ -87,10 +92,12 @@ class TrainConfig:
     epochs: int = 1000
     batch_size: int = 64  # target images a step
     targets_per_object: int = 1  # target images that share one appearance image
+    neighbours: float = 0.0  # degrees: heads are compared by the best of five viewpoints so far around each; 0: itself
+    neighbour_weight: float = 0.0  # of the pull of the best head towards its best neighbour
     coarse: float = 0.0  # this first share of training draws and compares at half the resolution
     learning_rate: float = 1e-4
     betas: tuple[float, float] = (0.9, 0.999)
-    schedule: Literal["constant", "cosine"] = "constant"
+    schedule: Literal["constant", "cosine", "hold"] = "constant"  # hold: constant for 60 %, then down along a cosine
     patience: int = 30  # epochs without gain on validation before stopping
     select_by: Literal["accuracy", "reconstruction"] = "accuracy"  # what "gain" means; accuracy uses validation labels
     target: Literal["image", "mask"] = "image"
@@ -251,7 +258,7 @@ def known(value: str, choices: typing.Iterable[str], what: str) -> str:
     """`value` itself if it is one of `choices`; ViewnetError naming them all otherwise."""
     choices = tuple(choices)
     if value not in choices:
-        raise ViewnetError(f"unknown {what} {value!r}: choose one of {', '.join(choices)}")
+        raise ViewnetError(f"unknown {what} {value!r}: choose one of {', '.join(map(str, choices))}")
     return value
 
 

@@ -1,8 +1,8 @@
 """Viewpoints: every conversion between angles, view vectors and camera frames.
 
-World (object) frame: right-handed, z up, +x is the object's front, +y its left side. A viewpoint says where the camera is as
-seen from the object. Azimuth runs counter-clockwise from +x, so 0 shows the front and 90 the left side (the object then
-faces left in the picture), as in PASCAL3D+; elevation is the height above the horizon. Angles are degrees everywhere.
+World (object) frame: right-handed, z up, +x is the object's front, +y its left side. A viewpoint says where the camera
+is as seen from the object. Azimuth runs counter-clockwise from +x: 0 shows the front and 90 the left side (the object
+then faces left in the picture), as in PASCAL3D+; elevation is the height above the horizon. Angles are degrees.
 
     view vector   v = (cos e cos a, cos e sin a, sin e), from the object to the camera
     camera frame  R, columns (right, up, back) in world coordinates, with back = v
@@ -85,4 +85,6 @@ def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
 def vector_angle(a: Tensor, b: Tensor) -> Tensor:
     """Angle (...) in degrees between vectors (..., 3) of any positive length."""
     a, b = torch.nn.functional.normalize(a, dim=-1), torch.nn.functional.normalize(b, dim=-1)
-    return 2 * torch.rad2deg(torch.atan2(torch.linalg.vector_norm(a - b, dim=-1), torch.linalg.vector_norm(a + b, dim=-1)))
+    return 2 * torch.rad2deg(
+        torch.atan2(torch.linalg.vector_norm(a - b, dim=-1), torch.linalg.vector_norm(a + b, dim=-1))
+    )

@@ -77,30 +77,29 @@ class PerceptualLoss(nn.Module):
 
 def _features(network: str, weights: Path | None) -> nn.Sequential:
     """The convolution layers of a torchvision network with ImageNet weights, from a file or the usual cache."""
-    import torchvision
+    from torchvision import models
 
-    if network == "vgg16":
-        model, known = torchvision.models.vgg16(weights=None), torchvision.models.VGG16_Weights.IMAGENET1K_V1
-    else:
-        model = torchvision.models.squeezenet1_1(weights=None)
-        known = torchvision.models.SqueezeNet1_1_Weights.IMAGENET1K_V1
+    known = {"vgg16": models.VGG16_Weights, "squeezenet": models.SqueezeNet1_1_Weights}[network].IMAGENET1K_V1
     path = weights or Path(torch.hub.get_dir()) / "checkpoints" / known.url.rsplit("/", 1)[1]
     if not path.is_file():
         raise ViewnetError(
             f"no {network} weights at {path}: download {known.url} to that place, name another file by "
             f"VIEWNET_{network.upper()}_WEIGHTS, or train without (perceptual=none)"
         )
+    with torch.device("meta"):  # drawing VGG16's random start would take a while
+        model = models.vgg16() if network == "vgg16" else models.squeezenet1_1()
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-        model.features.load_state_dict({k.removeprefix("features."): v for k, v in state.items() if "features." in k})
+        state = {name.removeprefix("features."): value for name, value in state.items() if "features." in name}
+        model.features.load_state_dict(state, assign=True)
     except Exception as error:
-        problem = str(error).splitlines()[0]
+        problem = (str(error).splitlines() or [type(error).__name__])[0]
         raise ViewnetError(f"{path} does not hold {network} weights ({problem}): download {known.url} anew") from error
     return model.features
 
 
 def head_errors(pictures: Tensor, target: Tensor) -> Tensor:
-    """Mean absolute error (N, M) of M pictures a target, (N, M, C, H, W) against (N, C, H, W): the norm of equation 2."""
+    """Mean absolute error (N, M) of pictures (N, M, C, H, W) against targets (N, C, H, W): the norm of equation 2."""
     return (pictures - target[:, None]).abs().mean(dim=(2, 3, 4))
 
 

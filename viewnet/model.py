@@ -1,4 +1,4 @@
-"""ViewNet: appearance from one picture, viewpoint hypotheses from another, and the second one drawn again (figure 2)."""
+"""ViewNet: appearance from one picture, viewpoints from another, and the second one drawn again (figure 2)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Hypotheses:
 
 
 class ViewpointNetwork(nn.Module):
-    """f^v: pictures (N, 3, S, S) -> Hypotheses. One trunk; the last layer gives M logits and M vectors (section 3.1)."""
+    """f^v: pictures (N, 3, S, S) -> Hypotheses. One trunk; its last layer gives logits and vectors (section 3.1)."""
 
     def __init__(self, config: ModelConfig):
         super().__init__()
@@ -82,7 +82,7 @@ class ViewNet(nn.Module):
         self.register_buffer("prior", prior, persistent=False)
 
     def see(self, pictures: Tensor) -> Tensor:
-        """Pictures (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S) over the backdrop."""
+        """Pictures (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S) on the backdrop."""
         return pictures[:, :3] + self.config.backdrop * (1 - pictures[:, 3:])
 
     def shape(self, appearance: Tensor, coarse: bool = False) -> Tensor:

@@ -6,6 +6,7 @@ Where the paper is silent or contradicts itself, docs/decisions.md names what wa
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import torch
 import torch.nn.functional as F
@@ -131,7 +132,7 @@ class Generator(nn.Module):
         self.register_buffer("code", torch.randn(1, config.code_size, 1, 1, 1))
         inputs = config.code_size if self.adain else config.appearance_size
         stages = [Stage(inputs, widths[0], 4, 1, appearance)]
-        for before, width in zip(widths, widths[1:], strict=False):
+        for before, width in pairwise(widths):
             stages.append(Stage(before, width, 4, 2, appearance))
             if config.generator_refine:
                 stages.append(Stage(width, width, 3, 1, appearance))
@@ -142,10 +143,7 @@ class Generator(nn.Module):
         self.template = nn.Parameter(torch.zeros(1, side, side, side, 4)) if config.template else None
 
     def forward(self, appearance: Tensor, coarse: bool = False) -> Tensor:
-        if self.adain:
-            x = self.code.expand(len(appearance), -1, -1, -1, -1)
-        else:
-            x = appearance[:, :, None, None, None]
+        x = self.code.expand(len(appearance), -1, -1, -1, -1) if self.adain else appearance[:, :, None, None, None]
         for stage in self.stages:
             x = stage(x, appearance)
         coarse = coarse and isinstance(self.last, Doubling)
@@ -170,9 +168,7 @@ class HoloGANDecoder(nn.Module):
         widths = (*config.generator_channels[: levels + 1], *[config.generator_channels[-1]] * 8)[: levels + 1]
         self.code = nn.Parameter(0.02 * torch.randn(1, widths[0], 4, 4, 4))
         self.enter = AdaIN(widths[0], config.appearance_size)
-        self.stages = nn.ModuleList(
-            Stage(a, b, 4, 2, config.appearance_size) for a, b in zip(widths, widths[1:], strict=False)
-        )
+        self.stages = nn.ModuleList(Stage(a, b, 4, 2, config.appearance_size) for a, b in pairwise(widths))
         flat = widths[-1] * size
         self.fold = nn.Conv2d(flat, flat, 1)
         self.paint = nn.ModuleList(

@@ -17,7 +17,7 @@ from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.model import ViewNet
 from viewnet.predictions import Predictions
-from viewnet.train import reconstruct
+from viewnet.step import reconstruct
 
 BATCH = 256
 

@@ -40,6 +40,7 @@ TRAINING = (
     "networks.py",
     "losses.py",
     "model.py",
+    "step.py",
     "train.py",
     "geometry.py",
     "alignment.py",

@@ -1,14 +1,15 @@
 """Drawing a coloured volume: rotation, perspective and ray stopping in one pass (section 3.3).
 
-A volume fills the cube [-1, 1]^3 of the object frame with red, green, blue and occupancy Q; voxel i of n along an axis has
-its centre at (2 i + 1) / n - 1. The camera looks at the centre. In camera coordinates (x right, y up, z towards the camera)
-the ray through pixel (x, y) visits the points
+A volume fills the cube [-1, 1]^3 of the object frame with red, green, blue and occupancy Q; voxel i of n along an axis
+has its centre at (2 i + 1) / n - 1. The camera looks at the centre. In camera coordinates (x right, y up, z towards the
+camera) the ray through pixel (x, y) visits the points
 
     p(z) = (x (1 - f z), y (1 - f z), z)        z from near +1 to far -1 in equal steps
 
-which is an exact pinhole at distance 1 / f from the centre: the steps converge towards the camera and the picture's edge is
-the cube's edge at z = 0. f = 0 is orthographic. A ray stops at step k with probability Q_k prod_{l<k} (1 - Q_l) (equation 3), and
-the pixel is the sum of the colours it stops at (equation 4). The sum of the probabilities is the object's mask.
+which is an exact pinhole at distance 1 / f from the centre: the rays converge towards the camera and the picture's edge
+is the cube's edge at z = 0. f = 0 is orthographic. A ray stops at step k with probability Q_k prod_{l<k} (1 - Q_l)
+(equation 3), and the pixel is the sum of the colours it stops at (equation 4). The sum of the probabilities is the
+object's mask.
 
 `render_reference` is the definition, in plain PyTorch. `render` gives the same picture and gradients by the fastest way
 the tensors' device has (viewnet.volume_cpu).

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+
 @functools.cache
 def available() -> bool:
     """Whether the compiled path can be used; says once why not."""
@@ -37,9 +38,7 @@ def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int,
 
 class _Render(torch.autograd.Function):
     @staticmethod
-    def forward(
-        ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool
-    ) -> Tensor:
+    def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
         voxels, frames = _padded(volume.detach()), frames.detach().contiguous()
         cells = torch.zeros(voxels.shape[:2], dtype=torch.uint8)
         picture = torch.empty(len(frames), size, size, 4)
@@ -79,7 +78,5 @@ def _run(kernel: str, *arguments: Any) -> None:
     threads = min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS)
     if threads > 1:
         numba.set_num_threads(threads)
-    plain = [
-        (np.float32(a.item()) if a.dim() == 0 else a.numpy()) if isinstance(a, Tensor) else a for a in arguments
-    ]
+    plain = [(np.float32(a.item()) if a.dim() == 0 else a.numpy()) if isinstance(a, Tensor) else a for a in arguments]
     getattr(_volume_kernels, kernel)[threads > 1](*plain)

@@ -15,7 +15,7 @@ from viewnet.errors import ViewnetError
 
 @dataclass(frozen=True)
 class Views:
-    """Some views of a store, in memory: RGB times alpha, and alpha, uint8 (N, 4, S, S), all views of an object in a row."""
+    """Some views of a store, in memory: RGB times alpha and alpha, uint8 (N, 4, S, S), an object's views in a row."""
 
     pixels: Tensor
     crops: Tensor | None  # the same views cut to their object's tight square box, if asked for
@@ -42,7 +42,7 @@ def resize(pictures: Tensor, size: int) -> Tensor:
 
 
 def tight_crop(pictures: Tensor, size: int, margin: float = 0.05) -> Tensor:
-    """Pictures (N, 4, H, H), RGB times alpha and alpha in [0, 1], cut to the square box of their alpha: (N, 4, size, size).
+    """Pictures (N, 4, H, H), RGB times alpha and alpha in [0, 1], cut to their alpha's square box: (N, 4, size, size).
 
     The box keeps its aspect (a square around the longer side, centred) and a `margin` of its side all around; what it
     needs beyond the picture is empty. A picture without an object is left whole.
@@ -95,7 +95,7 @@ def load_views(store: ViewStore, split: str, size: int, crop: int | None = None)
 
 
 def draw_pairs(views: Views, objects: int, targets: int, seed: int, step: int) -> tuple[Tensor, Tensor]:
-    """Rows of `objects` appearance views and of `objects * targets` target views of the same objects, none of them twice.
+    """Rows of `objects` appearance views and of `objects * targets` target views of the same objects, none twice.
 
     An epoch's worth of steps visits every object equally often (a fresh shuffle each time round); the draw depends
     on (seed, step) alone, so that a resumed run sees what an undisturbed one would.
