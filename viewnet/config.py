@@ -105,7 +105,8 @@ class TrainConfig:
     perceptual: Literal["none", "squeezenet", "vgg16"] = "vgg16"
     pixel_weight: float = 0.0  # of L1 + MSE on pixels at two scales, beside the perceptual term
     selection_weight: float = 1.0
-    cycle_weight: float = 0.0  # section 3.4; 0 leaves it out
+    cycle: bool = False  # section 3.4
+    cycle_weight: float = 1.0
     cycle_start: float = 0.0  # fraction of training before the cycle sets in (then ramped up over a tenth)
     cycle_elevation: tuple[float, float] = (-36.0, 72.0)  # where its viewpoints are drawn, degrees
     cycle_head: Literal["selected", "closest"] = "selected"  # which head it pulls
@@ -146,20 +147,35 @@ Changes = dict[str, dict[str, Any]]
 """Section ("data", "model", "train") -> field -> value."""
 
 RECIPES: dict[str, Changes] = {
-    # As printed: black background, VGG16 perceptual loss, a free focal length, stopping by validation accuracy.
-    "paper": {},
+    # As printed, and as released where the paper is silent: black background, VGG16 perceptual loss, a free focal
+    # length, the viewpoint network's input cut to the object, stopping by validation accuracy.
+    "paper": {"model": {"crop": True}, "train": {"augment": True}},
     # Ours: target and reconstruction over the same random colour, so that the mask is learned from colour alone; heads
     # that start apart; elevations within a plausible camera range; stopping without labels. See docs/recipes.md.
     "matting": {
-        "model": {"crop": True, "backdrop": 0.5, "head_spread": 0.5, "elevation_limits": (-22.0, 42.0), "focal": 0.27},
+        "model": {
+            "backdrop": 0.5,
+            "encoder_padding": "zeros",
+            "head_spread": 0.5,
+            "elevation_limits": (-22.0, 42.0),
+            # The camera the views are made with: a free focal length shrinks where depth is mirrored, and so hides it.
+            "focal": 0.268,
+            "learn_focal": False,
+            "template": 10.0,
+        },
         "train": {
             "background": "random",
             "perceptual": "none",
             "pixel_weight": 1.0,
             "select_by": "reconstruction",
+            "selection_weight": 0.1,
+            "neighbours": 8.0,
+            "neighbour_weight": 0.1,
             "learning_rate": 1e-3,
-            "schedule": "cosine",
-            "cycle_start": 0.1,
+            "betas": (0.9, 0.99),
+            "schedule": "hold",
+            "cycle_weight": 0.1,
+            "cycle_start": 0.15,
             "cycle_elevation": (-20.0, 40.0),
             "cycle_head": "closest",
         },
@@ -168,7 +184,7 @@ RECIPES: dict[str, Changes] = {
 
 VARIANTS: dict[str, Changes] = {
     "viewnet": {},
-    "viewnet_cycle": {"train": {"cycle_weight": 1.0}},
+    "viewnet_cycle": {"train": {"cycle": True}},
     "single_head": {"model": {"heads": 1}},
     "segmentation_target": {"train": {"target": "mask"}},
     "no_shape_prior": {"model": {"shape_prior": False}},
@@ -196,17 +212,16 @@ PROFILES: dict[str, Changes] = {
     "tiny": {
         "data": {"models": 1000},
         "model": {
-            "input_size": 32,
             "volume_size": 32,
             "render_size": 32,
-            "encoder_channels": (32, 64, 128, 256, 256, 256),
+            "encoder_channels": (32, 64, 128, 128, 256, 256),
             "code_size": 64,
             "generator_channels": (64, 32, 16),
             "generator_refine": False,
             "generator_last_kernel": 2,
             "appearance_size": 64,
         },
-        "train": {"epochs": 20, "batch_size": 64, "targets_per_object": 4, "coarse": 0.5},
+        "train": {"epochs": 8, "batch_size": 32, "targets_per_object": 2, "coarse": 0.05},
     },
     "small": {
         "data": {"models": 2000},

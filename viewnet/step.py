@@ -164,7 +164,7 @@ def step_loss(
     if model.config.heads > 1:
         terms["selection"] = config.selection_weight * F.cross_entropy(found.hypotheses.logits, found.best)
     ramp = min(1.0, (progress - config.cycle_start) / 0.1) if config.cycle_start else 1.0
-    if config.cycle_weight and ramp > 0:
+    if config.cycle and ramp > 0:
         terms["cycle"] = ramp * config.cycle_weight * _cycle(model, found, config, generator)
     return terms
 

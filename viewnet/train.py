@@ -91,7 +91,7 @@ def train(
     perceptual = None
     if settings.perceptual != "none":
         perceptual = PerceptualLoss(settings.perceptual, Path(weights) if weights else None).to(device)
-    optimiser = torch.optim.Adam(_parameter_groups(model), lr=settings.learning_rate, betas=settings.betas)
+    optimiser = torch.optim.Adam(_parameter_groups(model), lr=settings.learning_rate, betas=settings.betas, fused=True)
     steps = max(1, len(training.objects) // settings.batch_size)  # an epoch: as many targets as there are views
     objects = settings.batch_size // settings.targets_per_object
     total = settings.epochs * steps
