@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import pytest
+
+from viewnet.config import (
+    CATEGORIES,
+    PROFILES,
+    RECIPES,
+    SYNSETS,
+    VARIANTS,
+    DataConfig,
+    ModelConfig,
+    RunConfig,
+    TrainConfig,
+    make_config,
+)
+from viewnet.errors import ViewnetError
+
+EVERY = [(v, p, r) for v in VARIANTS for p in PROFILES for r in RECIPES]
+
+
+@pytest.mark.parametrize(("variant", "profile", "recipe"), EVERY)
+def test_every_configuration_survives_json(variant, profile, recipe):
+    config = make_config(variant, "chair", profile, recipe, seed=3)
+    text = json.dumps(config.to_dict())
+    assert RunConfig.from_dict(json.loads(text)) == config
+    assert hash(RunConfig.from_dict(json.loads(text))) == hash(config)
+
+
+def test_no_two_configurations_share_a_key():
+    keys = {make_config(v, c, p, r, seed=s).key("views") for v, p, r in EVERY for c in ("car", "sofa") for s in (0, 1)}
+    # One pair of names stands for one configuration, even where two recipes or variants come to the same settings.
+    assert len(keys) == 4 * len(EVERY)
+
+
+def test_the_key_follows_every_field_and_every_identity():
+    config = make_config(profile="smoke")
+    keys = {config.key(), config.key("a"), config.key("b"), config.key("a", "b")}
+    for section, change in (("data", {"views": 6}), ("model", {"focal": 0.5}), ("train", {"amp": "off"})):
+        changed = dataclasses.replace(getattr(config, section), **change)
+        keys.add(dataclasses.replace(config, **{section: changed}).key())
+    assert len(keys) == 7
+    assert all(len(key) == 12 and int(key, 16) >= 0 for key in keys)
+    assert make_config(profile="smoke").key("a") == config.key("a")
+
+
+@pytest.mark.parametrize("variant", [v for v in VARIANTS if v != "viewnet"])
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_a_variant_changes_what_it_is_named_after_and_nothing_else(variant, recipe):
+    base = make_config("viewnet", recipe=recipe).to_dict()
+    config = make_config(variant, recipe=recipe).to_dict()
+    changed = {
+        field: config[section][field]
+        for section in ("data", "model", "train")
+        for field in base[section]
+        if config[section][field] != base[section][field]
+    }
+    expected = {field: value for values in VARIANTS[variant].values() for field, value in values.items()}
+    if recipe == "paper":
+        expected.pop("background", None)  # black already
+    assert changed == expected
+
+
+def test_the_paper_recipe_is_what_is_printed():
+    config = make_config(profile="paper")
+    assert config.recipe == "paper"
+    assert (config.train.batch_size, config.train.patience, config.train.select_by) == (64, 30, "accuracy")
+    assert (config.model.heads, config.model.code_size, config.model.appearance_size) == (3, 1024, 256)
+    assert config.data.views == 5
+    assert config.train.perceptual == "vgg16"
+    assert config.train.background == "black"
+
+
+def test_overrides_reach_their_section():
+    config = make_config(epochs=3, volume_size=16, views=7, elevation_limits=[-10, 30])
+    assert (config.train.epochs, config.model.volume_size, config.data.views) == (3, 16, 7)
+    assert config.model.elevation_limits == (-10.0, 30.0)
+
+
+def test_field_names_are_unique_across_sections():
+    """An override names a field without its section."""
+    names = [f.name for cls in (DataConfig, ModelConfig, TrainConfig) for f in dataclasses.fields(cls)]
+    assert len(names) == len(set(names))
+
+
+def test_a_collection_is_used_whole_unless_asked_otherwise():
+    assert make_config(data_root="somewhere").data.models == 0
+    assert make_config(data_root="somewhere", models=40).data.models == 40
+    assert make_config(profile="smoke", data_root="somewhere").data.models == PROFILES["smoke"]["data"]["models"]
+
+
+def test_synsets_are_text_with_all_their_digits():
+    assert all(isinstance(s, str) and len(s) == 8 and s.isdigit() for s in SYNSETS.values())
+    assert len(CATEGORIES) == len(set(SYNSETS.values())) == 12
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"variant": "viewnt"}, "unknown variant 'viewnt': choose one of viewnet, viewnet_cycle"),
+        ({"category": "02958343"}, "unknown category '02958343': choose one of aeroplane"),
+        ({"profile": "big"}, "unknown profile 'big': choose one of smoke, tiny, small, paper"),
+        ({"recipe": "secret"}, "unknown recipe 'secret': choose one of paper, matting"),
+        ({"seed": -1}, "seed -1: expected a whole number"),
+        ({"seed": 1.5}, "seed 1.5: expected a whole number"),
+        ({"seed": True}, "seed True: expected a whole number"),
+        ({"epoch": 3}, "unknown setting 'epoch': choose one of amp"),
+        ({"epochs": "3"}, "config.train.epochs: expected int, got '3'"),
+        ({"epochs": True}, "config.train.epochs: expected int, got True"),
+        ({"learning_rate": "1e-4"}, "config.train.learning_rate: expected float, got '1e-4'"),
+        ({"augment": 1}, "config.train.augment: expected bool, got 1"),
+        ({"schedule": "linear"}, "unknown config.train.schedule 'linear': choose one of constant, cosine"),
+        ({"generator_last_kernel": 3}, "unknown config.model.generator_last_kernel 3: choose one of 2, 4"),
+        ({"elevation_limits": (1.0,)}, "config.model.elevation_limits: expected"),
+        ({"encoder_channels": ("a",)}, "config.model.encoder_channels: expected int, got 'a'"),
+    ],
+)
+def test_what_is_wrong_is_said_with_what_is_right(arguments, message):
+    with pytest.raises(ViewnetError) as error:
+        make_config(**arguments)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.pop("seed"), "config: 'seed' is missing"),
+        (lambda d: d.update(sed=1), "config: unknown setting 'sed'"),
+        (lambda d: d["model"].update(head=1), "config.model: unknown setting 'head'"),
+        (lambda d: d.update(data=[1]), "config.data: expected a mapping"),
+        (lambda d: d["train"].update(epochs=None), "config.train.epochs: expected int, got None"),
+    ],
+)
+def test_a_damaged_file_is_refused(change, message):
+    values = make_config().to_dict()
+    change(values)
+    with pytest.raises(ViewnetError, match=message):
+        RunConfig.from_dict(values)

@@ -1,0 +1,255 @@
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from cad_files import real_data
+from hypothesis import given
+from hypothesis import strategies as st
+
+from viewnet.config import TrainConfig, make_config
+from viewnet.errors import ViewnetError
+from viewnet.geometry import look_at, view_vector
+from viewnet.losses import PerceptualLoss, composite, cycle_loss, head_errors, pixel_loss
+from viewnet.model import Hypotheses, ViewNet
+from viewnet.step import compare, reconstruct, step_loss
+
+PLAIN = {"neighbours": 0.0, "neighbour_weight": 0.0, "amp": "off"}
+SMOKE = make_config(profile="smoke", recipe="matting", **PLAIN)
+
+
+def pictures(count: int, size: int = 32, seed: int = 0) -> torch.Tensor:
+    """(count, 4, size, size): RGB times mask, and mask."""
+    values = torch.rand(count, 4, size, size, generator=torch.Generator().manual_seed(seed))
+    return torch.cat([values[:, :3] * values[:, 3:], values[:, 3:]], dim=1)
+
+
+# Matting
+
+
+@given(st.integers(0, 1000))
+def test_equal_pictures_are_equal_over_every_colour(seed):
+    picture = pictures(3, 8, seed)
+    colour = torch.rand(3, 3, generator=torch.Generator().manual_seed(seed + 1))
+    assert pixel_loss(composite(picture, colour), composite(picture.clone(), colour)) == 0
+
+
+def test_a_wrong_mask_cannot_hide_over_a_random_colour():
+    """Painting black around the object is free over black and costs over any other colour."""
+    target = torch.zeros(1, 4, 8, 8)
+    target[:, :, 2:6, 2:6] = 1
+    painted = target.clone()
+    painted[:, 3] = 1  # the right colours, and black where there should be nothing
+    black, red = torch.zeros(1, 3), torch.tensor([[1.0, 0.0, 0.0]])
+    assert pixel_loss(composite(painted, black), composite(target, black)) == 0
+    assert pixel_loss(composite(painted, red), composite(target, red)) > 0.1
+
+
+def test_compositing_is_a_blend():
+    picture = torch.tensor([0.3, 0.2, 0.1, 0.5]).view(1, 4, 1, 1)
+    assert composite(picture, torch.tensor([[1.0, 0.0, 0.5]])).flatten().tolist() == pytest.approx([0.8, 0.2, 0.35])
+
+
+def test_pixel_loss_by_hand():
+    found, wanted = torch.zeros(1, 1, 2, 2), torch.tensor([[[[1.0, 0.0], [0.0, 0.0]]]])
+    fine, coarse = 1 / 4 + 0.5 * 1 / 4, 1 / 4 + 0.5 * 1 / 16
+    assert pixel_loss(found, wanted).item() == pytest.approx((fine + coarse) / 2)
+
+
+# The choice among heads
+
+
+def test_head_errors_are_means_over_a_picture():
+    drawn, target = torch.rand(2, 3, 3, 4, 4), torch.rand(2, 3, 4, 4)
+    found = head_errors(drawn, target)
+    assert found.shape == (2, 3)
+    assert found[1, 2].item() == pytest.approx((drawn[1, 2] - target[1]).abs().mean().item())
+
+
+@pytest.fixture
+def model():
+    torch.manual_seed(0)
+    return ViewNet(SMOKE.model)
+
+
+def test_the_winner_alone_gets_the_reconstruction_s_gradients(model):
+    model.viewpoint.encoder[-2].weight.data.mul_(5)  # viewpoints that differ from picture to picture
+    target, appearance = pictures(6, seed=1), pictures(6, seed=2)
+    found = reconstruct(model, appearance, target, target, SMOKE.train, torch.rand(6, 3))
+    assert torch.equal(found.best, found.errors.argmin(1))
+    grad_vectors, grad_logits = torch.autograd.grad(
+        pixel_loss(found.picture, found.target),
+        [found.hypotheses.vectors, found.hypotheses.logits],
+        allow_unused=True,
+        materialize_grads=True,
+    )
+    won = F.one_hot(found.best, SMOKE.model.heads).bool()
+    assert (grad_vectors[won].abs().sum(-1) > 0).all()
+    assert (grad_vectors[~won] == 0).all()
+    assert (grad_logits == 0).all()  # which the choice teaches, not the picture
+
+
+def test_the_picture_is_the_winner_s(model):
+    target, colour = pictures(4, seed=1), torch.rand(4, 3)
+    found = reconstruct(model, target, target, target, SMOKE.train, colour)
+    errors = head_errors(found.picture.detach()[:, None], found.target)[:, 0]
+    assert torch.allclose(errors, found.errors.amin(1), atol=1e-5)
+
+
+def test_several_targets_share_an_appearance(model):
+    model.eval()  # batch statistics would tie the pictures together
+    target, appearance, colour = pictures(4, seed=1), pictures(2, seed=2), torch.rand(4, 3)
+    shared = reconstruct(model, appearance, target, target, SMOKE.train, colour)
+    apart = reconstruct(model, appearance.repeat_interleave(2, 0), target, target, SMOKE.train, colour)
+    assert torch.allclose(shared.picture, apart.picture, atol=1e-5)
+    assert torch.allclose(shared.errors, apart.errors, atol=1e-5)
+
+
+def test_a_single_head_has_nothing_to_select():
+    torch.manual_seed(0)
+    config = make_config("single_head", profile="smoke", recipe="matting", **PLAIN)
+    batch = (pictures(4, seed=1), pictures(4, seed=2), pictures(4, seed=2))
+    terms = step_loss(ViewNet(config.model), batch, config.train, None, 0.5, torch.Generator().manual_seed(0))
+    assert set(terms) == {"pixels"}
+
+
+def test_a_segmentation_target_ignores_colour(model):
+    config = dataclasses.replace(SMOKE.train, target="mask")
+    target = pictures(4, seed=1)
+    recoloured = torch.cat([target[:, :3].flip(1), target[:, 3:]], dim=1)
+    one, two = (
+        reconstruct(model.eval(), target, wanted, target, config, torch.rand(4, 3)) for wanted in (target, recoloured)
+    )
+    assert one.picture.shape == (4, 1, SMOKE.model.render_size, SMOKE.model.render_size)
+    assert torch.equal(one.errors, two.errors)
+
+
+# Neighbours of the heads
+
+
+def test_heads_are_compared_by_the_best_viewpoint_around_each(model):
+    """A head that is off by the step between neighbours draws the target without an error."""
+    config = dataclasses.replace(SMOKE.train, neighbours=8.0, neighbour_weight=1.0)
+    torch.manual_seed(1)
+    code = torch.randn(6, SMOKE.model.appearance_size)
+    shape = model.shape(code)
+    azimuth, elevation = 60 * torch.arange(6.0), torch.full((6,), 10.0)
+    heads = torch.stack([view_vector(azimuth + 8, elevation), view_vector(azimuth + 170, elevation)], dim=1)
+    colour = torch.rand(6, 3)
+    target = composite(model.draw(shape, code, look_at(view_vector(azimuth, elevation))), colour)
+    nearby, errors = compare(model, shape, code, Hypotheses(heads, torch.zeros(6, 2)), target, config, colour)
+    assert torch.allclose(nearby[:, 0], view_vector(azimuth, elevation), atol=1e-5)
+    assert errors[:, 0].max() < 1e-5
+    assert (errors[:, 1] > errors[:, 0]).all()
+    plain, further = compare(model.eval(), shape, code, Hypotheses(heads, torch.zeros(6, 2)), target, config, colour)
+    assert torch.equal(plain, heads)  # which is for training only
+    assert (further[:, 0] > errors[:, 0]).all()
+
+
+# Cycle consistency
+
+
+def test_the_cycle_pulls_the_selected_head_or_the_closest():
+    truth = torch.tensor([[1.0, 0.0, 0.0]])
+    vectors = F.normalize(torch.tensor([[[1.0, 0.2, 0.0], [0.0, 1.0, 0.0]]]), dim=-1)
+    logits = torch.tensor([[0.0, 3.0]])  # the second is selected, the first is right
+    moved = {}
+    for head in ("selected", "closest"):
+        v, s = vectors.clone().requires_grad_(), logits.clone().requires_grad_()
+        loss = cycle_loss(Hypotheses(v, s), truth, TrainConfig(cycle_head=head))
+        loss.backward()
+        moved[head] = (v.grad.abs().sum(-1) > 0).flatten().tolist()
+        assert s.grad[0, 0] < 0 < s.grad[0, 1]  # either way the right head's logit is to rise
+        pulled = {"selected": vectors[0, 1], "closest": vectors[0, 0]}[head]
+        expected = F.mse_loss(pulled, truth[0]) + F.cross_entropy(logits, torch.tensor([0]))
+        assert loss.item() == pytest.approx(expected.item())
+    assert moved == {"selected": [False, True], "closest": [True, False]}
+
+
+def test_the_cycle_teaches_the_viewpoint_network_only(model):
+    config = dataclasses.replace(SMOKE.train, cycle=True, cycle_weight=1.0, cycle_start=0.0)
+    batch = (pictures(4, seed=1), pictures(4, seed=2), pictures(4, seed=2))
+    terms = step_loss(model, batch, config, None, 0.5, torch.Generator().manual_seed(0))
+    terms["cycle"].backward()
+    assert any(p.grad is not None and p.grad.any() for p in model.viewpoint.parameters())
+    for part in (model.appearance, model.decoder):
+        assert all(p.grad is None for p in part.parameters())
+    assert model.focal.grad is None
+
+
+@pytest.mark.parametrize(("progress", "factor"), [(0.0, None), (0.1, None), (0.15, 0.5), (0.2, 1.0), (0.9, 1.0)])
+def test_the_cycle_sets_in_and_is_ramped_up(model, progress, factor):
+    config = dataclasses.replace(SMOKE.train, cycle=True, cycle_weight=2.0, cycle_start=0.1)
+    batch = (pictures(4, seed=1), pictures(4, seed=2), pictures(4, seed=2))
+    model.eval()
+    late = step_loss(model, batch, config, None, 1.0, torch.Generator().manual_seed(0))["cycle"]
+    terms = step_loss(model, batch, config, None, progress, torch.Generator().manual_seed(0))
+    if factor is None:
+        assert "cycle" not in terms
+    else:
+        assert terms["cycle"].item() == pytest.approx(factor * late.item(), rel=1e-5)
+
+
+# Features
+
+
+@pytest.fixture(scope="module")
+def squeezenet():
+    return PerceptualLoss("squeezenet", real_data() / "weights" / "squeezenet1_1_features.pth")
+
+
+def test_the_perceptual_loss_is_zero_for_equal_pictures_and_falls_on_the_way_there(squeezenet):
+    one, two = torch.rand(2, 1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    assert squeezenet(one, one) == 0
+    distances = [squeezenet(torch.lerp(one, two, t), two).item() for t in np.linspace(0, 1, 5)]
+    assert distances == sorted(distances, reverse=True)
+
+
+def test_the_perceptual_loss_passes_gradients_to_the_picture_only(squeezenet):
+    picture, target = torch.rand(1, 3, 32, 32, requires_grad=True), torch.rand(1, 3, 32, 32, requires_grad=True)
+    squeezenet(picture, target).backward()
+    assert picture.grad.any()
+    assert target.grad is None
+    assert not any(p.requires_grad for p in squeezenet.parameters())
+
+
+def test_features_are_torchvision_s(squeezenet):
+    import torchvision
+
+    network = torchvision.models.squeezenet1_1(weights=None)
+    state = torch.load(real_data() / "weights" / "squeezenet1_1_features.pth", weights_only=True)
+    network.load_state_dict({f"features.{k.removeprefix('features.')}": v for k, v in state.items()}, strict=False)
+    picture = torch.rand(1, 3, 48, 48)
+    mean, std = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
+    x = (picture - mean.view(1, 3, 1, 1)) / std.view(1, 3, 1, 1)
+    found = squeezenet.features(picture)
+    assert len(found) == 4
+    assert torch.allclose(found[0], x, atol=1e-6)
+    for layers, tap in ((2, found[1]), (5, found[2]), (8, found[3])):
+        assert torch.allclose(network.eval().features[:layers](x), tap, atol=1e-4)
+
+
+@pytest.mark.parametrize("network", ["vgg16", "squeezenet"])
+def test_missing_weights_say_where_they_belong(network, tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    with pytest.raises(ViewnetError) as error:
+        PerceptualLoss(network)
+    message = str(error.value)
+    assert str(tmp_path / "hub" / "checkpoints") in message
+    assert "https://download.pytorch.org/models/" in message
+    assert f"VIEWNET_{network.upper()}_WEIGHTS" in message
+    assert "perceptual=none" in message
+
+
+def test_files_without_weights_are_refused(tmp_path: Path):
+    for name, content in (("text.pth", b"no weights"), ("empty.pth", b"")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(ViewnetError, match=f"{name} does not hold squeezenet weights"):
+            PerceptualLoss("squeezenet", tmp_path / name)
+    torch.save({"features.0.weight": torch.zeros(3)}, tmp_path / "other.pth")
+    with pytest.raises(ViewnetError, match="does not hold squeezenet weights"):
+        PerceptualLoss("squeezenet", tmp_path / "other.pth")

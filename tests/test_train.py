@@ -1,0 +1,306 @@
+"""Training as a whole, on made-up boxes: the same bits every time, resumed or not, and the right weights kept."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import math
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from boxes import box_store
+from safetensors import safe_open
+from safetensors.torch import load_file
+
+from viewnet import train as training
+from viewnet.config import RunConfig, make_config
+from viewnet.data.pairs import load_views
+from viewnet.data.store import ViewStore
+from viewnet.errors import ViewnetError
+from viewnet.predict import candidates, load_model, predict
+from viewnet.step import augment, autocast
+from viewnet.train import train
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory) -> ViewStore:
+    return box_store(tmp_path_factory.mktemp("views") / "boxes", {"train": 6, "val": 3, "test": 2}, views=4)
+
+
+def config(variant: str = "viewnet", **overrides) -> RunConfig:
+    """Three steps an epoch."""
+    settings = {"epochs": 2, "batch_size": 8, "targets_per_object": 1, "patience": 100, "amp": "off"}
+    settings |= {"neighbours": 0.0, "neighbour_weight": 0.0, "learning_rate": 1e-3, "recipe": "matting"}
+    return make_config(variant, profile="smoke", **{**settings, **overrides})
+
+
+def trained(store: ViewStore, folder: Path, variant: str = "viewnet", **overrides) -> Path:
+    train(config(variant, **overrides), store, folder, threads=1, progress=False)
+    return folder
+
+
+def weights(folder: Path) -> dict[str, torch.Tensor]:
+    return load_file(folder / "checkpoint.safetensors")
+
+
+def same(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> bool:
+    return one.keys() == two.keys() and all(torch.equal(one[name], two[name]) for name in one)
+
+
+def log(folder: Path) -> list[dict[str, str]]:
+    """The rows of log.csv but for the time they took."""
+    with (folder / "log.csv").open(newline="") as file:
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+
+
+class Killed(Exception):
+    pass
+
+
+def killed_after(
+    store: ViewStore, folder: Path, monkeypatch, steps: int, variant: str = "viewnet", **overrides
+) -> None:
+    """A training that dies after so many steps."""
+    left = iter(range(steps))
+    step_loss = training.step_loss
+
+    def dying(*arguments):
+        if next(left, None) is None:
+            raise Killed
+        return step_loss(*arguments)
+
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(training, "step_loss", dying)
+        trained(store, folder, variant, **overrides)
+
+
+# The same bits
+
+
+def test_training_twice_gives_the_same_bits(store, tmp_path):
+    one, two = (trained(store, tmp_path / name) for name in ("one", "two"))
+    assert same(weights(one), weights(two))
+    assert log(one) == log(two)
+    assert not same(weights(one), weights(trained(store, tmp_path / "other", learning_rate=2e-3)))
+
+
+@pytest.mark.parametrize(
+    ("variant", "overrides"),
+    [
+        ("viewnet_cycle", {"epochs": 3, "coarse": 0.5, "cycle_start": 0.2, "targets_per_object": 2}),
+        ("single_head", {"epochs": 3, "augment": True}),
+        ("hologan_decoder", {"epochs": 3, "neighbours": 8.0, "neighbour_weight": 1.0}),
+        ("encoder_decoder", {"epochs": 3, "recipe": "paper", "perceptual": "none", "pixel_weight": 1.0}),
+    ],
+)
+def test_a_killed_run_goes_on_as_if_nothing_had_been(store, tmp_path, monkeypatch, variant, overrides):
+    whole = trained(store, tmp_path / "whole", variant, **overrides)
+    killed_after(store, tmp_path / "killed", monkeypatch, 7, variant, **overrides)  # in the third epoch
+    assert not (tmp_path / "killed" / "checkpoint.safetensors").exists()
+    assert log(tmp_path / "killed") == log(whole)[:2]
+    torch.manual_seed(12345)  # whatever else has been going on
+    resumed = trained(store, tmp_path / "killed", variant, **overrides)
+    assert same(weights(resumed), weights(whole))
+    assert log(resumed) == log(whole)
+    assert {path.name for path in resumed.iterdir()} == {"checkpoint.safetensors", "log.csv"}
+
+
+def test_a_finished_run_is_left_alone(store, tmp_path):
+    folder = trained(store, tmp_path / "run", epochs=1)
+    written = (folder / "checkpoint.safetensors").stat().st_mtime_ns
+    trained(store, folder, epochs=1)
+    assert (folder / "checkpoint.safetensors").stat().st_mtime_ns == written
+
+
+# What is kept
+
+
+def scored(monkeypatch, reconstruction: list[float], accuracy: list[float]) -> list[dict[str, torch.Tensor]]:
+    """Validations give these numbers, one after another; the weights that each of them saw."""
+    seen: list[dict[str, torch.Tensor]] = []
+
+    def validate(model, *_):
+        seen.append({name: value.detach().clone() for name, value in model.state_dict().items()})
+        return {"reconstruction": reconstruction[len(seen) - 1], "accuracy": accuracy[len(seen) - 1]}
+
+    monkeypatch.setattr(training, "validate", validate)
+    return seen
+
+
+@pytest.mark.parametrize(("criterion", "kept"), [("reconstruction", 1), ("accuracy", 2)])
+def test_the_best_weights_by_the_criterion_are_kept(store, tmp_path, monkeypatch, criterion, kept):
+    seen = scored(monkeypatch, [0.3, 0.1, 0.2, 0.1], [10.0, 20.0, 40.0, 40.0])
+    folder = trained(store, tmp_path / "run", epochs=4, select_by=criterion)
+    assert same(weights(folder), seen[kept])  # of equals the first
+    with safe_open(folder / "checkpoint.safetensors", framework="pt") as file:
+        metadata = file.metadata()
+    assert metadata["epoch"] == str(kept + 1)
+    assert RunConfig.from_dict(json.loads(metadata["config"])).train.select_by == criterion
+
+
+def test_training_stops_when_patience_is_at_its_end(store, tmp_path, monkeypatch):
+    scored(monkeypatch, [0.5, 0.4] + [0.45] * 10, [0.0] * 12)
+    folder = trained(store, tmp_path / "run", epochs=12, patience=3)
+    assert [row["epoch"] for row in log(folder)] == ["1", "2", "3", "4", "5"]
+    assert not (folder / "state.pt").exists()
+
+
+def test_validations_may_be_rare_but_the_last_epoch_has_one(store, tmp_path):
+    folder = trained(store, tmp_path / "run", epochs=3, validate_every=2)
+    assert [row["epoch"] for row in log(folder)] == ["2", "3"]
+
+
+def test_choosing_without_labels_reads_none(store, tmp_path, monkeypatch):
+    honest = trained(store, tmp_path / "honest", select_by="reconstruction")
+
+    def mislabelled(*arguments):
+        views = load_views(*arguments)
+        return dataclasses.replace(views, truth=0.05 * views.truth.flip(0))
+
+    monkeypatch.setattr(training, "load_views", mislabelled)
+    other = trained(store, tmp_path / "other", select_by="reconstruction")
+    assert same(weights(honest), weights(other))
+    without = [{k: v for k, v in row.items() if k != "val_accuracy"} for row in log(honest)]
+    assert without == [{k: v for k, v in row.items() if k != "val_accuracy"} for row in log(other)]
+    assert log(honest) != log(other)  # accuracy is told, and does depend on labels
+
+
+# The schedule
+
+
+@pytest.mark.parametrize(
+    ("schedule", "factors"),
+    [
+        ("constant", [1.0] * 6),
+        ("cosine", [(1 + math.cos(math.pi * k / 6)) / 2 for k in range(6)]),
+        ("hold", [1.0, 1.0, 1.0, 1.0, *[(1 + math.cos(math.pi * (k / 6 - 0.6) / 0.4)) / 2 for k in (4, 5)]]),
+    ],
+)
+def test_learning_rates(store, tmp_path, monkeypatch, schedule, factors):
+    rates: list[float] = []
+    step = torch.optim.Adam.step
+
+    def recording(self, *arguments):
+        rates.append(self.param_groups[0]["lr"])
+        return step(self, *arguments)
+
+    monkeypatch.setattr(torch.optim.Adam, "step", recording)
+    trained(store, tmp_path / "run", schedule=schedule, learning_rate=0.01)
+    assert rates == pytest.approx([0.01 * factor for factor in factors])
+
+
+# What goes wrong
+
+
+def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_state(store, tmp_path, monkeypatch):
+    step_loss = training.step_loss
+    calls = iter(range(100))
+
+    def broken(*arguments):
+        terms = step_loss(*arguments)
+        return {name: value * math.nan for name, value in terms.items()} if next(calls) == 4 else terms
+
+    folder = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "step_loss", broken)
+        with pytest.raises(ViewnetError, match=r"the loss is not finite at step 4 \(pixels nan, selection nan\)"):
+            trained(store, folder)
+    state = torch.load(folder / "state.pt", weights_only=True)
+    assert state["epoch"] == 1
+    assert all(value.isfinite().all() for value in state["model"].values())
+    assert not (folder / "checkpoint.safetensors").exists()
+    assert same(weights(trained(store, folder)), weights(trained(store, tmp_path / "whole")))
+
+
+def test_settings_that_do_not_go_together(store, tmp_path):
+    with pytest.raises(ViewnetError, match="batch_size 8 is no multiple of targets_per_object 3"):
+        trained(store, tmp_path / "run", targets_per_object=3)
+
+
+def test_views_that_cannot_be_paired(tmp_path):
+    store = box_store(tmp_path / "views", {"train": 4, "val": 2}, views=1)
+    with pytest.raises(ViewnetError, match="two views or more of every object"):
+        trained(store, tmp_path / "run")
+
+
+# Parts of a step
+
+
+def test_augmented_pictures_stay_close_to_the_originals():
+    pictures = torch.zeros(64, 4, 32, 32)
+    pictures[:, :, 8:24, 8:24] = 1
+    changed = augment(pictures, torch.Generator().manual_seed(0))
+    assert changed.shape == pictures.shape
+    area = changed[:, 3].mean((1, 2)) / pictures[:, 3].mean((1, 2))
+    assert area.min() > 0.95  # cut to 80 to 100 % of the area and enlarged: nothing shrinks
+    assert area.max() < 1 / 0.8 + 0.05
+    assert area.std() > 0.02
+    assert torch.equal(changed, augment(pictures, torch.Generator().manual_seed(0)))
+
+
+def test_low_precision_can_be_switched_off():
+    device = torch.device("cpu")
+    assert not autocast(device, config(amp="off").train)._enabled
+    assert autocast(device, config(amp="auto").train)._enabled == torch.cpu._is_amx_tile_supported()
+
+
+# From a checkpoint to predictions
+
+
+@pytest.fixture(scope="module")
+def run(store, tmp_path_factory) -> Path:
+    return trained(store, tmp_path_factory.mktemp("runs") / "run", epochs=1)
+
+
+def test_predictions_are_in_the_store_s_order_and_repeatable(store, run):
+    found = predict(run, store)
+    rows = store.index[store.index["split"].isin(["val", "test"])]
+    assert found.ids["model_id"].tolist() == rows["model_id"].tolist()
+    assert found.ids["view"].tolist() == rows["view"].tolist()
+    assert found.heads == 3
+    again = predict(load_model(run)[0], store)
+    assert (found.hypotheses == again.hypotheses).all()
+    assert (found.logits == again.logits).all()
+
+
+def test_a_loaded_model_is_the_one_that_was_kept(run):
+    model, loaded = load_model(run)
+    assert loaded == config(epochs=1)
+    assert not model.training
+    assert same({k: v.cpu() for k, v in model.state_dict().items()}, weights(run))
+
+
+def test_candidates_are_ranked_by_what_they_draw(store, run):
+    views, drawn, errors, heads = candidates(run, store, [0, 3, 5])
+    size = config().model.render_size
+    assert views.shape == (3, size, size, 3)
+    assert drawn.shape == (3, 3, size, size, 3)
+    assert (errors[:, :-1] <= errors[:, 1:]).all()
+    assert (heads.argsort(axis=1).argsort(axis=1) == heads).all()  # a permutation of the heads each
+    assert sorted(heads[0].tolist()) == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda file: file.unlink(), "no checkpoint at"),
+        (lambda file: file.write_bytes(file.read_bytes()[:1000]), "is not a whole checkpoint"),
+        (lambda file: file.write_bytes(b""), "is not a whole checkpoint"),
+    ],
+)
+def test_damaged_checkpoints_are_refused(run, tmp_path, damage, message):
+    shutil.copytree(run, tmp_path / "run")
+    damage(tmp_path / "run" / "checkpoint.safetensors")
+    with pytest.raises(ViewnetError, match=message):
+        load_model(tmp_path / "run")
+
+
+@pytest.mark.slow
+def test_training_learns_to_draw(store, tmp_path):
+    rows = log(trained(store, tmp_path / "run", epochs=25, learning_rate=3e-3))
+    assert float(rows[-1]["pixels"]) < 0.7 * float(rows[0]["pixels"])
