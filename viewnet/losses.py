@@ -44,6 +44,9 @@ class PerceptualLoss(nn.Module):
     downloaded: ViewnetError says where the file is expected.
     """
 
+    mean: Tensor
+    std: Tensor
+
     def __init__(self, network: str, weights: Path | None = None):
         super().__init__()
         self.taps = FEATURE_NETWORKS[network]

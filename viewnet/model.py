@@ -69,6 +69,8 @@ class ViewNet(nn.Module):
     channel is 1 everywhere.
     """
 
+    prior: Tensor
+
     def __init__(self, config: ModelConfig):
         super().__init__()
         self.config = config

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -30,7 +31,13 @@ class Encoder(nn.Sequential):
     ReLU; left out here as in the released code, since a ReLU would confine view vectors to one octant.
     """
 
-    def __init__(self, channels: tuple[int, ...], outputs: int, image_size: int, padding: str = "replicate"):
+    def __init__(
+        self,
+        channels: tuple[int, ...],
+        outputs: int,
+        image_size: int,
+        padding: Literal["replicate", "zeros"] = "replicate",
+    ):
         levels = power_of_two(image_size, 8, "image_size")
         if len(channels) < levels:
             raise ViewnetError(f"encoder_channels {channels}: {levels} are needed for images of {image_size} pixels")
@@ -119,6 +126,8 @@ class Generator(nn.Module):
     appearance; without it the appearance takes the code's place (the encoder-decoder row of Table 2).
     """
 
+    code: Tensor
+
     def __init__(self, config: ModelConfig):
         super().__init__()
         levels = power_of_two(config.volume_size, 8, "volume_size") - 2
@@ -146,8 +155,10 @@ class Generator(nn.Module):
         x = self.code.expand(len(appearance), -1, -1, -1, -1) if self.adain else appearance[:, :, None, None, None]
         for stage in self.stages:
             x = stage(x, appearance)
-        coarse = coarse and isinstance(self.last, Doubling)
-        logits = self.last.coarse(x) if coarse else self.last(x)
+        if coarse and isinstance(self.last, Doubling):
+            logits = self.last.coarse(x)
+        else:
+            coarse, logits = False, self.last(x)
         if self.template is None:
             return logits
         mean = self.template.permute(0, 4, 1, 2, 3)

@@ -75,7 +75,7 @@ def _run(kernel: str, *arguments: Any) -> None:
 
     from viewnet import _volume_kernels
 
-    threads = min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS)
+    threads = min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
     if threads > 1:
         numba.set_num_threads(threads)
     plain = [(np.float32(a.item()) if a.dim() == 0 else a.numpy()) if isinstance(a, Tensor) else a for a in arguments]
