@@ -18,9 +18,9 @@ from viewnet.errors import ViewnetError
 from viewnet.geometry import look_at, view_vector
 from viewnet.render import choose_backend, opengl, render
 from viewnet.render.camera import DISTANCE, FOCAL, camera_frames, project
-from viewnet.render.raster import AMBIENT
+from viewnet.render.raycast import AMBIENT
 
-BACKENDS = ("raster", "pyrender")
+BACKENDS = ("raycast", "pyrender")
 # Where the camera is to see each side of the box straight on.
 STRAIGHT = {"front": (0, 0), "left": (90, 0), "back": (180, 0), "right": (270, 0), "top": (0, 90), "bottom": (0, -90)}
 
@@ -181,7 +181,7 @@ def test_alpha_is_whole_inside_and_partial_at_edges_only(box: Mesh, backend: str
     assert (near.min(axis=0)[partial] == 0).all() or (near.max(axis=0)[partial] == 255).all()
     outside = alpha == 0
     assert (image[outside] == 0).all()
-    (coarse,) = render(box, np.array([37.0]), np.array([20.0]), 64, supersample=1, backend="raster")
+    (coarse,) = render(box, np.array([37.0]), np.array([20.0]), 64, supersample=1, backend="raycast")
     assert set(np.unique(coarse[..., 3])) == {0, 255}
 
 
@@ -310,9 +310,9 @@ def test_pyrender_falls_back_with_one_warning(
 
     monkeypatch.setattr(opengl, "check", fail)
     with caplog.at_level(logging.WARNING):
-        assert choose_backend("pyrender") == "raster"
+        assert choose_backend("pyrender") == "raycast"
     assert [r.getMessage() for r in caplog.records] == [
-        "pyrender cannot draw here (ImportError: no display): using the software renderer"
+        "pyrender cannot draw here (ImportError: no display): using the ray caster"
     ]
 
 

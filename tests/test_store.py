@@ -191,7 +191,7 @@ def test_rendered_store(models: list[ModelFile], tmp_path: Path) -> None:
     assert dict(zip(store.index["model_id"], store.index["split"], strict=True)) == {m.id: m.split for m in models}
     assert store.index["azimuth"].between(0, 360).all() and store.index["elevation"].between(-20, 40).all()
     assert (store.images[..., 3].reshape(14, -1) == 255).any(axis=1).all()
-    assert store.meta["made_by"]["renderer"]["name"] == "raster"
+    assert store.meta["made_by"]["renderer"]["name"] == "raycast"
     assert not [p for p in tmp_path.iterdir() if p.name.endswith(".partial")]
 
 

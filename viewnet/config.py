@@ -50,7 +50,7 @@ class DataConfig:
     azimuth_range: tuple[float, float] = (0.0, 360.0)
     elevation_range: tuple[float, float] = (-20.0, 40.0)
     seed: int = 0
-    renderer: Literal["auto", "raster", "pyrender"] = "auto"
+    renderer: Literal["auto", "raycast", "pyrender"] = "auto"
 
 
 @dataclass(frozen=True)

@@ -52,3 +52,26 @@ class Mesh:
     materials: tuple[Material, ...]
     uv: np.ndarray | None = None
     colours: np.ndarray | None = None
+
+
+def surfaces(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each set of faces (F, 3) with the same vertices, the first (G,), ascending, and the first wound otherwise.
+
+    CAD models often hold a surface twice, once for each side. Where there is no face of the other winding the second
+    array repeats the first: that face is seen from both sides.
+    """
+    order = np.argsort(faces, axis=1, kind="stable")
+    low, middle, high = np.take_along_axis(faces, order, axis=1).T
+    even = (order[:, 1] - order[:, 0]) % 3 == 1
+    ranked = np.lexsort((high, middle, low))
+    key = np.stack([low, middle, high], axis=1)[ranked]
+    begins = np.append(True, (key[1:] != key[:-1]).any(axis=1))[: len(faces)]
+    group = np.cumsum(begins) - 1
+    first = ranked[begins]
+    # Ranking is stable, so of each set the first with the other winding comes first here too.
+    otherwise = np.flatnonzero(even[ranked] != even[first][group])
+    sets, at = np.unique(group[otherwise], return_index=True)
+    other = first.copy()
+    other[sets] = ranked[otherwise[at]]
+    ascending = np.argsort(first)
+    return first[ascending], other[ascending]

@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from viewnet.data.mesh import Material, Mesh
+from viewnet.data.mesh import Mesh
 from viewnet.errors import ViewnetError
 from viewnet.render.camera import RADIUS, camera_frames
 
-Backend = Literal["auto", "raster", "pyrender"]
+Backend = Literal["auto", "raycast", "pyrender"]
 
-VERSION = 1
+VERSION = 2
 """Raise it when a change alters pictures: it is part of every view store's identity."""
 
 log = logging.getLogger(__name__)
@@ -63,27 +63,20 @@ def render_frames(
         from viewnet.render import opengl
 
         return opengl.draw(mesh, frames, lights, size, supersample)
-    from viewnet.render import raster
+    from viewnet.render import raycast
 
-    return raster.draw(raster.prepare(mesh), frames, lights, size, supersample)
+    return raycast.draw(raycast.prepare(mesh), frames, lights, size, supersample)
 
 
 def choose_backend(backend: Backend) -> Backend:
-    """The back end that will draw: `auto` is the software renderer; pyrender falls back to it, with a warning."""
-    if backend not in ("auto", "raster", "pyrender"):
-        raise ViewnetError(f"unknown renderer {backend!r}: choose one of auto, raster, pyrender")
+    """The back end that will draw: `auto` is the ray caster; pyrender falls back to it, with a warning."""
+    if backend not in ("auto", "raycast", "pyrender"):
+        raise ViewnetError(f"unknown renderer {backend!r}: choose one of auto, raycast, pyrender")
     if backend == "pyrender":
         try:
             importlib.import_module("viewnet.render.opengl").check()
         except Exception as error:  # GL stacks fail in every way there is.
-            log.warning("pyrender cannot draw here (%s: %s): using the software renderer", type(error).__name__, error)
-            return "raster"
+            log.warning("pyrender cannot draw here (%s: %s): using the ray caster", type(error).__name__, error)
+            return "raycast"
         return "pyrender"
-    return "raster"
-
-
-def warm_up(backend: Backend) -> None:
-    """Compile what the back end compiles on first use, so that processes started afterwards find it on disk."""
-    corner = Mesh(np.eye(3) * 0.1, np.array([[0, 1, 2]], np.int32), np.zeros(1, np.int32), (Material(),))
-    if backend != "pyrender":
-        render_frames(corner, np.eye(3)[None], np.eye(3)[2:], 1, 1, backend)
+    return "raycast"

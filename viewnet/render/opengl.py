@@ -1,6 +1,6 @@
-"""The OpenGL renderer: pyrender off screen (EGL or OSMesa), with shaders that light as the software renderer does.
+"""The OpenGL renderer: pyrender off screen (EGL or OSMesa), with shaders that light as the ray caster does.
 
-It is the independent check of `raster`, and an option; it needs pyrender and a driver, which not every machine has.
+It is the independent check of `raycast`, and an option; it needs pyrender and a driver, which not every machine has.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from viewnet.data.mesh import Mesh
+from viewnet.data.mesh import Mesh, surfaces
 from viewnet.render.camera import DISTANCE, FOCAL, RADIUS
-from viewnet.render.raster import ALPHA_CUT, AMBIENT, one_sided
+from viewnet.render.raycast import ALPHA_CUT, AMBIENT
 
 _VERTEX = """#version 330 core
 layout(location = 0) in vec3 position;
@@ -164,7 +164,11 @@ def _primitives(mesh: Mesh) -> list[Any]:
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
-    single = one_sided(mesh)
+    front, back = surfaces(mesh.faces)
+    shown, single = np.zeros((2, len(mesh.faces)), bool)
+    shown[front] = shown[back] = True
+    for side in (front, back):
+        single[side] = front != back
     primitives = []
     for number in np.unique(mesh.material):
         entry = mesh.materials[number]
@@ -176,7 +180,7 @@ def _primitives(mesh: Mesh) -> list[Any]:
             sampler = pyrender.Sampler(magFilter=_LINEAR, minFilter=_LINEAR, wrapS=_REPEAT, wrapT=_REPEAT)
             texture = pyrender.Texture(source=texels, source_channels="RGBA", sampler=sampler)
         for one in (False, True):
-            faces = (mesh.material == number) & (single == one)
+            faces = shown & (mesh.material == number) & (single == one)
             if not faces.any():
                 continue
             coloured = number == 0 and mesh.colours is not None

@@ -25,7 +25,7 @@ from tqdm import tqdm
 from viewnet.data.shapenet import ModelFile
 from viewnet.data.store import ViewStore, identity_of, write_store
 from viewnet.errors import ViewnetError
-from viewnet.render import VERSION, Backend, choose_backend, warm_up
+from viewnet.render import VERSION, Backend, choose_backend
 from viewnet.render.camera import DISTANCE, FOCAL, camera_frames
 from viewnet.render.chunk import Chunk, draw_chunk, read_chunk
 
@@ -247,8 +247,6 @@ def _draw(jobs: list[Chunk], total: int, workers: int | None, progress: bool, vi
                 for job in jobs:
                     bar.update(draw_chunk(job))
                 return
-            # Compiled code is cached on disk: made once here rather than once in every process.
-            warm_up(jobs[0].backend)
             with _one_thread_each(), _pool(workers) as pool:
                 for done in as_completed([pool.submit(draw_chunk, job) for job in jobs]):
                     bar.update(done.result())
