@@ -14,6 +14,7 @@ from evaluation_data import make_index, noisy
 
 from viewnet.config import DataConfig, RunConfig
 from viewnet.errors import ViewnetError
+from viewnet.files import replacing
 from viewnet.predictions import Predictions
 from viewnet.runs import Steps
 
@@ -35,7 +36,8 @@ def views(config: DataConfig, workers: int | None = None, progress: bool = True)
     index = make_index(30, 4, config.category, seed=config.seed).assign(source="")
     if config.root is not None:
         index["model_id"] = "real-" + index["model_id"]
-    index.to_parquet(folder / "index.parquet")
+    with replacing(folder / "index.parquet") as temporary:  # another process may be reading it
+        index.to_parquet(temporary)
     return open_store(folder)
 
 

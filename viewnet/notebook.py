@@ -15,6 +15,9 @@ from viewnet.errors import ViewnetError
 from viewnet.experiment import Experiment, experiment
 from viewnet.files import replacing
 
+PATIENCE = 600
+"""Seconds to wait for a kernel: on a busy machine the usual minute is not enough."""
+
 
 def folder() -> Path:
     """Where the notebooks are: under the project's root, else in the checkout this package lies in."""
@@ -86,7 +89,13 @@ def run(name: str, values: Sequence[tuple[str, str]] = (), output: Path | None =
     try:
         # Progress bars are on the kernel's stderr; here they reach the terminal as well as the copy.
         papermill.execute_notebook(
-            str(source), str(output), given, kernel_name="python3", progress_bar=False, stderr_file=sys.stderr
+            str(source),
+            str(output),
+            given,
+            kernel_name="python3",
+            start_timeout=PATIENCE,
+            progress_bar=False,
+            stderr_file=sys.stderr,
         )
     except papermill.PapermillExecutionError as error:
         _explain(error.ename, error.evalue, output)
@@ -106,12 +115,18 @@ def refresh(name: str) -> Path:
     notebook = nbformat.read(source, as_version=4)
     environment = dict(os.environ, TQDM_DISABLE="1")
     try:
-        NotebookClient(notebook, kernel_name="python3", timeout=None, record_timing=False).execute(env=environment)
+        client = NotebookClient(
+            notebook, kernel_name="python3", timeout=None, startup_timeout=PATIENCE, record_timing=False
+        )
+        client.execute(env=environment)
     except CellExecutionError as error:
         _explain(error.ename, error.evalue, source)
     except Exception as error:
         _explain(type(error).__name__, str(error), source)
     notebook.metadata.pop("language_info", None)
+    for cell in notebook.cells:
+        if "outputs" in cell:  # progress is told on stderr
+            cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
     with replacing(source) as temporary:
         nbformat.write(notebook, temporary)
     return source

@@ -174,7 +174,7 @@ class Table:
         median = measured[measured["metric"] == "median"]
         return {
             "every printed row is here": set(printed["row"]) <= set(self.rows),
-            "every row of ours is measured in every category": len(measured) == (cells["variant"] != "").sum(),
+            "every row of ours is measured in every category": len(measured) == int((cells["variant"] != "").sum()),
             "nothing is measured elsewhere": bool((measured["variant"] != "").all()),
             "accuracies lie between 0 and 100": bool(accuracy["measured"].between(0, 100).all()),
             "medians lie between 0 and 180": bool(median["measured"].between(0, 180).all()),

@@ -14,10 +14,10 @@ from multiprocessing.context import SpawnProcess
 from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from viewnet import provenance, runs
 from viewnet.errors import ViewnetError
+from viewnet.progress import bar as progress_bar
 
 POLL = 1.0  # seconds between looks at the logs
 
@@ -35,7 +35,7 @@ def run_all(jobs: Sequence[runs.Job], steps: runs.Steps, workers: int | None, pr
     failures: dict[int, str] = {}
     queue = deque(enumerate(jobs))
     crew = [_Worker(steps, max(1, provenance.cores() // workers), _gpu(i, gpus)) for i in range(workers)]
-    bar = tqdm(total=len(jobs), unit="run", disable=None if progress else True)
+    bar = progress_bar(progress, total=len(jobs), unit="run")
     try:
         while queue or any(worker.busy for worker in crew):
             for worker in crew:
