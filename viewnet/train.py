@@ -17,7 +17,6 @@ from typing import Any
 
 import torch
 from safetensors.torch import save_file
-from tqdm import tqdm
 
 from viewnet.alignment import fit_rotation
 from viewnet.config import RunConfig, TrainConfig
@@ -28,6 +27,7 @@ from viewnet.files import replacing
 from viewnet.geometry import look_at, rotation_angle, view_vector
 from viewnet.losses import PerceptualLoss
 from viewnet.model import ViewNet
+from viewnet.progress import bar
 from viewnet.step import reconstruct, step_loss
 
 VALIDATION_VIEWS = 320
@@ -108,7 +108,7 @@ def train(
 
     # ---- epochs
     begun = time.perf_counter()
-    bar = tqdm(total=total, initial=first * steps, disable=None if progress else True, desc=_title(config), unit="step")
+    shown = bar(progress, total=total, initial=first * steps, desc=_title(config), unit="step")
     model.train()
     for epoch in range(first, settings.epochs):
         sums: dict[str, float] = {}
@@ -134,7 +134,7 @@ def train(
             optimiser.step()
             for name, value in terms.items():
                 sums[name] = sums.get(name, 0.0) + value.item()
-            bar.update()
+            shown.update()
         last = epoch + 1 == settings.epochs
         if (epoch + 1) % settings.validate_every and not last:
             continue
@@ -156,7 +156,7 @@ def train(
             | {f"val_{name}": value for name, value in found.items()}
             | means
         )
-        bar.set_postfix(loss=f"{log[-1]['loss']:.4f}", acc=f"{found['accuracy']:.0f}%", refresh=False)
+        shown.set_postfix(loss=f"{log[-1]['loss']:.4f}", acc=f"{found['accuracy']:.0f}%", refresh=False)
         _write_log(folder / "log.csv", log)
         state = {"model": model.state_dict(), "optimiser": optimiser.state_dict(), "log": log, "best": best}
         state |= {"epoch": epoch + 1, "seconds": seconds}
@@ -164,7 +164,7 @@ def train(
             torch.save(state, temporary)
         if epoch - best["epoch"] >= settings.patience:
             break
-    bar.close()
+    shown.close()
 
     # ---- keep the best
     metadata = {"config": json.dumps(config.to_dict()), "epoch": str(best["epoch"] + 1), "score": repr(best["score"])}

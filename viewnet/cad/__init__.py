@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from tqdm import tqdm
 
 from viewnet.cad.builder import Builder
 from viewnet.cad.writer import write_model
 from viewnet.config import CATEGORIES, SYNSETS
 from viewnet.errors import ViewnetError
+from viewnet.progress import bar
 
 Generator = Callable[[np.random.Generator], Builder]
 
@@ -58,7 +58,7 @@ def write_collection(root: Path, categories: Sequence[str], models: int, seed: i
     rows: list[tuple[str, str, str, str, str]] = []
     jobs = [(category, index) for category in dict.fromkeys(categories) for index in range(models)]
     splits = {category: split_names(category, models, seed) for category in categories}
-    for category, index in tqdm(jobs, desc="models", unit="model", disable=not progress):
+    for category, index in bar(progress, iterable=jobs, desc="models", unit="model"):
         name, synset = model_id(category, index, seed), SYNSETS[category]
         folder = root / synset / name
         if not folder.exists():

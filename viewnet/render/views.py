@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from filelock import FileLock, Timeout
-from tqdm import tqdm
 
 from viewnet.data.shapenet import ModelFile
 from viewnet.data.store import ViewStore, identity_of, write_store
 from viewnet.errors import ViewnetError
+from viewnet.progress import bar as progress_bar
 from viewnet.render import VERSION, Backend, choose_backend
 from viewnet.render.camera import DISTANCE, FOCAL, camera_frames
 from viewnet.render.chunk import Chunk, draw_chunk, read_chunk
@@ -241,7 +241,7 @@ def _draw(jobs: list[Chunk], total: int, workers: int | None, progress: bool, vi
     if workers is None:
         workers = 1 if left * views < _WORTH_PROCESSES else _processors()
     workers = min(workers, len(jobs))
-    with tqdm(total=total, initial=total - left, desc="render", unit="model", disable=not progress) as bar:
+    with progress_bar(progress, total=total, initial=total - left, desc="render", unit="model") as bar:
         try:
             if workers <= 1:
                 for job in jobs:
