@@ -47,7 +47,7 @@ test: lint ## style, types, all tests and every notebook
 	$(RUN) pytest --nbval
 
 test-fast: setup ## the tests that take seconds, without notebooks
-	$(RUN) pytest tests -m "not slow" -q
+	OMP_NUM_THREADS=1 $(RUN) pytest tests -m "not slow" -q -n auto --maxprocesses 4 --dist loadfile
 
 lint: setup ## style and types
 	$(RUN) ruff check

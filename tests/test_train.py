@@ -6,7 +6,10 @@ import csv
 import dataclasses
 import json
 import math
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -93,9 +96,15 @@ def test_training_twice_gives_the_same_bits(store, tmp_path):
     ("variant", "overrides"),
     [
         ("viewnet_cycle", {"epochs": 3, "coarse": 0.5, "cycle_start": 0.2, "targets_per_object": 2}),
-        ("single_head", {"epochs": 3, "augment": True}),
-        ("hologan_decoder", {"epochs": 3, "neighbours": 8.0, "neighbour_weight": 1.0}),
-        ("encoder_decoder", {"epochs": 3, "recipe": "paper", "perceptual": "none", "pixel_weight": 1.0}),
+        pytest.param("single_head", {"epochs": 3, "augment": True}, marks=pytest.mark.slow),
+        pytest.param(
+            "hologan_decoder", {"epochs": 3, "neighbours": 8.0, "neighbour_weight": 1.0}, marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "encoder_decoder",
+            {"epochs": 3, "recipe": "paper", "perceptual": "none", "pixel_weight": 1.0},
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_killed_run_goes_on_as_if_nothing_had_been(store, tmp_path, monkeypatch, variant, overrides):
@@ -304,3 +313,23 @@ def test_damaged_checkpoints_are_refused(run, tmp_path, damage, message):
 def test_training_learns_to_draw(store, tmp_path):
     rows = log(trained(store, tmp_path / "run", epochs=25, learning_rate=3e-3))
     assert float(rows[-1]["pixels"]) < 0.7 * float(rows[0]["pixels"])
+
+
+@pytest.mark.slow
+def test_training_after_drawing_with_opengl_in_one_process():
+    """Mesa and Triton each bring an LLVM; in the wrong order the process crashed."""
+    code = """
+import numpy as np, torch
+from boxes import SYMMETRIC, box_mesh
+from viewnet.render import choose_backend, render
+if choose_backend("pyrender") != "pyrender":
+    raise SystemExit(7)
+render(box_mesh(SYMMETRIC), np.zeros(1), np.zeros(1), 16, 1, "pyrender")
+torch.optim.Adam([torch.zeros(1, requires_grad=True)])
+"""
+    here = Path(__file__).parent
+    environment = dict(os.environ, PYTHONPATH=os.pathsep.join([str(here), str(here.parent)]))
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300)
+    if done.returncode == 7:
+        pytest.skip("OpenGL cannot draw here")
+    assert done.returncode == 0, done.stderr

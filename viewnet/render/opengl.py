@@ -5,7 +5,10 @@ It is the independent check of `raycast`, and an option; it needs pyrender and a
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import ctypes.util
+import importlib
 import os
 import sys
 import tempfile
@@ -129,8 +132,14 @@ def _pyrender() -> Any:
     if "PYOPENGL_PLATFORM" not in os.environ and sys.platform == "linux" and not os.environ.get("DISPLAY"):
         osmesa_only = ctypes.util.find_library("EGL") is None and ctypes.util.find_library("OSMesa") is not None
         os.environ["PYOPENGL_PLATFORM"] = "osmesa" if osmesa_only else "egl"
+    # Triton, which PyTorch's optimisers load, crashes where Mesa's LLVM came first; the other order is harmless.
+    with contextlib.suppress(ImportError):
+        importlib.import_module("triton")
     import pyrender
+    from OpenGL.arrays.ctypesparameters import CtypesParameterHandler
 
+    # PyOpenGL 3.1.0, which pyrender asks for, finds this type by a name that Python 3.12 changed; textures need it.
+    CtypesParameterHandler().register([type(ctypes.byref(ctypes.c_uint()))])
     return pyrender
 
 
