@@ -295,6 +295,7 @@ def test_wrong_arguments_are_named_before_anything_is_written(tmp_path, categori
 # Vehicles
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_models_of_a_category_are_all_different(category):
     assert len({fingerprint(cad.make_model(category, index)) for index in range(25)}) == 25

@@ -128,6 +128,7 @@ def test_most_tables_keep_their_two_fold_symmetry_but_desks_do_not() -> None:
     assert not np.isclose(front.mean(), rear.mean(), atol=0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_models_are_distinct_and_depend_on_the_seed_alone(category: str) -> None:
     prints = [fingerprint(make(category, seed)) for seed in range(200)]

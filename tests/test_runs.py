@@ -96,6 +96,7 @@ def _ensure_in_child() -> None:
     ensure([config()], steps=STEPS, progress=False)
 
 
+@pytest.mark.slow
 def test_two_processes_that_ask_for_one_run_train_it_once(folders):
     plan(folders, seed0="slow")
     context = multiprocessing.get_context("spawn")
@@ -108,6 +109,7 @@ def test_two_processes_that_ask_for_one_run_train_it_once(folders):
     assert calls(folders) == ["car-0"]
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_where_it_was(folders):
     plan(folders, seed0="hang")
     process = multiprocessing.get_context("spawn").Process(target=_ensure_in_child)
@@ -143,6 +145,7 @@ def test_a_failure_names_its_run_and_leaves_the_others(folders):
     assert len(calls(folders)) == before + 2
 
 
+@pytest.mark.slow
 def test_side_by_side_a_failure_or_a_death_costs_its_run_only(folders):
     plan(folders, seed0="refuse", seed1="die")
     wanted = [config(0), config(1), config(3, "chair"), config(2)]
