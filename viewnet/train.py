@@ -18,6 +18,7 @@ from typing import Any
 import torch
 from safetensors.torch import save_file
 
+from viewnet import volume_cpu
 from viewnet.alignment import fit_rotation
 from viewnet.config import RunConfig, TrainConfig
 from viewnet.data.pairs import Views, draw_pairs, load_views, step_generator
@@ -74,6 +75,7 @@ def train(
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if threads:
         torch.set_num_threads(threads)
+    volume_cpu.warm_up()
     settings = config.train
     if settings.batch_size % settings.targets_per_object:
         raise ViewnetError(

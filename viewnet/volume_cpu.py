@@ -28,6 +28,15 @@ def available() -> bool:
     return True
 
 
+def warm_up() -> None:
+    """Loads the kernels, and puts back the number of threads, which loading them resets behind PyTorch's back."""
+    threads = torch.get_num_threads()
+    if available():
+        volume = torch.rand(1, 4, 2, 2, 2, generator=torch.Generator().manual_seed(0)).requires_grad_()
+        render(volume, torch.eye(3)[None], torch.zeros(()), 2, 2, sparse=False).sum().backward()
+    torch.set_num_threads(threads)
+
+
 def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
     """As viewnet.volume.render_reference, in float32 on the CPU.
 
