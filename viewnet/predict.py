@@ -78,8 +78,7 @@ def candidates(folder: Path, store: ViewStore, rows: list[int], split: str = "te
     small = network.config.input_size
     views = load_views(store, split, max(size, small), small if network.config.crop else None)
     index = torch.tensor(rows)
-    start, count = views.first[views.objects[index]], views.count[views.objects[index]]
-    others = start + (index - start + 1) % count
+    others = views.partners(index)
     black = torch.zeros(len(rows), 3, device=device)
     found = reconstruct(
         network,

@@ -43,10 +43,7 @@ def validate(model: ViewNet, views: Views, config: TrainConfig, device: torch.de
     """
     model.eval()
     rows = torch.arange(min(VALIDATION_VIEWS, len(views.objects)))
-    others = (
-        views.first[views.objects[rows]]
-        + (rows - views.first[views.objects[rows]] + 1) % views.count[views.objects[rows]]
-    )
+    others = views.partners(rows)
     error, vectors = 0.0, []
     size = model.config.input_size
     for part in rows.split(64):
@@ -75,7 +72,6 @@ def train(
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if threads:
         torch.set_num_threads(threads)
-    volume_cpu.warm_up()
     settings = config.train
     if settings.batch_size % settings.targets_per_object:
         raise ViewnetError(
@@ -84,6 +80,7 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     if (folder / "checkpoint.safetensors").exists():
         return
+    volume_cpu.warm_up()
     size = max(config.model.input_size, config.model.render_size)
     crop = config.model.input_size if config.model.crop else None
     training, validation = load_views(views, "train", size, crop), load_views(views, "val", size, crop)

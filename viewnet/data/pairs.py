@@ -29,6 +29,11 @@ class Views:
         pictures = self.pixels[rows].to(device).float().div_(255)
         return pictures if pictures.shape[-1] == size else resize(pictures, size)
 
+    def partners(self, rows: Tensor) -> Tensor:
+        """The next view of each view's object, the last one's being the first: where an appearance may come from."""
+        start, count = self.first[self.objects[rows]], self.count[self.objects[rows]]
+        return start + (rows - start + 1) % count
+
     def seen(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
         """What the viewpoint network sees: the crops where there are any, the views themselves otherwise."""
         if self.crops is None:
