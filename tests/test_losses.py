@@ -11,14 +11,16 @@ from cad_files import real_data
 from hypothesis import given
 from hypothesis import strategies as st
 
+from viewnet import step
 from viewnet.config import TrainConfig, make_config
+from viewnet.data.pairs import resize
 from viewnet.errors import ViewnetError
-from viewnet.geometry import look_at, view_vector
+from viewnet.geometry import azimuth_elevation, look_at, view_vector
 from viewnet.losses import PerceptualLoss, composite, cycle_loss, head_errors, pixel_loss
 from viewnet.model import Hypotheses, ViewNet
-from viewnet.step import compare, reconstruct, step_loss
+from viewnet.step import Search, _balanced, _choose, reconstruct, step_loss
 
-PLAIN = {"neighbours": 0.0, "neighbour_weight": 0.0, "amp": "off"}
+PLAIN = {"neighbours": 0.0, "pull_weight": 0.0, "search": 0.0, "balance": 0.0, "mirror": False, "amp": "off"}
 SMOKE = make_config(profile="smoke", recipe="matting", **PLAIN)
 
 
@@ -67,7 +69,7 @@ def test_head_errors_are_means_over_a_picture():
     drawn, target = torch.rand(2, 3, 3, 4, 4), torch.rand(2, 3, 4, 4)
     found = head_errors(drawn, target)
     assert found.shape == (2, 3)
-    assert found[1, 2].item() == pytest.approx((drawn[1, 2] - target[1]).abs().mean().item())
+    assert found[1, 2].item() == pytest.approx((drawn[1, 2] - target[1]).square().mean().item())
 
 
 @pytest.fixture
@@ -94,10 +96,12 @@ def test_the_winner_alone_gets_the_reconstruction_s_gradients(model):
 
 
 def test_the_picture_is_the_winner_s(model):
-    target, colour = pictures(4, seed=1), torch.rand(4, 3)
-    found = reconstruct(model, target, target, target, SMOKE.train, colour)
-    errors = head_errors(found.picture.detach()[:, None], found.target)[:, 0]
-    assert torch.allclose(errors, found.errors.amin(1), atol=1e-5)
+    target = pictures(4, seed=1)
+    found = reconstruct(model, target, target, target, SMOKE.train, torch.zeros(4, 3))
+    drawn = model.draw(found.shape, found.appearance, look_at(found.better), SMOKE.model.render_size)
+    assert torch.allclose(found.picture, drawn[:, :3], atol=1e-6)
+    small = resize(target, SMOKE.model.render_size)
+    assert torch.allclose(head_errors(drawn[:, None], small)[:, 0], found.errors.amin(1), atol=1e-6)
 
 
 def test_several_targets_share_an_appearance(model):
@@ -131,23 +135,81 @@ def test_a_segmentation_target_ignores_colour(model):
 # Neighbours of the heads
 
 
-def test_heads_are_compared_by_the_best_viewpoint_around_each(model):
-    """A head that is off by the step between neighbours draws the target without an error."""
-    config = dataclasses.replace(SMOKE.train, neighbours=8.0, neighbour_weight=1.0)
+def known_targets(model):
+    """Views of given shapes from known viewpoints: shapes, codes, azimuths, elevations, targets."""
     torch.manual_seed(1)
     code = torch.randn(6, SMOKE.model.appearance_size)
     shape = model.shape(code)
     azimuth, elevation = 60 * torch.arange(6.0), torch.full((6,), 10.0)
-    heads = torch.stack([view_vector(azimuth + 8, elevation), view_vector(azimuth + 170, elevation)], dim=1)
-    colour = torch.rand(6, 3)
-    target = composite(model.draw(shape, code, look_at(view_vector(azimuth, elevation))), colour)
-    nearby, errors = compare(model, shape, code, Hypotheses(heads, torch.zeros(6, 2)), target, config, colour)
-    assert torch.allclose(nearby[:, 0], view_vector(azimuth, elevation), atol=1e-5)
-    assert errors[:, 0].max() < 1e-5
-    assert (errors[:, 1] > errors[:, 0]).all()
-    plain, further = compare(model.eval(), shape, code, Hypotheses(heads, torch.zeros(6, 2)), target, config, colour)
-    assert torch.equal(plain, heads)  # which is for training only
-    assert (further[:, 0] > errors[:, 0]).all()
+    return shape, code, azimuth, elevation, model.draw(shape, code, look_at(view_vector(azimuth, elevation)))
+
+
+def test_heads_are_compared_by_the_best_viewpoint_around_each(model):
+    """A head that is off by the step between neighbours draws the target without an error."""
+    config = dataclasses.replace(SMOKE.train, neighbours=8.0, pull_weight=1.0)
+    shape, code, azimuth, elevation, target = known_targets(model)
+    heads = torch.stack([view_vector(azimuth + 170, elevation), view_vector(azimuth + 8, elevation)], dim=1)
+    said = Hypotheses(heads, torch.zeros(6, 2))
+    best, view, errors = _choose(model, shape, code, said, target, config, None)
+    assert best.tolist() == [1] * 6
+    assert torch.allclose(view, view_vector(azimuth, elevation), atol=1e-5)
+    assert errors[:, 1].max() < 1e-9 < errors[:, 0].min()
+    best, plain, further = _choose(model.eval(), shape, code, said, target, config, None)
+    assert torch.equal(plain, heads[:, 1])  # which is for training only
+    assert (further[:, 1] > errors[:, 1]).all()
+
+
+# Search and balance
+
+
+def test_the_search_finds_what_no_head_says_and_the_closest_head_is_taught(model):
+    shape, code, azimuth, elevation, target = known_targets(model)
+    heads = torch.stack([view_vector(azimuth + 90, elevation), view_vector(azimuth + 200, elevation)], dim=1)
+    search = Search(400, 0.0, torch.Generator().manual_seed(0))
+    said = Hypotheses(heads, torch.zeros(6, 2))
+    best, view, _ = _choose(model, shape, code, said, target, SMOKE.train, search)
+    assert ((view * view_vector(azimuth, elevation)).sum(-1) > np.cos(np.radians(12))).all()
+    assert best.tolist() == [0] * 6
+
+
+def test_the_search_covers_all_azimuths_and_the_elevations_allowed():
+    grid = Search(36, 0.0, torch.Generator().manual_seed(0)).grid(50, (-20.0, 40.0))
+    azimuth, elevation = azimuth_elevation(grid)
+    assert grid.shape == (50, 36, 3)
+    assert (torch.histc(azimuth, 36, 0, 360) == 50).all()
+    assert -20 <= elevation.min() < -15 and 35 < elevation.max() <= 40
+
+
+def test_chance_chooses_in_proportion_to_the_errors():
+    errors = torch.tensor([[0.0, 1.0, 2.0]]).expand(20000, 3)
+    perturbed = Search(0, 1.0, torch.Generator().manual_seed(0)).perturb(errors)
+    chosen = torch.bincount(perturbed.argmin(1), minlength=3) / len(errors)
+    assert torch.allclose(chosen, torch.softmax(-errors[0], 0), atol=0.02)  # their spread is 1
+    assert torch.equal(Search(0, 0.0, torch.Generator()).perturb(errors), errors)
+
+
+def test_an_azimuth_chosen_too_often_is_avoided():
+    front, back = view_vector(torch.tensor([15.0, 195.0]), torch.zeros(2))
+    views = torch.stack([front, back]).expand(1, 2, 3)
+    score = torch.tensor([[1.0, 1.1]])  # both much alike, the front a little better
+    even = torch.full((12,), 1 / 12)
+    assert _balanced(score, views, even, 1.0).argmin().item() == 0
+    often = torch.tensor([0.6, 0.4, *[0.0] * 9, 0.0])
+    assert _balanced(score, views, often, 1.0).argmin().item() == 1
+    assert torch.equal(_balanced(score, views, often, 0.0), score)
+
+
+def test_a_mirrored_target_is_drawn_as_it_is_seen(model, monkeypatch):
+    asked = []
+    monkeypatch.setattr(step, "reconstruct", lambda *a, **k: asked.append(a) or reconstruct(*a, **k))
+    config = dataclasses.replace(SMOKE.train, mirror=True)
+    target = pictures(32, seed=1)
+    step_loss(model, (target, target, target), config, None, 0.5, torch.Generator().manual_seed(0))
+    _, appearance, wanted, seen = asked[0][:4]
+    mirrored = (wanted == target.flip(-1)).flatten(1).all(1)
+    assert 8 < mirrored.sum() < 24
+    assert torch.equal(wanted[~mirrored], target[~mirrored])
+    assert torch.equal(seen, wanted) and torch.equal(appearance, target)
 
 
 # Cycle consistency

@@ -38,7 +38,7 @@ def store(tmp_path_factory) -> ViewStore:
 def config(variant: str = "viewnet", **overrides) -> RunConfig:
     """Three steps an epoch."""
     settings = {"epochs": 2, "batch_size": 8, "targets_per_object": 1, "patience": 100, "amp": "off"}
-    settings |= {"neighbours": 0.0, "neighbour_weight": 0.0, "learning_rate": 1e-3, "recipe": "matting"}
+    settings |= {"neighbours": 0.0, "pull_weight": 0.0, "search": 0.0, "learning_rate": 1e-3, "recipe": "matting"}
     return make_config(variant, profile="smoke", **{**settings, **overrides})
 
 
@@ -95,11 +95,19 @@ def test_training_twice_gives_the_same_bits(store, tmp_path):
 @pytest.mark.parametrize(
     ("variant", "overrides"),
     [
-        ("viewnet_cycle", {"epochs": 3, "coarse": 0.5, "cycle_start": 0.2, "targets_per_object": 2}),
-        pytest.param("single_head", {"epochs": 3, "augment": True}, marks=pytest.mark.slow),
-        pytest.param(
-            "hologan_decoder", {"epochs": 3, "neighbours": 8.0, "neighbour_weight": 1.0}, marks=pytest.mark.slow
+        (
+            "viewnet_cycle",
+            {
+                "epochs": 3,
+                "coarse": 0.5,
+                "search": 0.5,
+                "pull_weight": 1.0,
+                "cycle_start": 0.2,
+                "targets_per_object": 2,
+            },
         ),
+        pytest.param("single_head", {"epochs": 3, "augment": True}, marks=pytest.mark.slow),
+        pytest.param("hologan_decoder", {"epochs": 3, "neighbours": 8.0, "pull_weight": 1.0}, marks=pytest.mark.slow),
         pytest.param(
             "encoder_decoder",
             {"epochs": 3, "recipe": "paper", "perceptual": "none", "pixel_weight": 1.0},

@@ -73,7 +73,6 @@ class ModelConfig:
     )  # at 4, 8, 16, 32 ... voxels, up to half the volume's side
     generator_refine: bool = True  # a second, 3x3x3 layer at each resolution, as in the supplement
     generator_last_kernel: Literal[2, 4] = 4  # of the layer to the full resolution; 2 is much the cheaper
-    template: float = 0.0  # a learned mean volume is added; its learning rate, as a multiple of the others'. 0: none
     appearance_size: int = 256
     heads: int = 3  # M, the number of viewpoint hypotheses
     head_spread: float = 0.0  # the heads start facing different azimuths: how strongly
@@ -92,10 +91,15 @@ class TrainConfig:
     epochs: int = 1000
     batch_size: int = 64  # target images a step
     targets_per_object: int = 1  # target images that share one appearance image
+    search: float = 0.0  # in this first share of training a search over all viewpoints finds those to draw from
+    search_views: int = 48  # how many viewpoints it tries a target, beside the heads'
     neighbours: float = 0.0  # degrees: heads are compared by the best of five viewpoints so far around each; 0: itself
-    neighbour_weight: float = 0.0  # of the pull of the best head towards its best neighbour
+    pull_weight: float = 0.0  # of the pull of the best head towards the viewpoint found by search or among neighbours
+    balance: float = 0.0  # how strongly viewpoints of an azimuth that is chosen too often are avoided
+    mirror: bool = False  # half of the targets are shown as in a mirror, as views of an object that is as likely
     coarse: float = 0.0  # this first share of training draws and compares at half the resolution
     learning_rate: float = 1e-4
+    muon: float = 0.0  # learning rate of Muon, which then trains the viewpoint network's convolutions. 0: Adam
     betas: tuple[float, float] = (0.9, 0.999)
     schedule: Literal["constant", "cosine", "hold"] = "constant"  # hold: constant for 60 %, then down along a cosine
     patience: int = 30  # epochs without gain on validation before stopping
@@ -154,14 +158,12 @@ RECIPES: dict[str, Changes] = {
     # that start apart; elevations within a plausible camera range; stopping without labels. See docs/recipes.md.
     "matting": {
         "model": {
-            "backdrop": 0.5,
             "encoder_padding": "zeros",
             "head_spread": 0.5,
             "elevation_limits": (-22.0, 42.0),
             # The camera the views are made with: a free focal length shrinks where depth is mirrored, and so hides it.
             "focal": 0.268,
             "learn_focal": False,
-            "template": 10.0,
         },
         "train": {
             "background": "random",
@@ -169,12 +171,16 @@ RECIPES: dict[str, Changes] = {
             "pixel_weight": 1.0,
             "select_by": "reconstruction",
             "selection_weight": 0.1,
+            "search": 0.3,
             "neighbours": 8.0,
-            "neighbour_weight": 0.1,
+            "pull_weight": 1.0,
+            "balance": 1.0,
+            "mirror": True,
+            "muon": 0.02,
             "learning_rate": 1e-3,
             "betas": (0.9, 0.99),
             "schedule": "hold",
-            "cycle_weight": 0.1,
+            "cycle_weight": 0.3,
             "cycle_start": 0.15,
             "cycle_elevation": (-20.0, 40.0),
             "cycle_head": "closest",
@@ -185,12 +191,16 @@ RECIPES: dict[str, Changes] = {
 VARIANTS: dict[str, Changes] = {
     "viewnet": {},
     "viewnet_cycle": {"train": {"cycle": True}},
-    "single_head": {"model": {"heads": 1}},
+    # One hypothesis, and so nothing to choose from: no search either.
+    "single_head": {"model": {"heads": 1}, "train": {"search": 0.0}},
     "segmentation_target": {"train": {"target": "mask"}},
     "no_shape_prior": {"model": {"shape_prior": False}},
     "encoder_decoder": {"model": {"decoder": "encoder_decoder"}},
     # Nothing separates object and background after learned layers, so it is trained on black, as printed.
-    "hologan_decoder": {"model": {"decoder": "hologan"}, "train": {"background": "black"}},
+    "hologan_decoder": {
+        "model": {"decoder": "hologan"},
+        "train": {"background": "black", "search": 0.0, "neighbours": 0.0},
+    },
 }
 """The trained rows of Tables 1 and 2. The constant predictor needs no training (viewnet.evaluate)."""
 
@@ -214,14 +224,14 @@ PROFILES: dict[str, Changes] = {
         "model": {
             "volume_size": 32,
             "render_size": 32,
-            "encoder_channels": (32, 64, 128, 128, 256, 256),
+            "encoder_channels": (16, 32, 64, 128, 256, 256),
             "code_size": 64,
             "generator_channels": (64, 32, 16),
             "generator_refine": False,
             "generator_last_kernel": 2,
             "appearance_size": 64,
         },
-        "train": {"epochs": 8, "batch_size": 32, "targets_per_object": 2, "coarse": 0.05},
+        "train": {"epochs": 8, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3},
     },
     "small": {
         "data": {"models": 2000},

@@ -102,8 +102,8 @@ def _features(network: str, weights: Path | None) -> nn.Sequential:
 
 
 def head_errors(pictures: Tensor, target: Tensor) -> Tensor:
-    """Mean absolute error (N, M) of pictures (N, M, C, H, W) against targets (N, C, H, W): the norm of equation 2."""
-    return (pictures - target[:, None]).abs().mean(dim=(2, 3, 4))
+    """Mean squared error (N, M) of pictures (N, M, C, H, W) against targets (N, C, H, W): the norm of equation 2."""
+    return (pictures - target[:, None]).square().mean(dim=(2, 3, 4))
 
 
 def cycle_loss(found: Hypotheses, truth: Tensor, config: TrainConfig) -> Tensor:

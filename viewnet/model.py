@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -34,7 +35,12 @@ class Hypotheses:
 
 
 class ViewpointNetwork(nn.Module):
-    """f^v: pictures (N, 3, S, S) -> Hypotheses. One trunk; its last layer gives logits and vectors (section 3.1)."""
+    """f^v: pictures (N, 3, S, S) -> Hypotheses. One trunk; its last layer gives logits and vectors (section 3.1).
+
+    `azimuth_shares` (12,) is kept by training: how often the viewpoints drawn from lay in each twelfth of the circle.
+    """
+
+    azimuth_shares: Tensor
 
     def __init__(self, config: ModelConfig):
         super().__init__()
@@ -44,6 +50,7 @@ class ViewpointNetwork(nn.Module):
         azimuth = torch.arange(config.heads) * (2 * math.pi / config.heads)
         offset = config.head_spread * torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros_like(azimuth)], dim=1)
         self.register_buffer("offset", offset, persistent=False)
+        self.register_buffer("azimuth_shares", torch.full((12,), 1 / 12))
 
     def forward(self, pictures: Tensor) -> Hypotheses:
         out = self.encoder(pictures).float()
@@ -60,6 +67,23 @@ class ViewpointNetwork(nn.Module):
         low, high = (math.radians(x) for x in self.limits)
         elevation = (low + high) / 2 + (high - low) / 2 * torch.tanh(raw[..., 2:])
         return torch.cat([elevation.cos() * F.normalize(raw[..., :2], dim=-1), elevation.sin()], dim=-1)
+
+
+class _Kept(torch.autograd.Function):
+    """Keeps values in [0, 1]; what lies outside still takes the gradient that pulls it back in.
+
+    A plain clamp gives voxels that were once emptied no gradient, so that thin parts, once lost, never come back.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        ctx.save_for_backward(x)
+        return x.clamp(0, 1)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Tensor:
+        (x,), grad = ctx.saved_tensors, grads[0]
+        return grad.masked_fill((x < 0) & (grad > 0) | (x > 1) & (grad < 0), 0)
 
 
 class ViewNet(nn.Module):
@@ -101,7 +125,7 @@ class ViewNet(nn.Module):
         if not self.config.shape_prior:
             return values
         prior = self.prior if len(self.prior) == values.shape[-1] else F.avg_pool3d(self.prior[None, None], 2)[0, 0]
-        occupancy = (2 * values[:, 3:] - 1 + prior).clamp(0, 1)
+        occupancy = _Kept.apply(2 * values[:, 3:] - 1 + prior)
         return torch.cat([values[:, :3], occupancy], dim=1)
 
     def draw(self, shape: Tensor, appearance: Tensor, frames: Tensor, size: int | None = None) -> Tensor:

@@ -148,21 +148,14 @@ class Generator(nn.Module):
         self.stages = nn.ModuleList(stages)
         kernel = config.generator_last_kernel
         self.last = Doubling(widths[-1]) if kernel == 2 else nn.ConvTranspose3d(widths[-1], 4, kernel, 2, 1)
-        side = config.volume_size
-        self.template = nn.Parameter(torch.zeros(1, side, side, side, 4)) if config.template else None
 
     def forward(self, appearance: Tensor, coarse: bool = False) -> Tensor:
         x = self.code.expand(len(appearance), -1, -1, -1, -1) if self.adain else appearance[:, :, None, None, None]
         for stage in self.stages:
             x = stage(x, appearance)
         if coarse and isinstance(self.last, Doubling):
-            logits = self.last.coarse(x)
-        else:
-            coarse, logits = False, self.last(x)
-        if self.template is None:
-            return logits
-        mean = self.template.permute(0, 4, 1, 2, 3)
-        return logits + (F.avg_pool3d(mean, 2) if coarse else mean)
+            return self.last.coarse(x)
+        return self.last(x)
 
 
 class HoloGANDecoder(nn.Module):

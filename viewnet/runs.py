@@ -41,6 +41,7 @@ TRAINING = (
     "losses.py",
     "model.py",
     "step.py",
+    "muon.py",
     "train.py",
     "geometry.py",
     "alignment.py",

@@ -21,9 +21,9 @@ class Reconstruction:
 
     hypotheses: Hypotheses
     errors: Tensor  # (N, M) of each head
-    best: Tensor  # (N,) the head with the least
-    nearby: Tensor  # (N, M, 3) the viewpoint around each head's that explains the target best
-    picture: Tensor  # (N, 3 or 1, S, S) of the best head, over the background
+    best: Tensor  # (N,) the head with the least, or the closest to what the search found
+    better: Tensor  # (N, 3) the viewpoint near that head's, or found by the search, that explains the target best
+    picture: Tensor  # (N, 3 or 1, S, S) as drawn, over the background
     target: Tensor  # the same of the target view
     shape: Tensor
     appearance: Tensor
@@ -37,62 +37,144 @@ def reconstruct(
     config: TrainConfig,
     colour: Tensor,
     size: int | None = None,
+    search: Search | None = None,
 ) -> Reconstruction:
     """Draws targets (N, 4, s, s) from appearance views (B, 4, s, s), N = B K, over colours (N, 3) (equations 1 and 2).
 
     All heads are compared without gradients; only the best is drawn with them ("gradients will only be propagated
     through m*"). `seen` (N, 4, s, s) is what the viewpoint network sees of the targets: themselves, or cut and
-    augmented. `size` is the drawings' side in pixels (default: the configuration's).
+    augmented. `size` is the drawings' side in pixels (default: the configuration's). With `search`, what it finds is
+    drawn instead.
     """
-    size, heads = size or model.config.render_size, model.config.heads
+    size = size or model.config.render_size
     with autocast(appearance.device, config):
         code = model.appearance(model.see(appearance))
         shape = model.shape(code, coarse=size < model.config.render_size)
         hypotheses = model.viewpoint(model.see(seen))
-    wanted = _over(target if target.shape[-1] == size else resize(target, size), config, colour)
-    frames = hypotheses.frames
-    best = torch.zeros(len(target), dtype=torch.long, device=target.device)
-    nearby, errors = hypotheses.vectors, None
-    if heads > 1 or config.neighbours:
-        with torch.no_grad():
-            nearby, errors = compare(model, shape, code, hypotheses, wanted, config, colour)
-        best = errors.argmin(1)
+    target = target if target.shape[-1] == size else resize(target, size)
+    with torch.no_grad():
+        best, better, errors = _choose(model, shape, code, hypotheses, target, config, search)
+    drawn_from = look_at(better) if search else hypotheses.frames[torch.arange(len(best)), best]
     with autocast(appearance.device, config):
-        picture = _over(model.draw(shape, code, frames[torch.arange(len(best)), best], size), config, colour)
-    if errors is None:
-        errors = head_errors(picture.detach()[:, None], wanted)
-    return Reconstruction(hypotheses, errors, best, nearby, picture, wanted, shape, code)
+        picture = _over(model.draw(shape, code, drawn_from, size), config, colour)
+    return Reconstruction(hypotheses, errors, best, better, picture, _over(target, config, colour), shape, code)
+
+
+@dataclass
+class Search:
+    """Viewpoints that are tried beside the heads', all around the object.
+
+    Early on a viewpoint network answers from what little it has learned, and the volume settles on its mistakes: turned
+    inside out, or with two sides folded into one. Tried viewpoints owe it nothing. `noise` is how much chance has in
+    the choice, as a multiple of the errors' spread over a target's viewpoints.
+    """
+
+    views: int
+    noise: float
+    generator: torch.Generator
+
+    def grid(self, count: int, limits: tuple[float, float]) -> Tensor:
+        """View vectors (count, views, 3): azimuths evenly spaced but for chance, elevations uniform within limits."""
+        places = torch.arange(self.views) + torch.rand(count, self.views, generator=self.generator)
+        elevation = torch.rand(count, self.views, generator=self.generator) * (limits[1] - limits[0]) + limits[0]
+        return view_vector(360 / self.views * places, elevation)
+
+    def perturb(self, errors: Tensor) -> Tensor:
+        """Errors (N, T) with Gumbel noise, so that the least is drawn from their Boltzmann distribution."""
+        chance = torch.rand(errors.shape, generator=self.generator).clamp(1e-9, 1 - 1e-7).to(errors.device)
+        return errors + self.noise * errors.std(1, keepdim=True) * chance.log().neg().log()
+
+
+def _choose(
+    model: ViewNet,
+    shape: Tensor,
+    code: Tensor,
+    hypotheses: Hypotheses,
+    target: Tensor,
+    config: TrainConfig,
+    search: Search | None,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The head to teach (N,), the viewpoint to teach it (N, 3), and every head's error (N, M)."""
+    vectors, rows = hypotheses.vectors, torch.arange(len(target), device=target.device)
+    heads = vectors.shape[1]
+    better, errors = _compare_heads(model, shape, code, hypotheses, target, config)
+    if not model.training:
+        best = errors.argmin(1)
+        return best, better[rows, best], errors
+    score = errors
+    if search:
+        grid = search.grid(len(target), model.config.elevation_limits or (-90.0, 90.0)).to(vectors)
+        _, found = compare(model, shape, code, grid[:, :, None], None, target, config)
+        better, score = torch.cat([better, grid], 1), search.perturb(torch.cat([errors, found], 1))
+    if config.balance and heads > 1:
+        score = _balanced(score, better, model.viewpoint.azimuth_shares, config.balance)
+    winner = score.argmin(1)
+    view = better[rows, winner]
+    if config.balance:
+        counts = torch.bincount(_twelfth(view), minlength=12)
+        model.viewpoint.azimuth_shares.lerp_(counts / len(view), 0.05)
+    closest = (vectors - view[:, None]).square().sum(-1).argmin(1)
+    return torch.where(winner < heads, winner.clamp(max=heads - 1), closest), view, errors
+
+
+def _compare_heads(
+    model: ViewNet, shape: Tensor, code: Tensor, hypotheses: Hypotheses, target: Tensor, config: TrainConfig
+) -> tuple[Tensor, Tensor]:
+    """Viewpoints (N, M, 3), each the head's own or its best neighbour, and how well they explain the targets (N, M).
+
+    Neighbours are told apart at half the resolution; what tells two sides of an object apart is often smaller, so
+    heads are compared at the full one.
+    """
+    better = hypotheses.vectors
+    if model.training and config.neighbours:
+        tried, coarse, small = _neighbours(better, config.neighbours), shape, target
+        if target.shape[-1] > 16 and model.config.decoder != "hologan":
+            coarse, small = F.avg_pool3d(shape, 2), resize(target, target.shape[-1] // 2)
+        better, errors = compare(model, coarse, code, tried, hypotheses.ups, small, config)
+        if coarse is shape or better.shape[1] == 1:
+            return better, errors
+    return compare(model, shape, code, better[:, :, None], hypotheses.ups, target, config)
+
+
+def _balanced(score: Tensor, views: Tensor, shares: Tensor, strength: float) -> Tensor:
+    """Scores (N, T) of viewpoints (N, T, 3), raised where an azimuth is chosen more often than one in twelve.
+
+    A volume that has grown alike on two sides explains pictures of either from one of them, is never drawn from the
+    other, and would stay as it is. Pictures are taken from all around, so no azimuth is due more than its share.
+    """
+    smooth = (2 * shares + shares.roll(1) + shares.roll(-1)) / 4
+    return score + strength * score.std(1, keepdim=True) * torch.log(12 * smooth + 0.05)[_twelfth(views)]
+
+
+def _twelfth(views: Tensor) -> Tensor:
+    """In which twelfth of the circle view vectors (..., 3) lie."""
+    return (azimuth_elevation(views)[0] / 30).long() % 12
 
 
 def compare(
     model: ViewNet,
     shape: Tensor,
     code: Tensor,
-    hypotheses: Hypotheses,
-    wanted: Tensor,
+    tried: Tensor,
+    ups: Tensor | None,
+    target: Tensor,
     config: TrainConfig,
-    colour: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """How well each head's viewpoint explains the targets (equation 2): viewpoints (N, M, 3) and errors (N, M).
+    """How well viewpoints explain targets (equation 2): T are tried for each head, as view vectors (N, M, T, 3).
 
-    With `neighbours`, five viewpoints around each head's are drawn at half the resolution and the best counts. Two
-    heads that are right up to a symmetry differ by their few degrees of error more than by the symmetry's traces; this
-    takes the former out of the comparison.
+    Returns each head's best (N, M, 3) and its error (N, M). With masks at hand it is colours over black and masks that
+    are compared: a random background hides the silhouette where it happens to have the object's colour.
     """
-    heads, size = hypotheses.vectors.shape[1], wanted.shape[-1]
-    vectors, ups = hypotheses.vectors[:, :, None], None
-    if config.neighbours and model.training:
-        vectors = _neighbours(hypotheses.vectors, config.neighbours)
-        if size > 16 and model.config.decoder != "hologan":
-            shape, wanted, size = F.avg_pool3d(shape, 2), resize(wanted, size // 2), size // 2
-    tried = vectors.shape[2]
-    if hypotheses.ups is not None:
-        ups = hypotheses.ups[:, :, None].expand_as(vectors).flatten(0, 2)
+    heads, count = tried.shape[1:3]
+    if ups is not None:
+        ups = ups[:, :, None].expand_as(tried).flatten(0, 2)
     with autocast(shape.device, config):
-        drawn = model.draw(shape, code, look_at(vectors.flatten(0, 2), ups), size)
-    drawn = _over(drawn, config, colour.repeat_interleave(heads * tried, 0)).unflatten(0, (-1, heads * tried))
-    errors, which = head_errors(drawn, wanted).unflatten(1, (heads, tried)).min(2)
-    return vectors.gather(2, which[:, :, None, None].expand(-1, -1, 1, 3))[:, :, 0], errors
+        drawn = model.draw(shape, code, look_at(tried.flatten(0, 2), ups), target.shape[-1])
+    first = 3 if config.target == "mask" else 0
+    last = 4 if config.target == "mask" or config.background == "random" else 3
+    drawn = drawn[:, first:last].unflatten(0, (-1, heads * count))
+    errors, which = head_errors(drawn, target[:, first:last]).unflatten(1, (heads, count)).min(2)
+    return tried.gather(2, which[:, :, None, None].expand(-1, -1, 1, 3))[:, :, 0], errors
 
 
 def _neighbours(vectors: Tensor, angle: float) -> Tensor:
@@ -150,17 +232,24 @@ def step_loss(
     # The HoloGAN decoder's layers paint one size only.
     coarse = progress < config.coarse and model.config.decoder != "hologan"
     size = model.config.render_size // 2 if coarse else model.config.render_size
-    found = reconstruct(model, appearance, target, seen, config, colour, size)
+    if config.mirror:
+        mirrored = (torch.rand(len(target), 1, 1, 1, generator=generator) < 0.5).to(device)
+        seen, target = (torch.where(mirrored, pictures.flip(-1), pictures) for pictures in (seen, target))
+    # Chance goes out half-way through the search.
+    noise = max(0.0, 1 - 2 * progress / config.search) if config.search else 0.0
+    search = Search(config.search_views, noise, generator) if progress < config.search else None
+    found = reconstruct(model, appearance, target, seen, config, colour, size, search)
     terms: dict[str, Tensor] = {}
     if perceptual is not None:
         channels = (found.picture.expand(-1, 3, -1, -1), found.target.expand(-1, 3, -1, -1))
         terms["perceptual"] = perceptual(*channels)
     if config.pixel_weight:
-        terms["pixels"] = config.pixel_weight * pixel_loss(found.picture, found.target)
-    if config.neighbour_weight:
-        rows = torch.arange(len(target), device=device)
-        better = found.nearby[rows, found.best] - found.hypotheses.vectors[rows, found.best]
-        terms["neighbour"] = config.neighbour_weight * better.square().sum(-1).mean()
+        # Relative to how much of the picture the objects fill, or thin ones would count for less than other terms.
+        filled = target[:, 3].mean().clamp(min=0.01)
+        terms["pixels"] = config.pixel_weight * pixel_loss(found.picture, found.target) / filled
+    if config.pull_weight:
+        pulled = found.hypotheses.pick(found.best)
+        terms["pull"] = config.pull_weight * (found.better - pulled).square().sum(-1).mean()
     if model.config.heads > 1:
         terms["selection"] = config.selection_weight * F.cross_entropy(found.hypotheses.logits, found.best)
     ramp = min(1.0, (progress - config.cycle_start) / 0.1) if config.cycle_start else 1.0

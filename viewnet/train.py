@@ -28,6 +28,7 @@ from viewnet.files import replacing
 from viewnet.geometry import look_at, rotation_angle, view_vector
 from viewnet.losses import PerceptualLoss
 from viewnet.model import ViewNet
+from viewnet.muon import Muon
 from viewnet.progress import bar
 from viewnet.step import reconstruct, step_loss
 
@@ -77,6 +78,13 @@ def train(
         raise ViewnetError(
             f"batch_size {settings.batch_size} is no multiple of targets_per_object {settings.targets_per_object}"
         )
+    if settings.epochs < 1:
+        raise ViewnetError(f"epochs {settings.epochs}: expected 1 or more")
+    if settings.batch_size // settings.targets_per_object < 2:
+        raise ViewnetError(
+            f"batch_size {settings.batch_size} with targets_per_object {settings.targets_per_object} is one object a "
+            "step: batch normalisation needs two or more"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     if (folder / "checkpoint.safetensors").exists():
         return
@@ -90,7 +98,7 @@ def train(
     perceptual = None
     if settings.perceptual != "none":
         perceptual = PerceptualLoss(settings.perceptual, Path(weights) if weights else None).to(device)
-    optimiser = torch.optim.Adam(_parameter_groups(model), lr=settings.learning_rate, betas=settings.betas, fused=True)
+    optimisers = make_optimisers(model, settings)
     steps = max(1, len(training.objects) // settings.batch_size)  # an epoch: as many targets as there are views
     objects = settings.batch_size // settings.targets_per_object
     total = settings.epochs * steps
@@ -102,19 +110,24 @@ def train(
     if (folder / "state.pt").exists():
         state = torch.load(folder / "state.pt", map_location=device, weights_only=True)
         model.load_state_dict(state["model"])
-        optimiser.load_state_dict(state["optimiser"])
+        for optimiser, saved in zip(optimisers, state["optimisers"], strict=True):
+            optimiser.load_state_dict(saved)
         log, best, first, spent = state["log"], state["best"], state["epoch"], state["seconds"]
 
     # ---- epochs
     begun = time.perf_counter()
     shown = bar(progress, total=total, initial=first * steps, desc=_title(config), unit="step")
     model.train()
+    board = _board(folder)
     for epoch in range(first, settings.epochs):
+        if first and epoch == first and epoch - 1 - best["epoch"] >= settings.patience:
+            break  # it had ended, and was killed before the checkpoint was written
         sums: dict[str, float] = {}
         for step in range(epoch * steps, (epoch + 1) * steps):
             done = step / total
-            for group in optimiser.param_groups:
-                group["lr"] = settings.learning_rate * group["factor"] * _schedule(settings, done)
+            for optimiser in optimisers:
+                for group in optimiser.param_groups:
+                    group["lr"] = group["initial_lr"] * _schedule(settings, done)
             appearance_rows, target_rows = draw_pairs(training, objects, settings.targets_per_object, config.seed, step)
             batch = (
                 training.pictures(appearance_rows, config.model.input_size, device),
@@ -128,9 +141,10 @@ def train(
                 raise ViewnetError(
                     f"{folder}: the loss is not finite at step {step} ({names}): lower the learning rate"
                 )
-            optimiser.zero_grad(set_to_none=True)
+            model.zero_grad(set_to_none=True)
             loss.backward()
-            optimiser.step()
+            for optimiser in optimisers:
+                optimiser.step()
             for name, value in terms.items():
                 sums[name] = sums.get(name, 0.0) + value.item()
             shown.update()
@@ -141,7 +155,7 @@ def train(
         # ---- validation: labels are used for the choice only where the recipe says so (section 4.1)
         found = validate(model, validation, settings, device)
         score = found["accuracy"] if settings.select_by == "accuracy" else -found["reconstruction"]
-        if score > best["score"]:
+        if score > best["score"] or best["weights"] is None:
             kept = {
                 name: value.detach().cpu().clone(memory_format=torch.contiguous_format)
                 for name, value in model.state_dict().items()
@@ -157,8 +171,12 @@ def train(
         )
         shown.set_postfix(loss=f"{log[-1]['loss']:.4f}", acc=f"{found['accuracy']:.0f}%", refresh=False)
         _write_log(folder / "log.csv", log)
-        state = {"model": model.state_dict(), "optimiser": optimiser.state_dict(), "log": log, "best": best}
-        state |= {"epoch": epoch + 1, "seconds": seconds}
+        if board is not None:
+            for name, value in log[-1].items():
+                board.add_scalar(name, value, log[-1]["step"])
+            board.flush()
+        state = {"model": model.state_dict(), "optimisers": [optimiser.state_dict() for optimiser in optimisers]}
+        state |= {"log": log, "best": best, "epoch": epoch + 1, "seconds": seconds}
         with replacing(folder / "state.pt") as temporary:
             torch.save(state, temporary)
         if epoch - best["epoch"] >= settings.patience:
@@ -172,12 +190,38 @@ def train(
     (folder / "state.pt").unlink(missing_ok=True)
 
 
-def _parameter_groups(model: ViewNet) -> list[dict[str, Any]]:
-    """The mean volume's voxels see few gradients each and learn faster than shared weights should."""
-    template = [p for name, p in model.named_parameters() if name.endswith("template")]
-    others = [p for name, p in model.named_parameters() if not name.endswith("template")]
-    groups = [{"params": others, "factor": 1.0}, {"params": template, "factor": model.config.template}]
-    return [group for group in groups if group["params"]]
+def make_optimisers(model: ViewNet, config: TrainConfig) -> list[torch.optim.Optimizer]:
+    """Adam, and Muon for the viewpoint network's convolutions where the configuration wants it."""
+    matrices = [
+        weight
+        for name, weight in model.viewpoint.encoder.named_parameters()
+        # Not the first layer, which sees colours, nor the last, which says angles: neither is a map of features.
+        if config.muon and weight.dim() == 4 and weight.shape[1] > 3 and weight.shape[-1] > 1
+    ]
+    taken = {id(weight) for weight in matrices}
+    others = [weight for weight in model.parameters() if id(weight) not in taken]
+    optimisers: list[torch.optim.Optimizer] = [
+        torch.optim.Adam(others, lr=config.learning_rate, betas=config.betas, fused=True)
+    ]
+    if matrices:
+        optimisers.append(Muon(matrices, config.muon))
+    for optimiser in optimisers:
+        for group in optimiser.param_groups:
+            group["initial_lr"] = group["lr"]
+    return optimisers
+
+
+def _board(folder: Path) -> Any:
+    """A TensorBoard log in the run's folder where VIEWNET_TENSORBOARD is set, else None."""
+    if not os.environ.get("VIEWNET_TENSORBOARD"):
+        return None
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise ViewnetError(
+            "VIEWNET_TENSORBOARD is set, but TensorBoard is not installed: pip install tensorboard, or unset it"
+        ) from error
+    return SummaryWriter(folder / "tensorboard")
 
 
 def _schedule(config: TrainConfig, done: float) -> float:

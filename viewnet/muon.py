@@ -1,0 +1,46 @@
+"""Muon (Jordan et al. 2024): momentum whose steps have all singular values equal, for the weights of convolutions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+class Muon(torch.optim.Optimizer):
+    """Steps along each weight's momentum, made orthogonal as a matrix (outputs, inputs times kernel).
+
+    A network learns viewpoints in about half the steps that Adam takes. `torch.optim.Muon` takes matrices only, and
+    works in bfloat16, which is slow where the processor has none.
+    """
+
+    def __init__(self, params: Iterable[Tensor], lr: float = 0.02, momentum: float = 0.95):
+        super().__init__(params, {"lr": lr, "momentum": momentum})
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], float] | None = None) -> None:  # type: ignore[override]
+        for group in self.param_groups:
+            for weight in group["params"]:
+                if weight.grad is None:
+                    continue
+                state: dict[str, Any] = self.state[weight]
+                if not state:
+                    state["momentum"] = torch.zeros_like(weight)
+                state["momentum"].lerp_(weight.grad, 1 - group["momentum"])
+                direction = weight.grad.lerp(state["momentum"], group["momentum"]).flatten(1)
+                rows, columns = direction.shape
+                scale = max(1.0, rows / columns) ** 0.5
+                weight.add_(orthogonal(direction).view_as(weight), alpha=-group["lr"] * scale)
+
+
+def orthogonal(matrix: Tensor, iterations: int = 5) -> Tensor:
+    """The matrix (a, b) with its singular values brought near 1, by Newton-Schulz iterations of degree five."""
+    a, b, c = 3.4445, -4.7750, 2.0315
+    x = matrix.T if matrix.shape[0] > matrix.shape[1] else matrix
+    x = x / (x.norm() + 1e-7)
+    for _ in range(iterations):
+        gram = x @ x.T
+        x = a * x + (b * gram + c * gram @ gram) @ x
+    return x.T if matrix.shape[0] > matrix.shape[1] else x
