@@ -11,7 +11,7 @@ from torch import nn
 from viewnet.config import ModelConfig, make_config
 from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation
-from viewnet.model import ViewNet, ViewpointNetwork
+from viewnet.model import ViewNet, ViewpointNetwork, _Kept
 from viewnet.networks import AdaIN, Doubling, Encoder, Generator, gaussian_prior, parameters
 
 SMALL = make_config(profile="smoke").model
@@ -224,6 +224,14 @@ def test_the_volume_keeps_to_its_range_and_starts_near_the_prior():
         bare.decoder.last.weight.zero_()
         bare.decoder.last.bias.zero_()
     assert torch.allclose(bare.shape(torch.zeros(1, SMALL.appearance_size)), torch.full((), 0.5))
+
+
+def test_an_emptied_voxel_still_takes_the_gradient_that_fills_it():
+    x = torch.tensor([-0.5, -0.5, 0.5, 0.5, 1.5, 1.5], requires_grad=True)
+    kept = _Kept.apply(x)
+    assert kept.tolist() == [0, 0, 0.5, 0.5, 1, 1]
+    kept.backward(torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]))
+    assert x.grad.tolist() == [0, -1, 1, -1, 1, 0]  # descent: inwards, or anywhere from inside
 
 
 def test_encoders_see_the_object_over_the_backdrop():

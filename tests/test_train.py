@@ -10,6 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import pytest
@@ -341,3 +342,60 @@ torch.optim.Adam([torch.zeros(1, requires_grad=True)])
     if done.returncode == 7:
         pytest.skip("OpenGL cannot draw here")
     assert done.returncode == 0, done.stderr
+
+
+# Bad settings, and a log to watch
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [({"epochs": 0}, "epochs 0: expected 1 or more"), ({"targets_per_object": 8}, "one object a step")],
+)
+def test_settings_that_cannot_be_trained_are_named(store, tmp_path, overrides, message):
+    with pytest.raises(ViewnetError, match=message):
+        trained(store, tmp_path / "run", **overrides)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_tensorboard_log_is_an_option(store, tmp_path, monkeypatch):
+    written = []
+
+    class SummaryWriter:
+        def __init__(self, folder):
+            written.append(folder)
+
+        def add_scalar(self, name, value, step):
+            written.append((name, value, step))
+
+        def flush(self):
+            pass
+
+    module = types.ModuleType("torch.utils.tensorboard")
+    module.SummaryWriter = SummaryWriter
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", module)
+    trained(store, tmp_path / "without", epochs=1)
+    assert not written
+    monkeypatch.setenv("VIEWNET_TENSORBOARD", "1")
+    folder = trained(store, tmp_path / "with", epochs=2)
+    assert written[0] == folder / "tensorboard"
+    losses = [(value, step) for name, value, step in written[1:] if name == "loss"]
+    assert losses == [(float(row["loss"]), int(row["step"])) for row in log(folder)]
+
+
+def test_a_tensorboard_that_is_not_installed_is_named(store, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    monkeypatch.setenv("VIEWNET_TENSORBOARD", "1")
+    with pytest.raises(ViewnetError, match="pip install tensorboard"):
+        trained(store, tmp_path / "run", epochs=1)
+
+
+def test_a_run_that_ended_early_and_was_killed_before_its_checkpoint_only_writes_it(store, tmp_path, monkeypatch):
+    settings = {"epochs": 9, "patience": 1, "learning_rate": 10.0}  # nothing is gained by such steps
+    whole = trained(store, tmp_path / "whole", **settings)
+    assert len(log(whole)) < 9
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(training, "save_file", lambda *a, **k: (_ for _ in ()).throw(Killed))
+        trained(store, tmp_path / "killed", **settings)
+    resumed = trained(store, tmp_path / "killed", **settings)
+    assert log(resumed) == log(whole)
+    assert same(weights(resumed), weights(whole))

@@ -1,16 +1,21 @@
-"""Writing a file so that it is there whole or not at all."""
+"""Writing a file so that it is there whole or not at all, and a folder by one process at a time."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from viewnet.errors import ViewnetError
+
+log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
@@ -54,3 +59,19 @@ def read_json(path: Path) -> Any:
         raise ViewnetError(f"{path}: cannot be read ({error.strerror})") from error
     except ValueError as error:
         raise ViewnetError(f"{path}: not JSON ({error})") from error
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """One process at a time makes `folder`; others wait. The system drops the lock of a process that dies."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder.with_name(f".{folder.name}.lock"))
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        log.warning("%s is being made by another process: waiting for it", folder)
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()

@@ -15,19 +15,17 @@ from __future__ import annotations
 import datetime
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from filelock import FileLock, Timeout
 
 from viewnet import baselines, evaluate, paths, provenance
 from viewnet.config import DataConfig, ModelConfig, RunConfig, TrainConfig
 from viewnet.errors import ViewnetError
-from viewnet.files import read_json, write_json
+from viewnet.files import locked, read_json, write_json
 from viewnet.predictions import Predictions, joined
 
 log = logging.getLogger(__name__)
@@ -185,7 +183,7 @@ def is_complete(folder: Path) -> bool:
 def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = True) -> None:
     """Train, predict and evaluate what of a run is not there. Waits where another process does."""
     config, folder = job.config, job.folder
-    with _locked(folder):
+    with locked(folder):
         if is_complete(folder):
             return
         folder.mkdir(parents=True, exist_ok=True)
@@ -286,19 +284,3 @@ def _codes() -> dict[str, str]:
         "predicting": provenance.code_identity(PREDICTING),
         "evaluating": provenance.code_identity(EVALUATING),
     }
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """One process at a time works on `folder`. The system drops the lock of a process that dies."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder.with_name(f".{folder.name}.lock"))
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        log.info("%s is being made by another process: waiting for it", folder)
-        lock.acquire()
-    try:
-        yield
-    finally:
-        lock.release()

@@ -9,8 +9,9 @@ from viewnet.config import DataConfig
 from viewnet.data.shapenet import ModelFile, find_models, take
 from viewnet.data.store import ViewStore, identity_of
 from viewnet.errors import ViewnetError
+from viewnet.files import locked
 from viewnet.render import choose_backend
-from viewnet.render.views import describe, digest, locked, render_views
+from viewnet.render.views import describe, digest, render_views
 
 
 def view_store(config: DataConfig, workers: int | None = None, progress: bool = True) -> ViewStore:

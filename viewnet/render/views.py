@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from filelock import FileLock, Timeout
 
 from viewnet.data.shapenet import ModelFile
 from viewnet.data.store import ViewStore, identity_of, write_store
 from viewnet.errors import ViewnetError
+from viewnet.files import locked
 from viewnet.progress import bar as progress_bar
 from viewnet.render import VERSION, Backend, choose_backend
 from viewnet.render.camera import DISTANCE, FOCAL, camera_frames
@@ -183,21 +183,6 @@ def _check(
 def _source(model: ModelFile) -> str:
     """The model's file relative to its collection, the same wherever that lies."""
     return model.path.relative_to(model.folder.parent.parent).as_posix()
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """One process at a time makes `folder`; the others wait."""
-    lock = FileLock(folder.with_name(f".{folder.name}.lock"))
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        log.warning("%s is being made by another process: waiting for it", folder)
-        lock.acquire()
-    try:
-        yield
-    finally:
-        lock.release()
 
 
 def _reopen(folder: Path, made_by: dict[str, Any]) -> ViewStore:

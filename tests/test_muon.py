@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from viewnet.config import make_config
+from viewnet.model import ViewNet
+from viewnet.muon import Muon, orthogonal
+from viewnet.train import make_optimisers
+
+
+@pytest.mark.parametrize("shape", [(8, 72), (72, 8), (16, 16)])
+def test_singular_values_are_brought_near_one(shape):
+    torch.manual_seed(0)
+    values = torch.linalg.svdvals(orthogonal(torch.randn(shape) * 1e-3))
+    assert values.min() > 0.5 and values.max() < 1.3
+
+
+def test_a_zero_gradient_moves_nothing():
+    weight = torch.nn.Parameter(torch.randn(4, 3, 2, 2))
+    before = weight.detach().clone()
+    weight.grad = torch.zeros_like(weight)
+    Muon([weight]).step()
+    assert torch.equal(weight, before)
+
+
+def test_it_finds_a_linear_map():
+    torch.manual_seed(0)
+    wanted, weight = torch.randn(6, 20), torch.nn.Parameter(torch.zeros(6, 5, 2, 2))
+    optimiser = Muon([weight], lr=0.05)
+    losses = []
+    for step in range(200):
+        optimiser.param_groups[0]["lr"] = 0.05 * (1 - step / 200)
+        loss = (weight.flatten(1) - wanted).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.1 * losses[0]
+
+
+def test_only_the_viewpoint_network_s_inner_convolutions_are_taken():
+    config = make_config(profile="smoke", muon=0.02)
+    model = ViewNet(config.model)
+    adam, muon = make_optimisers(model, config.train)
+    taken = {id(p) for p in muon.param_groups[0]["params"]}
+    names = {name for name, p in model.named_parameters() if id(p) in taken}
+    depth = len([m for m in model.viewpoint.encoder if isinstance(m, torch.nn.Conv2d)])
+    assert len(names) == depth - 2 and all(name.startswith("viewpoint.encoder.") for name in names)
+    assert len(adam.param_groups[0]["params"]) + len(taken) == len(list(model.parameters()))
+    assert len(make_optimisers(model, make_config(profile="smoke", muon=0.0).train)) == 1
