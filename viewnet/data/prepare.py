@@ -66,7 +66,6 @@ def built_in(category: str, models: int, seed: int = 0, progress: bool = True) -
             "models 0 means all of a collection, but built-in models have no end: give a number or a root"
         )
     root = paths.data() / "cad" / f"{category}-{models}-seed{seed}-v{cad.VERSION}"
-    root.parent.mkdir(parents=True, exist_ok=True)
     with locked(root):
         # The list of splits is written last.
         if not (root / "all.csv").is_file():

@@ -69,7 +69,6 @@ def render_views(
     backend = choose_backend(backend)
     made_by = describe(views, image_size, supersample, azimuth_range, elevation_range, seed, backend)
     made_by["models"] = digest(models)
-    folder.parent.mkdir(parents=True, exist_ok=True)
     with locked(folder):
         if folder.exists():
             return _reopen(folder, made_by)
