@@ -81,10 +81,10 @@ def model():
 def test_the_winner_alone_gets_the_reconstruction_s_gradients(model):
     model.viewpoint.encoder[-2].weight.data.mul_(5)  # viewpoints that differ from picture to picture
     target, appearance = pictures(6, seed=1), pictures(6, seed=2)
-    found = reconstruct(model, appearance, target, target, SMOKE.train, torch.rand(6, 3))
+    found = reconstruct(model, appearance, target, target, SMOKE.train)
     assert torch.equal(found.best, found.errors.argmin(1))
     grad_vectors, grad_logits = torch.autograd.grad(
-        pixel_loss(found.picture, found.target),
+        pixel_loss(found.drawn, found.target),
         [found.hypotheses.vectors, found.hypotheses.logits],
         allow_unused=True,
         materialize_grads=True,
@@ -97,19 +97,28 @@ def test_the_winner_alone_gets_the_reconstruction_s_gradients(model):
 
 def test_the_picture_is_the_winner_s(model):
     target = pictures(4, seed=1)
-    found = reconstruct(model, target, target, target, SMOKE.train, torch.zeros(4, 3))
+    found = reconstruct(model, target, target, target, SMOKE.train)
     drawn = model.draw(found.shape, found.appearance, look_at(found.better), SMOKE.model.render_size)
-    assert torch.allclose(found.picture, drawn[:, :3], atol=1e-6)
-    small = resize(target, SMOKE.model.render_size)
-    assert torch.allclose(head_errors(drawn[:, None], small)[:, 0], found.errors.amin(1), atol=1e-6)
+    assert torch.allclose(found.drawn, drawn, atol=1e-6)
+    assert torch.equal(found.target, resize(target, SMOKE.model.render_size))
+
+
+@pytest.mark.parametrize(("colours", "masks"), [(1.0, 0.0), (0.0, 1.0), (0.5, 2.0)])
+def test_viewpoints_are_compared_by_colours_and_masks_as_configured(model, colours, masks):
+    config = dataclasses.replace(SMOKE.train, compare_colours=colours, compare_masks=masks)
+    target = pictures(4, seed=1)
+    found = reconstruct(model.eval(), target, target, target, config)
+    off = (found.drawn - found.target).square().mean(dim=(2, 3))
+    expected = colours * off[:, :3].mean(1) + masks * off[:, 3]
+    assert torch.allclose(found.errors.amin(1), expected, atol=1e-6)
 
 
 def test_several_targets_share_an_appearance(model):
     model.eval()  # batch statistics would tie the pictures together
-    target, appearance, colour = pictures(4, seed=1), pictures(2, seed=2), torch.rand(4, 3)
-    shared = reconstruct(model, appearance, target, target, SMOKE.train, colour)
-    apart = reconstruct(model, appearance.repeat_interleave(2, 0), target, target, SMOKE.train, colour)
-    assert torch.allclose(shared.picture, apart.picture, atol=1e-5)
+    target, appearance = pictures(4, seed=1), pictures(2, seed=2)
+    shared = reconstruct(model, appearance, target, target, SMOKE.train)
+    apart = reconstruct(model, appearance.repeat_interleave(2, 0), target, target, SMOKE.train)
+    assert torch.allclose(shared.drawn, apart.drawn, atol=1e-5)
     assert torch.allclose(shared.errors, apart.errors, atol=1e-5)
 
 
@@ -118,18 +127,20 @@ def test_a_single_head_has_nothing_to_select():
     config = make_config("single_head", profile="smoke", recipe="matting", **PLAIN)
     batch = (pictures(4, seed=1), pictures(4, seed=2), pictures(4, seed=2))
     terms = step_loss(ViewNet(config.model), batch, config.train, None, 0.5, torch.Generator().manual_seed(0))
-    assert set(terms) == {"pixels"}
+    assert set(terms) == {"pixels", "masks"}
 
 
 def test_a_segmentation_target_ignores_colour(model):
     config = dataclasses.replace(SMOKE.train, target="mask")
     target = pictures(4, seed=1)
     recoloured = torch.cat([target[:, :3].flip(1), target[:, 3:]], dim=1)
-    one, two = (
-        reconstruct(model.eval(), target, wanted, target, config, torch.rand(4, 3)) for wanted in (target, recoloured)
-    )
-    assert one.picture.shape == (4, 1, SMOKE.model.render_size, SMOKE.model.render_size)
+    one, two = (reconstruct(model.eval(), target, wanted, target, config) for wanted in (target, recoloured))
     assert torch.equal(one.errors, two.errors)
+    one, two = (
+        step_loss(model, (target, wanted, target), config, None, 0.5, torch.Generator().manual_seed(0))
+        for wanted in (target, recoloured)
+    )
+    assert torch.equal(one["pixels"], two["pixels"])
 
 
 # Neighbours of the heads
@@ -192,11 +203,21 @@ def test_an_azimuth_chosen_too_often_is_avoided():
     front, back = view_vector(torch.tensor([15.0, 195.0]), torch.zeros(2))
     views = torch.stack([front, back]).expand(1, 2, 3)
     score = torch.tensor([[1.0, 1.1]])  # both much alike, the front a little better
-    even = torch.full((12,), 1 / 12)
-    assert _balanced(score, views, even, 1.0).argmin().item() == 0
-    often = torch.tensor([0.6, 0.4, *[0.0] * 9, 0.0])
-    assert _balanced(score, views, often, 1.0).argmin().item() == 1
-    assert torch.equal(_balanced(score, views, often, 0.0), score)
+    even, limits = torch.full((12, 1), 1 / 12), (-90.0, 90.0)
+    assert _balanced(score, views, even, limits, 1.0).argmin().item() == 0
+    often = torch.tensor([0.6, 0.4, *[0.0] * 9, 0.0])[:, None]
+    assert _balanced(score, views, often, limits, 1.0).argmin().item() == 1
+    assert torch.equal(_balanced(score, views, often, limits, 0.0), score)
+
+
+def test_an_elevation_chosen_too_often_is_avoided():
+    """Near and far exchanged, (a, e) looks like (180 - a, -e): only how often each elevation is due tells them apart."""
+    views = view_vector(torch.tensor([15.0, 165.0]), torch.tensor([10.0, -10.0])).expand(1, 2, 3)
+    score, limits = torch.tensor([[1.1, 1.0]]), (-20.0, 40.0)
+    even = torch.full((12, 4), 1 / 48)
+    assert _balanced(score, views, even, limits, 1.0).argmin().item() == 1
+    below = torch.tensor([0.7, 0.1, 0.1, 0.1]).expand(12, 4) / 12
+    assert _balanced(score, views, below, limits, 1.0).argmin().item() == 0
 
 
 def test_a_mirrored_target_is_drawn_as_it_is_seen(model, monkeypatch):

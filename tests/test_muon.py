@@ -16,6 +16,14 @@ def test_singular_values_are_brought_near_one(shape):
     assert values.min() > 0.5 and values.max() < 1.3
 
 
+def test_the_singular_vectors_stay():
+    torch.manual_seed(0)
+    matrix = torch.randn(8, 72)
+    u, _, v = torch.linalg.svd(matrix, full_matrices=False)
+    turned = u.T @ orthogonal(matrix) @ v.T
+    assert torch.allclose(turned, torch.diag(turned.diagonal()), atol=1e-3)
+
+
 def test_a_zero_gradient_moves_nothing():
     weight = torch.nn.Parameter(torch.randn(4, 3, 2, 2))
     before = weight.detach().clone()
@@ -39,13 +47,17 @@ def test_it_finds_a_linear_map():
     assert losses[-1] < 0.1 * losses[0]
 
 
-def test_only_the_viewpoint_network_s_inner_convolutions_are_taken():
+def test_only_inner_convolutions_are_taken():
     config = make_config(profile="smoke", muon=0.02)
     model = ViewNet(config.model)
     adam, muon = make_optimisers(model, config.train)
     taken = {id(p) for p in muon.param_groups[0]["params"]}
     names = {name for name, p in model.named_parameters() if id(p) in taken}
-    depth = len([m for m in model.viewpoint.encoder if isinstance(m, torch.nn.Conv2d)])
-    assert len(names) == depth - 2 and all(name.startswith("viewpoint.encoder.") for name in names)
+    depth = len([m for m in model.appearance if isinstance(m, torch.nn.Conv2d)])
+    for part in ("viewpoint.encoder.", "appearance."):
+        of = {name for name in names if name.startswith(part)}
+        assert len(of) == depth - 2 and f"{part}0.weight" not in of
+    assert len({name for name in names if name.startswith("decoder.stages.")}) == len(model.decoder.stages)
+    assert len(names) == 2 * (depth - 2) + len(model.decoder.stages)
     assert len(adam.param_groups[0]["params"]) + len(taken) == len(list(model.parameters()))
     assert len(make_optimisers(model, make_config(profile="smoke", muon=0.0).train)) == 1

@@ -226,6 +226,20 @@ def test_the_volume_keeps_to_its_range_and_starts_near_the_prior():
     assert torch.allclose(bare.shape(torch.zeros(1, SMALL.appearance_size)), torch.full((), 0.5))
 
 
+def test_colours_start_from_the_object_s_own():
+    torch.manual_seed(0)
+    model = ViewNet(small(colour_prior=True))
+    with torch.no_grad():
+        model.decoder.last.weight.zero_()
+        model.decoder.last.bias.zero_()
+    pictures = torch.zeros(2, 4, 32, 32)
+    pictures[0, :, 4:8, 4:8] = torch.tensor([0.9, 0.2, 0.5, 1.0])[:, None, None]
+    _, shape = model.imagine(pictures)
+    assert torch.allclose(shape[0, :3], torch.tensor([0.9, 0.2, 0.5])[:, None, None, None].expand_as(shape[0, :3]))
+    assert torch.allclose(shape[0, 3], model.prior, atol=1e-6)
+    assert shape[1].isfinite().all()  # nothing to be seen, so no mean either
+
+
 def test_an_emptied_voxel_still_takes_the_gradient_that_fills_it():
     x = torch.tensor([-0.5, -0.5, 0.5, 0.5, 1.5, 1.5], requires_grad=True)
     kept = _Kept.apply(x)

@@ -80,6 +80,8 @@ class ModelConfig:
     in_plane: bool = False  # learn the up vector too (section 3.1, the general case)
     decoder: Literal["adain", "encoder_decoder", "hologan"] = "adain"
     shape_prior: bool = True  # the Gaussian S in Q = S + Q'
+    colour_prior: bool = False  # colours start from the appearance picture's mean one
+    balance_bands: int = 1  # in how many bands of elevation TrainConfig.balance tells viewpoints apart
     focal: float = 0.4  # initial perspective: reciprocal of the camera's distance in half sides of the volume
     learn_focal: bool = True
 
@@ -91,15 +93,17 @@ class TrainConfig:
     epochs: int = 1000
     batch_size: int = 64  # target images a step
     targets_per_object: int = 1  # target images that share one appearance image
+    compare_colours: float = 1.0  # viewpoints are compared by squared errors: the weight of colours
+    compare_masks: float = 0.0  # and of masks
     search: float = 0.0  # in this first share of training a search over all viewpoints finds those to draw from
     search_views: int = 48  # how many viewpoints it tries a target, beside the heads'
     neighbours: float = 0.0  # degrees: heads are compared by the best of five viewpoints so far around each; 0: itself
     pull_weight: float = 0.0  # of the pull of the best head towards the viewpoint found by search or among neighbours
-    balance: float = 0.0  # how strongly viewpoints of an azimuth that is chosen too often are avoided
+    balance: float = 0.0  # how strongly viewpoints from where too many are chosen are avoided
     mirror: bool = False  # half of the targets are shown as in a mirror, as views of an object that is as likely
     coarse: float = 0.0  # this first share of training draws and compares at half the resolution
     learning_rate: float = 1e-4
-    muon: float = 0.0  # learning rate of Muon, which then trains the viewpoint network's convolutions. 0: Adam
+    muon: float = 0.0  # learning rate of Muon, which then trains the networks' inner convolutions. 0: Adam
     betas: tuple[float, float] = (0.9, 0.999)
     schedule: Literal["constant", "cosine", "hold"] = "constant"  # hold: constant for 60 %, then down along a cosine
     patience: int = 30  # epochs without gain on validation before stopping
@@ -108,6 +112,7 @@ class TrainConfig:
     background: Literal["black", "random"] = "black"  # behind target and reconstruction alike
     perceptual: Literal["none", "squeezenet", "vgg16"] = "vgg16"
     pixel_weight: float = 0.0  # of L1 + MSE on pixels at two scales, beside the perceptual term
+    mask_weight: float = 0.0  # of the same on masks
     selection_weight: float = 1.0
     cycle: bool = False  # section 3.4
     cycle_weight: float = 1.0
@@ -154,8 +159,8 @@ RECIPES: dict[str, Changes] = {
     # As printed, and as released where the paper is silent: black background, VGG16 perceptual loss, a free focal
     # length, the viewpoint network's input cut to the object, stopping by validation accuracy.
     "paper": {"model": {"crop": True}, "train": {"augment": True}},
-    # Ours: target and reconstruction over the same random colour, so that the mask is learned from colour alone; heads
-    # that start apart; elevations within a plausible camera range; stopping without labels. See docs/recipes.md.
+    # Ours: masks first and colours over a random background; a search for viewpoints to begin with; heads that start
+    # apart; elevations within a plausible camera range; stopping without labels. See docs/recipes.md.
     "matting": {
         "model": {
             "encoder_padding": "zeros",
@@ -164,11 +169,16 @@ RECIPES: dict[str, Changes] = {
             # The camera the views are made with: a free focal length shrinks where depth is mirrored, and so hides it.
             "focal": 0.268,
             "learn_focal": False,
+            "colour_prior": True,
+            "balance_bands": 4,
         },
         "train": {
             "background": "random",
             "perceptual": "none",
-            "pixel_weight": 1.0,
+            "pixel_weight": 0.3,
+            "mask_weight": 1.0,
+            "compare_colours": 0.1,
+            "compare_masks": 1.0,
             "select_by": "reconstruction",
             "selection_weight": 0.1,
             "search": 0.3,
@@ -196,10 +206,10 @@ VARIANTS: dict[str, Changes] = {
     "segmentation_target": {"train": {"target": "mask"}},
     "no_shape_prior": {"model": {"shape_prior": False}},
     "encoder_decoder": {"model": {"decoder": "encoder_decoder"}},
-    # Nothing separates object and background after learned layers, so it is trained on black, as printed.
+    # Nothing separates object and background after learned layers: trained on black, as printed, and without masks.
     "hologan_decoder": {
         "model": {"decoder": "hologan"},
-        "train": {"background": "black", "search": 0.0, "neighbours": 0.0},
+        "train": {"background": "black", "mask_weight": 0.0, "compare_masks": 0.0, "search": 0.0, "neighbours": 0.0},
     },
 }
 """The trained rows of Tables 1 and 2. The constant predictor needs no training (viewnet.evaluate)."""
@@ -224,7 +234,7 @@ PROFILES: dict[str, Changes] = {
         "model": {
             "volume_size": 32,
             "render_size": 32,
-            "encoder_channels": (16, 32, 64, 128, 256, 256),
+            "encoder_channels": (16, 32, 64, 128, 256, 128),
             "code_size": 64,
             "generator_channels": (64, 32, 16),
             "generator_refine": False,

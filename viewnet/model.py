@@ -37,10 +37,10 @@ class Hypotheses:
 class ViewpointNetwork(nn.Module):
     """f^v: pictures (N, 3, S, S) -> Hypotheses. One trunk; its last layer gives logits and vectors (section 3.1).
 
-    `azimuth_shares` (12,) is kept by training: how often the viewpoints drawn from lay in each twelfth of the circle.
+    `shares` (12, bands) is kept by training: how often the viewpoints drawn from lay in each part of the sphere.
     """
 
-    azimuth_shares: Tensor
+    shares: Tensor
 
     def __init__(self, config: ModelConfig):
         super().__init__()
@@ -50,7 +50,8 @@ class ViewpointNetwork(nn.Module):
         azimuth = torch.arange(config.heads) * (2 * math.pi / config.heads)
         offset = config.head_spread * torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros_like(azimuth)], dim=1)
         self.register_buffer("offset", offset, persistent=False)
-        self.register_buffer("azimuth_shares", torch.full((12,), 1 / 12))
+        bands = config.balance_bands
+        self.register_buffer("shares", torch.full((12, bands), 1 / (12 * bands)))
 
     def forward(self, pictures: Tensor) -> Hypotheses:
         out = self.encoder(pictures).float()
@@ -111,17 +112,29 @@ class ViewNet(nn.Module):
         """Pictures (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S) on the backdrop."""
         return pictures[:, :3] + self.config.backdrop * (1 - pictures[:, 3:])
 
-    def shape(self, appearance: Tensor, coarse: bool = False) -> Tensor:
+    def imagine(self, pictures: Tensor, coarse: bool = False) -> tuple[Tensor, Tensor]:
+        """Appearance codes (N, A) and volumes, as `shape` gives them, of the objects in pictures (N, 4, S, S)."""
+        code = self.appearance(self.see(pictures))
+        colour = None
+        if self.config.colour_prior:
+            colour = pictures[:, :3].sum((2, 3)) / pictures[:, 3].sum((1, 2))[:, None].clamp(min=1)
+        return code, self.shape(code, colour, coarse)
+
+    def shape(self, appearance: Tensor, colour: Tensor | None = None, coarse: bool = False) -> Tensor:
         """Volumes (N, 4, n, n, n): colour and occupancy in [0, 1] (or the HoloGAN decoder's features).
 
-        `coarse` gives them at half the resolution where the generator can.
+        With `colour` (N, 3), an object's mean colour, the generator only has to say how its parts differ from that.
+        `coarse` gives volumes at half the resolution where the generator can.
 
         With the prior, Q = S + Q' as printed, where Q' = 2 sigmoid - 1 lies in [-1, 1] and the sum is kept in [0, 1].
         """
         if isinstance(self.decoder, HoloGANDecoder):
             return self.decoder.features(appearance)
         # Both orders of squashing and sampling are in use; squashing first keeps the volume itself a picture's worth.
-        values = torch.sigmoid(self.decoder(appearance, coarse).float())
+        logits = self.decoder(appearance, coarse).float()
+        if colour is not None:
+            logits = logits + F.pad(colour.clamp(0.03, 0.97).logit(), (0, 1))[:, :, None, None, None]
+        values = torch.sigmoid(logits)
         if not self.config.shape_prior:
             return values
         prior = self.prior if len(self.prior) == values.shape[-1] else F.avg_pool3d(self.prior[None, None], 2)[0, 0]

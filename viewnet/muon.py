@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 class Muon(torch.optim.Optimizer):
-    """Steps along each weight's momentum, made orthogonal as a matrix (outputs, inputs times kernel).
+    """Steps along each weight's momentum, made orthogonal as a matrix (first dimension, all others).
 
     A network learns viewpoints in about half the steps that Adam takes. `torch.optim.Muon` takes matrices only, and
     works in bfloat16, which is slow where the processor has none.
@@ -40,7 +40,13 @@ def orthogonal(matrix: Tensor, iterations: int = 5) -> Tensor:
     a, b, c = 3.4445, -4.7750, 2.0315
     x = matrix.T if matrix.shape[0] > matrix.shape[1] else matrix
     x = x / (x.norm() + 1e-7)
-    for _ in range(iterations):
-        gram = x @ x.T
-        x = a * x + (b * gram + c * gram @ gram) @ x
+    # Every iteration multiplies by a polynomial of the Gram matrix, and these commute: they are gathered first.
+    gram, product = x @ x.T, None
+    for left in reversed(range(iterations)):
+        factor = torch.addmm(gram, gram, gram, beta=b, alpha=c)
+        factor.diagonal().add_(a)
+        product = factor if product is None else factor @ product
+        if left:
+            gram = factor @ gram @ factor
+    x = x if product is None else product @ x
     return x.T if matrix.shape[0] > matrix.shape[1] else x

@@ -145,14 +145,14 @@ class Generator(nn.Module):
             stages.append(Stage(before, width, 4, 2, appearance))
             if config.generator_refine:
                 stages.append(Stage(width, width, 3, 1, appearance))
-        self.stages = nn.ModuleList(stages)
+        self.stages = nn.ModuleList(stages).to(memory_format=torch.channels_last_3d)
         kernel = config.generator_last_kernel
         self.last = Doubling(widths[-1]) if kernel == 2 else nn.ConvTranspose3d(widths[-1], 4, kernel, 2, 1)
 
     def forward(self, appearance: Tensor, coarse: bool = False) -> Tensor:
         x = self.code.expand(len(appearance), -1, -1, -1, -1) if self.adain else appearance[:, :, None, None, None]
         for stage in self.stages:
-            x = stage(x, appearance)
+            x = stage(x.contiguous(memory_format=torch.channels_last_3d), appearance)
         if coarse and isinstance(self.last, Doubling):
             return self.last.coarse(x)
         return self.last(x)

@@ -15,6 +15,7 @@ from viewnet.config import RunConfig
 from viewnet.data.pairs import load_views
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
+from viewnet.losses import composite
 from viewnet.model import ViewNet
 from viewnet.predictions import Predictions
 from viewnet.step import reconstruct
@@ -71,7 +72,7 @@ def candidates(folder: Path, store: ViewStore, rows: list[int], split: str = "te
     """What each head draws of some views of a split, ranked by reconstruction error (figure 3d).
 
     Returns the views themselves (N, H, W, 3) uint8, the drawings (N, M, H, W, 3) uint8, their errors (N, M) ascending
-    and the heads' numbers (N, M). The appearance comes from the next view of the same object, the background is black.
+    and the heads' numbers (N, M). The appearance comes from the next view of the same object, the background is white.
     """
     network, config = load_model(folder)
     device, size = network.focal.device, network.config.render_size
@@ -79,27 +80,25 @@ def candidates(folder: Path, store: ViewStore, rows: list[int], split: str = "te
     views = load_views(store, split, max(size, small), small if network.config.crop else None)
     index = torch.tensor(rows)
     others = views.partners(index)
-    black = torch.zeros(len(rows), 3, device=device)
     found = reconstruct(
         network,
         views.pictures(others, small, device),
         views.pictures(index, small, device),
         views.seen(index, small, device),
         config.train,
-        black,
     )
     heads = network.config.heads
-    drawn = network.draw(found.shape, found.appearance, found.hypotheses.frames.flatten(0, 1))[:, :3]
+    drawn = _on_white(network.draw(found.shape, found.appearance, found.hypotheses.frames.flatten(0, 1)))
     ranked = found.errors.argsort(1)
-    drawn = drawn.unflatten(0, (-1, heads))[torch.arange(len(rows))[:, None], ranked]
     return (
-        _picture(views.pictures(index, size, device)[:, :3]),
-        _picture(drawn),
+        _on_white(views.pictures(index, size, device)),
+        drawn.reshape(-1, heads, *drawn.shape[1:])[np.arange(len(rows))[:, None], ranked.cpu().numpy()],
         found.errors.gather(1, ranked).cpu().numpy(),
         ranked.cpu().numpy(),
     )
 
 
-def _picture(tensor: Tensor) -> np.ndarray:
-    """(..., 3, H, W) in [0, 1] -> (..., H, W, 3) uint8."""
-    return (tensor.clamp(0, 1) * 255).round().to(torch.uint8).movedim(-3, -1).cpu().numpy()
+def _on_white(pictures: Tensor) -> np.ndarray:
+    """Pictures (N, 4, H, W), RGB times mask and mask in [0, 1] -> (N, H, W, 3) uint8."""
+    colours = composite(pictures, torch.ones(len(pictures), 3, device=pictures.device))
+    return (colours.clamp(0, 1) * 255).round().to(torch.uint8).movedim(1, -1).cpu().numpy()

@@ -23,8 +23,8 @@ class Reconstruction:
     errors: Tensor  # (N, M) of each head
     best: Tensor  # (N,) the head with the least, or the closest to what the search found
     better: Tensor  # (N, 3) the viewpoint near that head's, or found by the search, that explains the target best
-    picture: Tensor  # (N, 3 or 1, S, S) as drawn, over the background
-    target: Tensor  # the same of the target view
+    drawn: Tensor  # (N, 4, S, S) from the head's viewpoint, or the one that the search found
+    target: Tensor  # the target view at the same size
     shape: Tensor
     appearance: Tensor
 
@@ -35,11 +35,10 @@ def reconstruct(
     target: Tensor,
     seen: Tensor,
     config: TrainConfig,
-    colour: Tensor,
     size: int | None = None,
     search: Search | None = None,
 ) -> Reconstruction:
-    """Draws targets (N, 4, s, s) from appearance views (B, 4, s, s), N = B K, over colours (N, 3) (equations 1 and 2).
+    """Draws targets (N, 4, s, s) from appearance views (B, 4, s, s), N = B K (equations 1 and 2).
 
     All heads are compared without gradients; only the best is drawn with them ("gradients will only be propagated
     through m*"). `seen` (N, 4, s, s) is what the viewpoint network sees of the targets: themselves, or cut and
@@ -48,16 +47,15 @@ def reconstruct(
     """
     size = size or model.config.render_size
     with autocast(appearance.device, config):
-        code = model.appearance(model.see(appearance))
-        shape = model.shape(code, coarse=size < model.config.render_size)
+        code, shape = model.imagine(appearance, coarse=size < model.config.render_size)
         hypotheses = model.viewpoint(model.see(seen))
     target = target if target.shape[-1] == size else resize(target, size)
     with torch.no_grad():
         best, better, errors = _choose(model, shape, code, hypotheses, target, config, search)
     drawn_from = look_at(better) if search else hypotheses.frames[torch.arange(len(best)), best]
     with autocast(appearance.device, config):
-        picture = _over(model.draw(shape, code, drawn_from, size), config, colour)
-    return Reconstruction(hypotheses, errors, best, better, picture, _over(target, config, colour), shape, code)
+        drawn = model.draw(shape, code, drawn_from, size)
+    return Reconstruction(hypotheses, errors, best, better, drawn, target, shape, code)
 
 
 @dataclass
@@ -96,23 +94,24 @@ def _choose(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The head to teach (N,), the viewpoint to teach it (N, 3), and every head's error (N, M)."""
     vectors, rows = hypotheses.vectors, torch.arange(len(target), device=target.device)
-    heads = vectors.shape[1]
+    heads, limits = vectors.shape[1], model.config.elevation_limits or (-90.0, 90.0)
     better, errors = _compare_heads(model, shape, code, hypotheses, target, config)
     if not model.training:
         best = errors.argmin(1)
         return best, better[rows, best], errors
     score = errors
     if search:
-        grid = search.grid(len(target), model.config.elevation_limits or (-90.0, 90.0)).to(vectors)
+        grid = search.grid(len(target), limits).to(vectors)
         _, found = compare(model, shape, code, grid[:, :, None], None, target, config)
         better, score = torch.cat([better, grid], 1), search.perturb(torch.cat([errors, found], 1))
     if config.balance and heads > 1:
-        score = _balanced(score, better, model.viewpoint.azimuth_shares, config.balance)
+        score = _balanced(score, better, model.viewpoint.shares, limits, config.balance)
     winner = score.argmin(1)
     view = better[rows, winner]
     if config.balance:
-        counts = torch.bincount(_twelfth(view), minlength=12)
-        model.viewpoint.azimuth_shares.lerp_(counts / len(view), 0.05)
+        shares = model.viewpoint.shares
+        counts = torch.bincount(_part(view, limits, shares.shape[1]), minlength=shares.numel())
+        shares.lerp_((counts / len(view)).view_as(shares), 0.02)
     closest = (vectors - view[:, None]).square().sum(-1).argmin(1)
     return torch.where(winner < heads, winner.clamp(max=heads - 1), closest), view, errors
 
@@ -136,19 +135,23 @@ def _compare_heads(
     return compare(model, shape, code, better[:, :, None], hypotheses.ups, target, config)
 
 
-def _balanced(score: Tensor, views: Tensor, shares: Tensor, strength: float) -> Tensor:
-    """Scores (N, T) of viewpoints (N, T, 3), raised where an azimuth is chosen more often than one in twelve.
+def _balanced(score: Tensor, views: Tensor, shares: Tensor, limits: tuple[float, float], strength: float) -> Tensor:
+    """Scores (N, T) of viewpoints (N, T, 3), raised where more than are due are chosen, as `shares` (12, bands) tell.
 
     A volume that has grown alike on two sides explains pictures of either from one of them, is never drawn from the
-    other, and would stay as it is. Pictures are taken from all around, so no azimuth is due more than its share.
+    other, and would stay as it is. Pictures are taken from all around and from all elevations within the limits, so no
+    part of that is due more than its share.
     """
-    smooth = (2 * shares + shares.roll(1) + shares.roll(-1)) / 4
-    return score + strength * score.std(1, keepdim=True) * torch.log(12 * smooth + 0.05)[_twelfth(views)]
+    smooth = (2 * shares + shares.roll(1, 0) + shares.roll(-1, 0)) / 4
+    excess = torch.log(smooth * smooth.numel() + 0.05).flatten()[_part(views, limits, shares.shape[1])]
+    return score + strength * score.std(1, keepdim=True) * excess
 
 
-def _twelfth(views: Tensor) -> Tensor:
-    """In which twelfth of the circle view vectors (..., 3) lie."""
-    return (azimuth_elevation(views)[0] / 30).long() % 12
+def _part(views: Tensor, limits: tuple[float, float], bands: int) -> Tensor:
+    """In which part of the sphere view vectors (..., 3) lie: one of 12 sectors of azimuth times bands of elevation."""
+    azimuth, elevation = azimuth_elevation(views)
+    band = ((elevation - limits[0]) / (limits[1] - limits[0]) * bands).long().clamp(0, bands - 1)
+    return (azimuth / 30).long() % 12 * bands + band
 
 
 def compare(
@@ -162,18 +165,20 @@ def compare(
 ) -> tuple[Tensor, Tensor]:
     """How well viewpoints explain targets (equation 2): T are tried for each head, as view vectors (N, M, T, 3).
 
-    Returns each head's best (N, M, 3) and its error (N, M). With masks at hand it is colours over black and masks that
-    are compared: a random background hides the silhouette where it happens to have the object's colour.
+    Returns each head's best (N, M, 3) and its error (N, M). Colours are compared over black, and masks apart from
+    them: over a random background the silhouette is hidden where it happens to have the object's colour.
     """
     heads, count = tried.shape[1:3]
     if ups is not None:
         ups = ups[:, :, None].expand_as(tried).flatten(0, 2)
     with autocast(shape.device, config):
         drawn = model.draw(shape, code, look_at(tried.flatten(0, 2), ups), target.shape[-1])
-    first = 3 if config.target == "mask" else 0
-    last = 4 if config.target == "mask" or config.background == "random" else 3
-    drawn = drawn[:, first:last].unflatten(0, (-1, heads * count))
-    errors, which = head_errors(drawn, target[:, first:last]).unflatten(1, (heads, count)).min(2)
+    drawn = drawn.unflatten(0, (-1, heads * count))
+    masks = 1.0 if config.target == "mask" else config.compare_masks
+    found = masks * head_errors(drawn[:, :, 3:], target[:, 3:]) if masks else drawn.new_zeros(drawn.shape[:2])
+    if config.target == "image" and config.compare_colours:
+        found = found + config.compare_colours * head_errors(drawn[:, :, :3], target[:, :3])
+    errors, which = found.unflatten(1, (heads, count)).min(2)
     return tried.gather(2, which[:, :, None, None].expand(-1, -1, 1, 3))[:, :, 0], errors
 
 
@@ -183,10 +188,6 @@ def _neighbours(vectors: Tensor, angle: float) -> Tensor:
     step = vectors.new_tensor([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]]) * angle
     higher = (elevation[..., None] + step[:, 1] / 2).clamp(-89, 89)
     return view_vector(azimuth[..., None] + step[:, 0], higher)
-
-
-def _over(picture: Tensor, config: TrainConfig, colour: Tensor) -> Tensor:
-    return picture[:, 3:] if config.target == "mask" else composite(picture, colour)
 
 
 def backgrounds(config: TrainConfig, count: int, generator: torch.Generator, device: torch.device) -> Tensor:
@@ -227,7 +228,6 @@ def step_loss(
     """The terms of one step's loss, weighted; their sum is minimised. `progress` is the share of training done."""
     appearance, target, seen = batch
     device = appearance.device
-    colour = backgrounds(config, len(target), generator, device)
     seen = augment(seen, generator) if config.augment else seen
     # The HoloGAN decoder's layers paint one size only.
     coarse = progress < config.coarse and model.config.decoder != "hologan"
@@ -238,15 +238,21 @@ def step_loss(
     # Chance goes out half-way through the search.
     noise = max(0.0, 1 - 2 * progress / config.search) if config.search else 0.0
     search = Search(config.search_views, noise, generator) if progress < config.search else None
-    found = reconstruct(model, appearance, target, seen, config, colour, size, search)
+    found = reconstruct(model, appearance, target, seen, config, size, search)
+    if config.target == "mask":
+        picture, wanted = found.drawn[:, 3:], found.target[:, 3:]
+    else:
+        colour = backgrounds(config, len(target), generator, device)
+        picture, wanted = composite(found.drawn, colour), composite(found.target, colour)
     terms: dict[str, Tensor] = {}
     if perceptual is not None:
-        channels = (found.picture.expand(-1, 3, -1, -1), found.target.expand(-1, 3, -1, -1))
-        terms["perceptual"] = perceptual(*channels)
+        terms["perceptual"] = perceptual(picture.expand(-1, 3, -1, -1), wanted.expand(-1, 3, -1, -1))
+    # Relative to how much of the picture the objects fill, or thin ones would count for less than other terms.
+    filled = target[:, 3].mean().clamp(min=0.01)
     if config.pixel_weight:
-        # Relative to how much of the picture the objects fill, or thin ones would count for less than other terms.
-        filled = target[:, 3].mean().clamp(min=0.01)
-        terms["pixels"] = config.pixel_weight * pixel_loss(found.picture, found.target) / filled
+        terms["pixels"] = config.pixel_weight * pixel_loss(picture, wanted) / filled
+    if config.mask_weight:
+        terms["masks"] = config.mask_weight * pixel_loss(found.drawn[:, 3:], found.target[:, 3:]) / filled
     if config.pull_weight:
         pulled = found.hypotheses.pick(found.best)
         terms["pull"] = config.pull_weight * (found.better - pulled).square().sum(-1).mean()

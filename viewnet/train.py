@@ -40,7 +40,7 @@ VALIDATION_VIEWS = 320
 def validate(model: ViewNet, views: Views, config: TrainConfig, device: torch.device) -> dict[str, float]:
     """Reconstruction error of the best head (label-free) and true acc@30 in percent after Procrustes (uses labels).
 
-    Each view is drawn from the appearance of the next view of its object, over mid-grey.
+    Each view is drawn from the appearance of the next view of its object.
     """
     model.eval()
     rows = torch.arange(min(VALIDATION_VIEWS, len(views.objects)))
@@ -49,8 +49,7 @@ def validate(model: ViewNet, views: Views, config: TrainConfig, device: torch.de
     size = model.config.input_size
     for part in rows.split(64):
         appearance, target = views.pictures(others[part], size, device), views.pictures(rows[part], size, device)
-        grey = torch.full((len(part), 3), 0.5, device=device)
-        found = reconstruct(model, appearance, target, views.seen(rows[part], size, device), config, grey)
+        found = reconstruct(model, appearance, target, views.seen(rows[part], size, device), config)
         error += found.errors.amin(1).sum().item()
         vectors.append(found.hypotheses.pick(found.hypotheses.logits.argmax(1)))
     predicted = torch.cat(vectors).cpu().double()
@@ -120,8 +119,8 @@ def train(
     model.train()
     board = _board(folder)
     for epoch in range(first, settings.epochs):
-        if first and epoch == first and epoch - 1 - best["epoch"] >= settings.patience:
-            break  # it had ended, and was killed before the checkpoint was written
+        if log and log[-1]["epoch"] - 1 - best["epoch"] >= settings.patience:
+            break
         sums: dict[str, float] = {}
         for step in range(epoch * steps, (epoch + 1) * steps):
             done = step / total
@@ -179,8 +178,6 @@ def train(
         state |= {"log": log, "best": best, "epoch": epoch + 1, "seconds": seconds}
         with replacing(folder / "state.pt") as temporary:
             torch.save(state, temporary)
-        if epoch - best["epoch"] >= settings.patience:
-            break
     shown.close()
 
     # ---- keep the best
@@ -190,13 +187,18 @@ def train(
     (folder / "state.pt").unlink(missing_ok=True)
 
 
+INNER_LAYERS = (torch.nn.Conv2d, torch.nn.ConvTranspose3d)
+
+
 def make_optimisers(model: ViewNet, config: TrainConfig) -> list[torch.optim.Optimizer]:
-    """Adam, and Muon for the viewpoint network's convolutions where the configuration wants it."""
+    """Adam, and Muon for the inner convolutions of encoders and generator where the configuration wants it."""
+    encoders = [*model.viewpoint.encoder, *model.appearance]
+    # Neither a first layer, which sees colours, nor any last one: those are no maps from features to features.
     matrices = [
-        weight
-        for name, weight in model.viewpoint.encoder.named_parameters()
-        # Not the first layer, which sees colours, nor the last, which says angles: neither is a map of features.
-        if config.muon and weight.dim() == 4 and weight.shape[1] > 3 and weight.shape[-1] > 1
+        layer.weight
+        for part in (*encoders, *getattr(model.decoder, "stages", []))
+        for layer in part.modules()
+        if config.muon and isinstance(layer, INNER_LAYERS) and layer.in_channels > 3 and layer.kernel_size[0] > 1
     ]
     taken = {id(weight) for weight in matrices}
     others = [weight for weight in model.parameters() if id(weight) not in taken]
