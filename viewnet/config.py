@@ -241,7 +241,7 @@ PROFILES: dict[str, Changes] = {
             "generator_last_kernel": 2,
             "appearance_size": 64,
         },
-        "train": {"epochs": 8, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3},
+        "train": {"epochs": 10, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3},
     },
     "small": {
         "data": {"models": 2000},
