@@ -211,7 +211,7 @@ def test_an_azimuth_chosen_too_often_is_avoided():
 
 
 def test_an_elevation_chosen_too_often_is_avoided():
-    """Near and far exchanged, (a, e) looks like (180 - a, -e): only how often each elevation is due tells them apart."""
+    """Near and far exchanged, (a, e) looks like (180 - a, -e): how often each elevation is due tells them apart."""
     views = view_vector(torch.tensor([15.0, 165.0]), torch.tensor([10.0, -10.0])).expand(1, 2, 3)
     score, limits = torch.tensor([[1.1, 1.0]]), (-20.0, 40.0)
     even = torch.full((12, 4), 1 / 48)

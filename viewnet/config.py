@@ -201,8 +201,7 @@ RECIPES: dict[str, Changes] = {
 VARIANTS: dict[str, Changes] = {
     "viewnet": {},
     "viewnet_cycle": {"train": {"cycle": True}},
-    # One hypothesis, and so nothing to choose from: no search either.
-    "single_head": {"model": {"heads": 1}, "train": {"search": 0.0}},
+    "single_head": {"model": {"heads": 1}},
     "segmentation_target": {"train": {"target": "mask"}},
     "no_shape_prior": {"model": {"shape_prior": False}},
     "encoder_decoder": {"model": {"decoder": "encoder_decoder"}},

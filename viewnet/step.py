@@ -104,7 +104,7 @@ def _choose(
         grid = search.grid(len(target), limits).to(vectors)
         _, found = compare(model, shape, code, grid[:, :, None], None, target, config)
         better, score = torch.cat([better, grid], 1), search.perturb(torch.cat([errors, found], 1))
-    if config.balance and heads > 1:
+    if config.balance and score.shape[1] > 1:
         score = _balanced(score, better, model.viewpoint.shares, limits, config.balance)
     winner = score.argmin(1)
     view = better[rows, winner]
