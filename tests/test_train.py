@@ -224,9 +224,10 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_state(store, tm
         return {name: value * math.nan for name, value in terms.items()} if next(calls) == 4 else terms
 
     folder = tmp_path / "run"
+    message = r"the loss is not finite at step 4 \(pixels nan, masks nan, selection nan\)"
     with monkeypatch.context() as patch:
         patch.setattr(training, "step_loss", broken)
-        with pytest.raises(ViewnetError, match=r"the loss is not finite at step 4 \(pixels nan, masks nan, selection nan\)"):
+        with pytest.raises(ViewnetError, match=message):
             trained(store, folder)
     state = torch.load(folder / "state.pt", weights_only=True)
     assert state["epoch"] == 1
