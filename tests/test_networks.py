@@ -11,7 +11,7 @@ from torch import nn
 from viewnet.config import ModelConfig, make_config
 from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation
-from viewnet.model import ViewNet, ViewpointNetwork, _Kept
+from viewnet.model import ViewNet, ViewpointNetwork, _Squash
 from viewnet.networks import AdaIN, Doubling, Encoder, Generator, gaussian_prior, parameters
 
 SMALL = make_config(profile="smoke").model
@@ -223,7 +223,9 @@ def test_the_volume_keeps_to_its_range_and_starts_near_the_prior():
     with torch.no_grad():
         bare.decoder.last.weight.zero_()
         bare.decoder.last.bias.zero_()
-    assert torch.allclose(bare.shape(torch.zeros(1, SMALL.appearance_size)), torch.full((), 0.5))
+    shape = bare.shape(torch.zeros(1, SMALL.appearance_size))
+    assert torch.equal(shape[0, 3], torch.zeros_like(model.prior))  # without S, nothing is there
+    assert torch.allclose(shape[0, :3], torch.full((), 0.5))
 
 
 def test_colours_start_from_the_object_s_own():
@@ -240,12 +242,42 @@ def test_colours_start_from_the_object_s_own():
     assert shape[1].isfinite().all()  # nothing to be seen, so no mean either
 
 
+def squashed_plainly(logits, colour, prior):
+    """_Squash's values by automatic differentiation: no gradient outside [0, 1]."""
+    values = torch.sigmoid(F.pad(colour, (0, 1))[:, :, None, None, None] + logits)
+    return torch.cat([values[:, :3], (2 * values[:, 3:] - 1 + prior).clamp(0, 1)], 1)
+
+
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last_3d])
+def test_squashing_in_one_function_is_squashing_step_by_step(layout):
+    generator = torch.Generator().manual_seed(0)
+    logits = torch.randn(2, 4, 6, 6, 6, generator=generator).contiguous(memory_format=layout)
+    colour, weights = torch.randn(2, 3, generator=generator), torch.randn(2, 4, 6, 6, 6, generator=generator)
+    prior, gradients, values = 0.7 * gaussian_prior(6, 0.5), [], []
+    before = logits.clone()
+    for squash in (squashed_plainly, _Squash.apply):
+        x = logits.clone().requires_grad_()
+        values.append(squash(x, colour, prior))
+        (values[-1] * weights).sum().backward()
+        gradients.append(x.grad)
+    assert torch.equal(logits, before)
+    assert torch.allclose(*values, atol=1e-6)
+    inside = (values[0] > 0) & (values[0] < 1)
+    assert 0.2 < inside[:, 3].float().mean() < 0.9
+    assert torch.allclose(gradients[0][inside], gradients[1][inside], atol=1e-6)
+
+
 def test_an_emptied_voxel_still_takes_the_gradient_that_fills_it():
-    x = torch.tensor([-0.5, -0.5, 0.5, 0.5, 1.5, 1.5], requires_grad=True)
-    kept = _Kept.apply(x)
-    assert kept.tolist() == [0, 0, 0.5, 0.5, 1, 1]
-    kept.backward(torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]))
-    assert x.grad.tolist() == [0, -1, 1, -1, 1, 0]  # descent: inwards, or anywhere from inside
+    logits = torch.tensor([-2.0, -2.0, 1.0, 1.0, 3.0, 3.0])
+    x = torch.zeros(1, 4, 1, 1, 6)
+    x[0, 3, 0, 0] = logits
+    x.requires_grad_()
+    kept = _Squash.apply(x, None, torch.tensor([0.0, 0.0, 0.0, 0.0, 0.5, 0.5]))
+    assert kept[0, 3, 0, 0, [0, 1, 4, 5]].tolist() == [0, 0, 1, 1]
+    kept[0, 3, 0, 0].backward(torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]))
+    slope = 0.5 * (1 - torch.tanh(logits / 2).square())
+    wanted = slope * torch.tensor([0, -1, 1, -1, 1, 0])  # descent: inwards, or anywhere from inside
+    assert torch.allclose(x.grad[0, 3, 0, 0], wanted, atol=1e-6)
 
 
 def test_encoders_see_the_object_over_the_backdrop():

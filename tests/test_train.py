@@ -25,7 +25,7 @@ from viewnet.data.pairs import load_views
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.predict import candidates, load_model, predict
-from viewnet.step import augment, autocast
+from viewnet.step import augment, autocast, jitter
 from viewnet.train import train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -262,10 +262,26 @@ def test_augmented_pictures_stay_close_to_the_originals():
     assert torch.equal(changed, augment(pictures, torch.Generator().manual_seed(0)))
 
 
+def test_jittered_pictures_keep_their_masks_and_the_pattern_of_their_colours():
+    pictures = torch.zeros(200, 4, 4, 4)
+    pictures[:, :3, 1:3, 1:] = torch.tensor([0.1, 0.2, 0.3])[:, None, None]
+    pictures[:, :3, 2, 2] = 0.05
+    pictures[:, 3, 1:3, 1:] = 0.9
+    changed = jitter(pictures, 0.5, torch.Generator().manual_seed(0))
+    assert torch.equal(changed[:, 3], pictures[:, 3])
+    assert (changed[:, :3] <= changed[:, 3:]).all()
+    assert (changed[:, :3, 2, 2] < changed[:, :3, 1, 1]).all(), "one gain for the whole of a channel"
+    gains = changed[:, :3, 1, 1].log().mean(1) - pictures[:, :3, 1, 1].log().mean(1)
+    assert gains.abs().max() <= 1 + 1e-5
+    assert gains.std() > 0.2
+    assert len({tuple(row.argsort().tolist()) for row in changed[:, :3, 1, 1]}) == 6, "every order of the channels"
+    assert torch.equal(changed, jitter(pictures, 0.5, torch.Generator().manual_seed(0)))
+
+
 def test_low_precision_can_be_switched_off():
     device = torch.device("cpu")
     assert not autocast(device, config(amp="off").train)._enabled
-    assert autocast(device, config(amp="auto").train)._enabled == torch.cpu._is_amx_tile_supported()
+    assert autocast(device, config(amp="auto").train)._enabled == torch.cpu._is_avx512_bf16_supported()
 
 
 # From a checkpoint to predictions

@@ -120,6 +120,12 @@ def test_views_of_one_volume_add_up_their_gradients():
     assert torch.allclose(found[2], sum(grads[2] for _, grads in apart), rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last_3d])
+def test_halving_averages_every_eight_voxels(layout):
+    voxels = torch.rand(2, 4, 4, 6, 8, generator=torch.Generator().manual_seed(0)).contiguous(memory_format=layout)
+    assert torch.allclose(volume.halved(voxels), torch.nn.functional.avg_pool3d(voxels, 2), atol=1e-6)
+
+
 def test_frames_that_cannot_be_shared_out():
     with pytest.raises(ValueError, match="3 frames cannot be shared out evenly over 2 volumes"):
         volume.render(torch.zeros(2, 4, 4, 4, 4), torch.eye(3).expand(3, 3, 3), FOCAL, 4)

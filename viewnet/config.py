@@ -120,6 +120,7 @@ class TrainConfig:
     cycle_elevation: tuple[float, float] = (-36.0, 72.0)  # where its viewpoints are drawn, degrees
     cycle_head: Literal["selected", "closest"] = "selected"  # which head it pulls
     augment: bool = False  # random crop and +-3 degree rotation of the viewpoint encoder's input
+    jitter: float = 0.0  # colours of that input change places, and strength by up to exp(+-2 jitter); 0: neither
     amp: Literal["auto", "off"] = "auto"  # bfloat16 where the hardware has it
     validate_every: int = 1  # epochs
 
@@ -180,12 +181,14 @@ RECIPES: dict[str, Changes] = {
             "compare_colours": 0.1,
             "compare_masks": 1.0,
             "select_by": "reconstruction",
-            "selection_weight": 0.1,
+            "selection_weight": 0.2,
             "search": 0.3,
+            "search_views": 32,
             "neighbours": 8.0,
             "pull_weight": 1.0,
             "balance": 1.0,
             "mirror": True,
+            "jitter": 0.6,
             "muon": 0.02,
             "learning_rate": 1e-3,
             "betas": (0.9, 0.99),
@@ -240,7 +243,7 @@ PROFILES: dict[str, Changes] = {
             "generator_last_kernel": 2,
             "appearance_size": 64,
         },
-        "train": {"epochs": 10, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3},
+        "train": {"epochs": 11, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3},
     },
     "small": {
         "data": {"models": 2000},

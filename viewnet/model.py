@@ -70,21 +70,34 @@ class ViewpointNetwork(nn.Module):
         return torch.cat([elevation.cos() * F.normalize(raw[..., :2], dim=-1), elevation.sin()], dim=-1)
 
 
-class _Kept(torch.autograd.Function):
-    """Keeps values in [0, 1]; what lies outside still takes the gradient that pulls it back in.
+class _Squash(torch.autograd.Function):
+    """Logits (N, 4, n, n, n) to colours sigmoid(x + c) and occupancy 2 sigmoid(x) - 1 + S, kept in [0, 1].
 
-    A plain clamp gives voxels that were once emptied no gradient, so that thin parts, once lost, never come back.
+    Voxels outside [0, 1] still take the gradient that pulls them back in: a plain clamp gives those that were once
+    emptied none, so that thin parts, once lost, never come back. In one function, as a volume is large: operations
+    one by one cost as much time as the rest of the generator.
     """
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        ctx.save_for_backward(x)
-        return x.clamp(0, 1)
+    def forward(ctx: Any, logits: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
+        values = logits.float() if logits.dtype != torch.float32 else logits.clone()
+        if colour is not None:
+            values += F.pad(colour, (0, 1))[:, :, None, None, None]
+        values.sigmoid_()
+        squashed = values[:, 3] * 2 - 1  # Q'
+        occupancy = squashed if prior is None else squashed + prior
+        values[:, 3] = occupancy.clamp(0, 1)
+        ctx.save_for_backward(values, squashed, occupancy)
+        ctx.dtype = logits.dtype
+        return values
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> Tensor:
-        (x,), grad = ctx.saved_tensors, grads[0]
-        return grad.masked_fill((x < 0) & (grad > 0) | (x > 1) & (grad < 0), 0)
+    def backward(ctx: Any, *grads: Tensor) -> Any:
+        (values, squashed, occupancy), grad = ctx.saved_tensors, grads[0]
+        outwards = (occupancy < 0) & (grad[:, 3] > 0) | (occupancy > 1) & (grad[:, 3] < 0)
+        slope = torch.addcmul(values, values, values, value=-1)
+        slope[:, 3] = (0.5 - 0.5 * squashed.square()).masked_fill_(outwards, 0)
+        return slope.mul_(grad).to(ctx.dtype), None, None
 
 
 class ViewNet(nn.Module):
@@ -126,20 +139,18 @@ class ViewNet(nn.Module):
         With `colour` (N, 3), an object's mean colour, the generator only has to say how its parts differ from that.
         `coarse` gives volumes at half the resolution where the generator can.
 
-        With the prior, Q = S + Q' as printed, where Q' = 2 sigmoid - 1 lies in [-1, 1] and the sum is kept in [0, 1].
+        Q = S + Q' as printed, where Q' = 2 sigmoid - 1 lies in [-1, 1] and the sum is kept in [0, 1]. Without the prior
+        S is 0, and nothing else changes.
         """
         if isinstance(self.decoder, HoloGANDecoder):
             return self.decoder.features(appearance)
         # Both orders of squashing and sampling are in use; squashing first keeps the volume itself a picture's worth.
-        logits = self.decoder(appearance, coarse).float()
-        if colour is not None:
-            logits = logits + F.pad(colour.clamp(0.03, 0.97).logit(), (0, 1))[:, :, None, None, None]
-        values = torch.sigmoid(logits)
-        if not self.config.shape_prior:
-            return values
-        prior = self.prior if len(self.prior) == values.shape[-1] else F.avg_pool3d(self.prior[None, None], 2)[0, 0]
-        occupancy = _Kept.apply(2 * values[:, 3:] - 1 + prior)
-        return torch.cat([values[:, :3], occupancy], dim=1)
+        logits = self.decoder(appearance, coarse)
+        prior = None
+        if self.config.shape_prior:
+            same = len(self.prior) == logits.shape[-1]
+            prior = self.prior if same else volume.halved(self.prior[None, None])[0, 0]
+        return _Squash.apply(logits, None if colour is None else colour.clamp(0.03, 0.97).logit(), prior)
 
     def draw(self, shape: Tensor, appearance: Tensor, frames: Tensor, size: int | None = None) -> Tensor:
         """Pictures (N, 4, size, size) of `shape` (B, ...) from camera frames (N, 3, 3), N a multiple of B."""
@@ -147,4 +158,4 @@ class ViewNet(nn.Module):
         if isinstance(self.decoder, HoloGANDecoder):
             picture = self.decoder.draw(shape, appearance, frames).float()
             return torch.cat([picture, torch.ones_like(picture[:, :1])], dim=1)
-        return volume.render(shape, frames, self.focal, size, sparse=self.config.shape_prior)
+        return volume.render(shape, frames, self.focal, size, sparse=True)

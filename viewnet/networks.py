@@ -183,6 +183,8 @@ class HoloGANDecoder(nn.Module):
         )
         self.last = nn.Conv2d(max(flat // 16, 16), 3, 3, padding=1)
         self.size = size
+        for painting in (self.fold, self.paint, self.last):
+            painting.to(memory_format=torch.channels_last)
 
     def features(self, appearance: Tensor) -> Tensor:
         """Feature volumes (N, C, s, s, s), before any rotation."""
@@ -197,10 +199,11 @@ class HoloGANDecoder(nn.Module):
 
         share = len(frames) // len(features)
         points = ray_points(self.size, self.size, frames.new_zeros(()))
-        grid = torch.einsum("nij,dhwj->ndhwi", frames, points)
-        volume = features.repeat_interleave(share, dim=0)
-        turned = F.grid_sample(volume, grid.to(volume.dtype), padding_mode="border", align_corners=False)
-        x = F.relu(self.fold(turned.flatten(1, 2)))
+        # A volume's views are sampled as one grid, one behind the other, which spares a copy of the volume for each.
+        grid = torch.einsum("nij,dhwj->ndhwi", frames, points).unflatten(0, (-1, share)).flatten(1, 2)
+        turned = F.grid_sample(features, grid.to(features.dtype), padding_mode="border", align_corners=False)
+        views = turned.unflatten(2, (share, self.size)).transpose(1, 2).flatten(0, 1)
+        x = F.relu(self.fold(views.flatten(1, 2).contiguous(memory_format=torch.channels_last)))
         for stage in self.paint:
             x = stage(x, appearance.repeat_interleave(share, dim=0))
         return torch.sigmoid(self.last(x))

@@ -13,6 +13,7 @@ from viewnet.data.pairs import resize, tight_crop
 from viewnet.geometry import azimuth_elevation, look_at, view_vector
 from viewnet.losses import PerceptualLoss, composite, cycle_loss, head_errors, pixel_loss
 from viewnet.model import Hypotheses, ViewNet
+from viewnet.volume import halved
 
 
 @dataclass
@@ -113,7 +114,7 @@ def _choose(
         counts = torch.bincount(_part(view, limits, shares.shape[1]), minlength=shares.numel())
         shares.lerp_((counts / len(view)).view_as(shares), 0.02)
     closest = (vectors - view[:, None]).square().sum(-1).argmin(1)
-    return torch.where(winner < heads, winner.clamp(max=heads - 1), closest), view, errors
+    return torch.where(winner < heads, winner, closest), view, errors
 
 
 def _compare_heads(
@@ -128,7 +129,7 @@ def _compare_heads(
     if model.training and config.neighbours:
         tried, coarse, small = _neighbours(better, config.neighbours), shape, target
         if target.shape[-1] > 16 and model.config.decoder != "hologan":
-            coarse, small = F.avg_pool3d(shape, 2), resize(target, target.shape[-1] // 2)
+            coarse, small = halved(shape), resize(target, target.shape[-1] // 2)
         better, errors = compare(model, coarse, code, tried, hypotheses.ups, small, config)
         if coarse is shape or better.shape[1] == 1:
             return better, errors
@@ -174,10 +175,12 @@ def compare(
     with autocast(shape.device, config):
         drawn = model.draw(shape, code, look_at(tried.flatten(0, 2), ups), target.shape[-1])
     drawn = drawn.unflatten(0, (-1, heads * count))
-    masks = 1.0 if config.target == "mask" else config.compare_masks
-    found = masks * head_errors(drawn[:, :, 3:], target[:, 3:]) if masks else drawn.new_zeros(drawn.shape[:2])
-    if config.target == "image" and config.compare_colours:
-        found = found + config.compare_colours * head_errors(drawn[:, :, :3], target[:, :3])
+    image = config.target == "image"
+    weights = (config.compare_colours if image else 0.0, config.compare_masks if image else 1.0)
+    found = drawn.new_zeros(drawn.shape[:2])
+    for channels, weight in zip((slice(0, 3), slice(3, 4)), weights, strict=True):
+        if weight:
+            found = found + weight * head_errors(drawn[:, :, channels], target[:, channels])
     errors, which = found.unflatten(1, (heads, count)).min(2)
     return tried.gather(2, which[:, :, None, None].expand(-1, -1, 1, 3))[:, :, 0], errors
 
@@ -199,7 +202,7 @@ def backgrounds(config: TrainConfig, count: int, generator: torch.Generator, dev
 
 def autocast(device: torch.device, config: TrainConfig) -> torch.autocast:
     """bfloat16 for convolutions where the hardware computes in it, plain float32 elsewhere."""
-    able = torch.cuda.is_bf16_supported() if device.type == "cuda" else bool(torch.cpu._is_amx_tile_supported())
+    able = torch.cuda.is_bf16_supported() if device.type == "cuda" else torch.cpu._is_avx512_bf16_supported()
     return torch.autocast(device.type, torch.bfloat16, enabled=able and config.amp == "auto")
 
 
@@ -217,6 +220,20 @@ def augment(pictures: Tensor, generator: torch.Generator) -> Tensor:
     return F.grid_sample(pictures, grid, align_corners=False)
 
 
+def jitter(pictures: Tensor, strength: float, generator: torch.Generator) -> Tensor:
+    """Pictures (N, 4, S, S), RGB times alpha and alpha, in other colours: what a viewpoint hardly depends on.
+
+    Red, green and blue change places; then each, and all together, are multiplied by up to exp(strength) or its
+    reciprocal, and what exceeds 1 is cut off.
+    """
+    count, alpha = len(pictures), pictures[:, 3:]
+    order = torch.rand(count, 3, generator=generator).argsort(1).to(pictures.device)
+    chance = 2 * torch.rand(count, 4, generator=generator) - 1
+    gain = torch.exp(strength * (chance[:, :3] + chance[:, 3:])).to(pictures)[:, :, None, None]
+    colours = pictures.gather(1, order[:, :, None, None].expand(-1, -1, *alpha.shape[2:]))
+    return torch.cat([torch.minimum(gain * colours, alpha), alpha], 1)
+
+
 def step_loss(
     model: ViewNet,
     batch: tuple[Tensor, Tensor, Tensor],
@@ -229,6 +246,7 @@ def step_loss(
     appearance, target, seen = batch
     device = appearance.device
     seen = augment(seen, generator) if config.augment else seen
+    seen = jitter(seen, config.jitter, generator) if config.jitter else seen
     # The HoloGAN decoder's layers paint one size only.
     coarse = progress < config.coarse and model.config.decoder != "hologan"
     size = model.config.render_size // 2 if coarse else model.config.render_size
