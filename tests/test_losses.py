@@ -223,7 +223,7 @@ def test_an_elevation_chosen_too_often_is_avoided():
 def test_a_mirrored_target_is_drawn_as_it_is_seen(model, monkeypatch):
     asked = []
     monkeypatch.setattr(step, "reconstruct", lambda *a, **k: asked.append(a) or reconstruct(*a, **k))
-    config = dataclasses.replace(SMOKE.train, mirror=True)
+    config = dataclasses.replace(SMOKE.train, mirror=True, jitter=0.0)
     target = pictures(32, seed=1)
     step_loss(model, (target, target, target), config, None, 0.5, torch.Generator().manual_seed(0))
     _, appearance, wanted, seen = asked[0][:4]
@@ -231,6 +231,18 @@ def test_a_mirrored_target_is_drawn_as_it_is_seen(model, monkeypatch):
     assert 8 < mirrored.sum() < 24
     assert torch.equal(wanted[~mirrored], target[~mirrored])
     assert torch.equal(seen, wanted) and torch.equal(appearance, target)
+
+
+def test_only_the_viewpoint_network_sees_other_colours(model, monkeypatch):
+    asked = []
+    monkeypatch.setattr(step, "reconstruct", lambda *a, **k: asked.append(a) or reconstruct(*a, **k))
+    config = dataclasses.replace(SMOKE.train, mirror=False, jitter=0.5)
+    target = pictures(4, seed=1)
+    step_loss(model, (target, target, target), config, None, 0.5, torch.Generator().manual_seed(0))
+    _, appearance, wanted, seen = asked[0][:4]
+    assert torch.equal(appearance, target) and torch.equal(wanted, target)
+    assert torch.equal(seen[:, 3], target[:, 3])
+    assert not torch.allclose(seen[:, :3], target[:, :3], atol=0.01)
 
 
 # Cycle consistency
