@@ -220,13 +220,18 @@ def test_an_elevation_chosen_too_often_is_avoided():
     assert _balanced(score, views, below, limits, 1.0).argmin().item() == 0
 
 
-def test_a_mirrored_target_is_drawn_as_it_is_seen(model, monkeypatch):
+def asked_to_draw(model, monkeypatch, target, **changes):
+    """Appearance, target and what the viewpoint network sees, in a step that is given `target` for all three."""
     asked = []
     monkeypatch.setattr(step, "reconstruct", lambda *a, **k: asked.append(a) or reconstruct(*a, **k))
-    config = dataclasses.replace(SMOKE.train, mirror=True, jitter=0.0)
-    target = pictures(32, seed=1)
+    config = dataclasses.replace(SMOKE.train, **changes)
     step_loss(model, (target, target, target), config, None, 0.5, torch.Generator().manual_seed(0))
-    _, appearance, wanted, seen = asked[0][:4]
+    return asked[0][1:4]
+
+
+def test_a_mirrored_target_is_drawn_as_it_is_seen(model, monkeypatch):
+    target = pictures(32, seed=1)
+    appearance, wanted, seen = asked_to_draw(model, monkeypatch, target, mirror=True, jitter=0.0)
     mirrored = (wanted == target.flip(-1)).flatten(1).all(1)
     assert 8 < mirrored.sum() < 24
     assert torch.equal(wanted[~mirrored], target[~mirrored])
@@ -234,12 +239,8 @@ def test_a_mirrored_target_is_drawn_as_it_is_seen(model, monkeypatch):
 
 
 def test_only_the_viewpoint_network_sees_other_colours(model, monkeypatch):
-    asked = []
-    monkeypatch.setattr(step, "reconstruct", lambda *a, **k: asked.append(a) or reconstruct(*a, **k))
-    config = dataclasses.replace(SMOKE.train, mirror=False, jitter=0.5)
     target = pictures(4, seed=1)
-    step_loss(model, (target, target, target), config, None, 0.5, torch.Generator().manual_seed(0))
-    _, appearance, wanted, seen = asked[0][:4]
+    appearance, wanted, seen = asked_to_draw(model, monkeypatch, target, mirror=False, jitter=0.5)
     assert torch.equal(appearance, target) and torch.equal(wanted, target)
     assert torch.equal(seen[:, 3], target[:, 3])
     assert not torch.allclose(seen[:, :3], target[:, :3], atol=0.01)
