@@ -18,7 +18,7 @@ from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation, look_at, view_vector
 from viewnet.losses import PerceptualLoss, composite, cycle_loss, head_errors, pixel_loss
 from viewnet.model import Hypotheses, ViewNet
-from viewnet.step import Search, _balanced, _choose, reconstruct, step_loss
+from viewnet.step import Reconstruction, Search, _balanced, _choose, _selection, reconstruct, step_loss
 
 PLAIN = {"neighbours": 0.0, "pull_weight": 0.0, "search": 0.0, "balance": 0.0, "mirror": False, "amp": "off"}
 SMOKE = make_config(profile="smoke", recipe="matting", **PLAIN)
@@ -349,3 +349,19 @@ def test_files_without_weights_are_refused(tmp_path: Path):
     torch.save({"features.0.weight": torch.zeros(3)}, tmp_path / "other.pth")
     with pytest.raises(ViewnetError, match="does not hold squeezenet weights"):
         PerceptualLoss("squeezenet", tmp_path / "other.pth")
+
+
+def test_heads_at_the_viewpoint_to_teach_are_all_right_choices():
+    vectors = view_vector(torch.tensor([[10.0, 20.0, 190.0], [10.0, 100.0, 190.0]]), torch.zeros(2, 3))
+    logits = torch.tensor([[2.0, 1.0, -1.0], [2.0, 1.0, -1.0]], requires_grad=True)
+    best = torch.tensor([0, 2])
+    found = Reconstruction(
+        Hypotheses(vectors, logits), torch.zeros(2, 3), best, vectors[torch.arange(2), best], *[torch.zeros(())] * 4
+    )
+    chances = logits.detach().softmax(1)
+    wanted = -(chances[0, 0] + chances[0, 1]).log() - chances[1, 2].log()
+    loss = _selection(found, 30.0)
+    assert torch.allclose(loss, wanted / 2)
+    loss.backward()
+    assert (logits.grad[0, :2] < 0).all() and logits.grad[0, 2] > 0  # both up, and neither against the other
+    assert torch.allclose(_selection(found, 0.0), F.cross_entropy(logits, best))

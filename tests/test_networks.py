@@ -11,8 +11,9 @@ from torch import nn
 from viewnet.config import ModelConfig, make_config
 from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation
-from viewnet.model import ViewNet, ViewpointNetwork, _Squash
+from viewnet.model import ViewNet, ViewpointNetwork
 from viewnet.networks import AdaIN, Doubling, Encoder, Generator, gaussian_prior, parameters
+from viewnet.volume import joined
 
 SMALL = make_config(profile="smoke").model
 
@@ -135,7 +136,7 @@ def test_the_coarse_volume_is_the_mean_of_the_fine_one():
     layer = Doubling(5)
     nn.init.normal_(layer.weight)
     x = torch.randn(2, 5, 3, 3, 3)
-    assert torch.allclose(layer.coarse(x), F.avg_pool3d(layer(x), 2), atol=1e-5)
+    assert torch.allclose(joined(layer.coarse(x)), F.avg_pool3d(layer(x), 2), atol=1e-5)
     fresh = Doubling(5)(x)
     assert torch.allclose(fresh, F.interpolate(F.avg_pool3d(fresh, 2), scale_factor=2), atol=1e-5)
 
@@ -240,44 +241,6 @@ def test_colours_start_from_the_object_s_own():
     assert torch.allclose(shape[0, :3], torch.tensor([0.9, 0.2, 0.5])[:, None, None, None].expand_as(shape[0, :3]))
     assert torch.allclose(shape[0, 3], model.prior, atol=1e-6)
     assert shape[1].isfinite().all()  # nothing to be seen, so no mean either
-
-
-def squashed_plainly(logits, colour, prior):
-    """_Squash's values by automatic differentiation: no gradient outside [0, 1]."""
-    values = torch.sigmoid(F.pad(colour, (0, 1))[:, :, None, None, None] + logits)
-    return torch.cat([values[:, :3], (2 * values[:, 3:] - 1 + prior).clamp(0, 1)], 1)
-
-
-@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last_3d])
-def test_squashing_in_one_function_is_squashing_step_by_step(layout):
-    generator = torch.Generator().manual_seed(0)
-    logits = torch.randn(2, 4, 6, 6, 6, generator=generator).contiguous(memory_format=layout)
-    colour, weights = torch.randn(2, 3, generator=generator), torch.randn(2, 4, 6, 6, 6, generator=generator)
-    prior, gradients, values = 0.7 * gaussian_prior(6, 0.5), [], []
-    before = logits.clone()
-    for squash in (squashed_plainly, _Squash.apply):
-        x = logits.clone().requires_grad_()
-        values.append(squash(x, colour, prior))
-        (values[-1] * weights).sum().backward()
-        gradients.append(x.grad)
-    assert torch.equal(logits, before)
-    assert torch.allclose(*values, atol=1e-6)
-    inside = (values[0] > 0) & (values[0] < 1)
-    assert 0.2 < inside[:, 3].float().mean() < 0.9
-    assert torch.allclose(gradients[0][inside], gradients[1][inside], atol=1e-6)
-
-
-def test_an_emptied_voxel_still_takes_the_gradient_that_fills_it():
-    logits = torch.tensor([-2.0, -2.0, 1.0, 1.0, 3.0, 3.0])
-    x = torch.zeros(1, 4, 1, 1, 6)
-    x[0, 3, 0, 0] = logits
-    x.requires_grad_()
-    kept = _Squash.apply(x, None, torch.tensor([0.0, 0.0, 0.0, 0.0, 0.5, 0.5]))
-    assert kept[0, 3, 0, 0, [0, 1, 4, 5]].tolist() == [0, 0, 1, 1]
-    kept[0, 3, 0, 0].backward(torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]))
-    slope = 0.5 * (1 - torch.tanh(logits / 2).square())
-    wanted = slope * torch.tensor([0, -1, 1, -1, 1, 0])  # descent: inwards, or anywhere from inside
-    assert torch.allclose(x.grad[0, 3, 0, 0], wanted, atol=1e-6)
 
 
 def test_encoders_see_the_object_over_the_backdrop():

@@ -4,6 +4,8 @@
 Along a ray the position in the volume is linear in the step k, so the steps inside are an interval, found in advance.
 """
 
+import types
+
 import numpy as np
 from numba import njit, prange
 
@@ -259,7 +261,53 @@ def _draw_backward(voxels, cells, shape, frame, focal, steps, grad, grad_voxels,
     return total_focal
 
 
-# On one thread the threaded versions would still wake a pool, whose threads spin on cores that other runs need.
-forward = {False: njit(nogil=True, **FLAGS)(_forward), True: njit(parallel=True, nogil=True, **FLAGS)(_forward)}
-occupied = {False: njit(nogil=True, **FLAGS)(_occupied), True: njit(parallel=True, nogil=True, **FLAGS)(_occupied)}
-backward = {False: njit(nogil=True, **FLAGS)(_backward), True: njit(parallel=True, nogil=True, **FLAGS)(_backward)}
+def _squash(blocks, prior, voxels):
+    """Fills `voxels` (B, P, 4) from sigmoids `blocks` (B, z, y, x, s, s, s, 4) and `prior` (nz, ny, nx)."""
+    side = blocks.shape[4]
+    row = blocks.shape[3] * side + 2
+    plane = (blocks.shape[2] * side + 2) * row
+    for b in prange(len(blocks)):
+        voxels[b] = 0
+        for z, y, x in np.ndindex(blocks.shape[1], blocks.shape[2], blocks.shape[3]):
+            for dz, dy, dx in np.ndindex(side, side, side):
+                w, v, u = z * side + dz, y * side + dy, x * side + dx
+                p = (w + 1) * plane + (v + 1) * row + u + 1
+                for c in range(3):
+                    voxels[b, p, c] = blocks[b, z, y, x, dz, dy, dx, c]
+                occupancy = 2 * blocks[b, z, y, x, dz, dy, dx, 3] - ONE + prior[w, v, u]
+                voxels[b, p, 3] = min(max(occupancy, ZERO), ONE)
+
+
+def _squash_backward(blocks, prior, grad_voxels, grad):
+    """Fills `grad` (B, z, y, x, s, s, s, 4), the gradient before the sigmoid; voxels outside [0, 1] are let back in."""
+    side = blocks.shape[4]
+    row = blocks.shape[3] * side + 2
+    plane = (blocks.shape[2] * side + 2) * row
+    for b in prange(len(blocks)):
+        for z, y, x in np.ndindex(blocks.shape[1], blocks.shape[2], blocks.shape[3]):
+            for dz, dy, dx in np.ndindex(side, side, side):
+                w, v, u = z * side + dz, y * side + dy, x * side + dx
+                p = (w + 1) * plane + (v + 1) * row + u + 1
+                for c in range(3):
+                    value = blocks[b, z, y, x, dz, dy, dx, c]
+                    grad[b, z, y, x, dz, dy, dx, c] = value * (ONE - value) * grad_voxels[b, p, c]
+                value, change = blocks[b, z, y, x, dz, dy, dx, 3], grad_voxels[b, p, 3]
+                occupancy = 2 * value - ONE + prior[w, v, u]
+                if (occupancy < 0 and change > 0) or (occupancy > 1 and change < 0):
+                    change = ZERO
+                grad[b, z, y, x, dz, dy, dx, 3] = 2 * value * (ONE - value) * change
+
+
+def _compiled(kernel):
+    """The kernel for one thread and, under True, for several.
+
+    On one thread the threaded version would still wake a pool, whose threads spin on cores that other runs need. It has
+    a name of its own, as Numba's cache tells versions apart by name and types, not by options.
+    """
+    threaded = types.FunctionType(kernel.__code__, kernel.__globals__, kernel.__name__ + "_threaded")
+    threaded.__qualname__ = threaded.__name__
+    return {False: njit(nogil=True, **FLAGS)(kernel), True: njit(parallel=True, nogil=True, **FLAGS)(threaded)}
+
+
+forward, occupied, backward = _compiled(_forward), _compiled(_occupied), _compiled(_backward)
+squash, squash_backward = _compiled(_squash), _compiled(_squash_backward)

@@ -114,6 +114,7 @@ class TrainConfig:
     pixel_weight: float = 0.0  # of L1 + MSE on pixels at two scales, beside the perceptual term
     mask_weight: float = 0.0  # of the same on masks
     selection_weight: float = 1.0
+    selection_angle: float = 0.0  # degrees: heads so close to the viewpoint to teach are as right a choice as the best
     cycle: bool = False  # section 3.4
     cycle_weight: float = 1.0
     cycle_start: float = 0.0  # fraction of training before the cycle sets in (then ramped up over a tenth)
@@ -182,6 +183,7 @@ RECIPES: dict[str, Changes] = {
             "compare_masks": 1.0,
             "select_by": "reconstruction",
             "selection_weight": 0.2,
+            "selection_angle": 30.0,
             "search": 0.3,
             "search_views": 32,
             "neighbours": 8.0,
@@ -243,7 +245,7 @@ PROFILES: dict[str, Changes] = {
             "generator_last_kernel": 2,
             "appearance_size": 64,
         },
-        "train": {"epochs": 11, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3},
+        "train": {"epochs": 14, "validate_every": 3, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3},
     },
     "small": {
         "data": {"models": 2000},

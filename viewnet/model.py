@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -70,36 +69,6 @@ class ViewpointNetwork(nn.Module):
         return torch.cat([elevation.cos() * F.normalize(raw[..., :2], dim=-1), elevation.sin()], dim=-1)
 
 
-class _Squash(torch.autograd.Function):
-    """Logits (N, 4, n, n, n) to colours sigmoid(x + c) and occupancy 2 sigmoid(x) - 1 + S, kept in [0, 1].
-
-    Voxels outside [0, 1] still take the gradient that pulls them back in: a plain clamp gives those that were once
-    emptied none, so that thin parts, once lost, never come back. In one function, as a volume is large: operations
-    one by one cost as much time as the rest of the generator.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, logits: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
-        values = logits.float() if logits.dtype != torch.float32 else logits.clone()
-        if colour is not None:
-            values += F.pad(colour, (0, 1))[:, :, None, None, None]
-        values.sigmoid_()
-        squashed = values[:, 3] * 2 - 1  # Q'
-        occupancy = squashed if prior is None else squashed + prior
-        values[:, 3] = occupancy.clamp(0, 1)
-        ctx.save_for_backward(values, squashed, occupancy)
-        ctx.dtype = logits.dtype
-        return values
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> Any:
-        (values, squashed, occupancy), grad = ctx.saved_tensors, grads[0]
-        outwards = (occupancy < 0) & (grad[:, 3] > 0) | (occupancy > 1) & (grad[:, 3] < 0)
-        slope = torch.addcmul(values, values, values, value=-1)
-        slope[:, 3] = (0.5 - 0.5 * squashed.square()).masked_fill_(outwards, 0)
-        return slope.mul_(grad).to(ctx.dtype), None, None
-
-
 class ViewNet(nn.Module):
     """f^v, f^a and f^d of the paper.
 
@@ -108,6 +77,7 @@ class ViewNet(nn.Module):
     """
 
     prior: Tensor
+    coarse_prior: Tensor
 
     def __init__(self, config: ModelConfig):
         super().__init__()
@@ -120,6 +90,8 @@ class ViewNet(nn.Module):
         self.focal = nn.Parameter(torch.tensor(config.focal), requires_grad=config.learn_focal)
         prior = gaussian_prior(config.volume_size) if config.shape_prior else torch.empty(0)
         self.register_buffer("prior", prior, persistent=False)
+        coarse = volume.halved(prior[None, None])[0, 0] if config.shape_prior else prior
+        self.register_buffer("coarse_prior", coarse, persistent=False)
 
     def see(self, pictures: Tensor) -> Tensor:
         """Pictures (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S) on the backdrop."""
@@ -145,12 +117,10 @@ class ViewNet(nn.Module):
         if isinstance(self.decoder, HoloGANDecoder):
             return self.decoder.features(appearance)
         # Both orders of squashing and sampling are in use; squashing first keeps the volume itself a picture's worth.
-        logits = self.decoder(appearance, coarse)
-        prior = None
-        if self.config.shape_prior:
-            same = len(self.prior) == logits.shape[-1]
-            prior = self.prior if same else volume.halved(self.prior[None, None])[0, 0]
-        return _Squash.apply(logits, None if colour is None else colour.clamp(0.03, 0.97).logit(), prior)
+        blocks = self.decoder.blocks(appearance, coarse)
+        prior = self.coarse_prior if coarse and len(self.coarse_prior) == blocks.shape[1] else self.prior
+        logit = None if colour is None else colour.clamp(0.03, 0.97).logit()
+        return volume.squash(blocks, logit, prior if self.config.shape_prior else None)
 
     def draw(self, shape: Tensor, appearance: Tensor, frames: Tensor, size: int | None = None) -> Tensor:
         """Pictures (N, 4, size, size) of `shape` (B, ...) from camera frames (N, 3, 3), N a multiple of B."""

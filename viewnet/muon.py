@@ -8,12 +8,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+BFLOAT16_FROM = 128  # rows from which matrices are made orthogonal in bfloat16
+
 
 class Muon(torch.optim.Optimizer):
     """Steps along each weight's momentum, made orthogonal as a matrix (first dimension, all others).
 
     A network learns viewpoints in about half the steps that Adam takes. `torch.optim.Muon` takes matrices only, and
-    works in bfloat16, which is slow where the processor has none.
+    works in bfloat16, which is slow where the processor has none, and for small matrices everywhere.
     """
 
     def __init__(self, params: Iterable[Tensor], lr: float = 0.02, momentum: float = 0.95):
@@ -40,6 +42,8 @@ def orthogonal(matrix: Tensor, iterations: int = 4) -> Tensor:
     a, b, c = 3.4445, -4.7750, 2.0315
     x = matrix.T if matrix.shape[0] > matrix.shape[1] else matrix
     x = x / (x.norm() + 1e-7)
+    if len(x) >= BFLOAT16_FROM and (x.is_cuda or torch.cpu._is_avx512_bf16_supported()):
+        x = x.bfloat16()
     # Every iteration multiplies by a polynomial of the Gram matrix, and these commute: they are gathered first.
     gram, product = x @ x.T, None
     # The Gram matrix's norm bounds the largest singular value more tightly than the matrix's, which is worth an
@@ -52,5 +56,5 @@ def orthogonal(matrix: Tensor, iterations: int = 4) -> Tensor:
         product = factor if product is None else factor @ product
         if left:
             gram = factor @ gram @ factor
-    x = x if product is None else product @ x
+    x = (x if product is None else product @ x).to(matrix.dtype)
     return x.T if matrix.shape[0] > matrix.shape[1] else x

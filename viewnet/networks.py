@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from viewnet.config import ModelConfig
 from viewnet.errors import ViewnetError
+from viewnet.volume import joined, ray_points
 
 
 def power_of_two(size: int, at_least: int, what: str) -> int:
@@ -98,7 +99,7 @@ class Stage(nn.Module):
 class Doubling(nn.ConvTranspose3d):
     """Transposed convolution of kernel and stride 2 to four channels, as the matrix product it is.
 
-    Every voxel becomes its own eight, so nothing is summed; the result's channels lie innermost, as the renderer wants.
+    Every voxel becomes its own eight, so nothing is summed.
     The eight start equal: detail is learned where it helps, and the volume at half the resolution is their mean.
     """
 
@@ -108,15 +109,19 @@ class Doubling(nn.ConvTranspose3d):
             self.weight.copy_(self.weight[:, :, :1, :1, :1].expand_as(self.weight))
 
     def coarse(self, x: Tensor) -> Tensor:
-        """The mean of every eight: (N, inputs, n, n, n) -> (N, 4, n, n, n)."""
-        return F.linear(x.permute(0, 2, 3, 4, 1), self.weight.mean((2, 3, 4)).T, self.bias).permute(0, 4, 1, 2, 3)
+        """The mean of every eight: (N, inputs, n, n, n) -> blocks (N, n, n, n, 1, 1, 1, 4)."""
+        mean = F.linear(x.permute(0, 2, 3, 4, 1), self.weight.mean((2, 3, 4)).T, self.bias)
+        return mean.view(*mean.shape[:4], 1, 1, 1, 4)
 
-    def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
-        count, _, nz, ny, nx = x.shape
+    def blocks(self, x: Tensor) -> Tensor:
+        """(N, inputs, n, n, n) -> the eight of every voxel, (N, n, n, n, 2, 2, 2, 4)."""
         weight = self.weight.permute(0, 2, 3, 4, 1).flatten(1)  # (inputs, 2 2 2 4)
         bias = self.bias.repeat(8) if self.bias is not None else None
-        eight = F.linear(x.permute(0, 2, 3, 4, 1), weight.T, bias).view(count, nz, ny, nx, 2, 2, 2, 4)
-        return eight.permute(0, 1, 4, 2, 5, 3, 6, 7).reshape(count, 2 * nz, 2 * ny, 2 * nx, 4).permute(0, 4, 1, 2, 3)
+        eight = F.linear(x.permute(0, 2, 3, 4, 1), weight.T, bias)
+        return eight.view(*eight.shape[:4], 2, 2, 2, 4)
+
+    def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
+        return joined(self.blocks(x))
 
 
 class Generator(nn.Module):
@@ -149,13 +154,18 @@ class Generator(nn.Module):
         kernel = config.generator_last_kernel
         self.last = Doubling(widths[-1]) if kernel == 2 else nn.ConvTranspose3d(widths[-1], 4, kernel, 2, 1)
 
-    def forward(self, appearance: Tensor, coarse: bool = False) -> Tensor:
+    def blocks(self, appearance: Tensor, coarse: bool = False) -> Tensor:
+        """The logits as viewnet.volume.squash takes them; with `coarse` at half the resolution where there is one."""
         x = self.code.expand(len(appearance), -1, -1, -1, -1) if self.adain else appearance[:, :, None, None, None]
         for stage in self.stages:
             x = stage(x.contiguous(memory_format=torch.channels_last_3d), appearance)
-        if coarse and isinstance(self.last, Doubling):
-            return self.last.coarse(x)
-        return self.last(x)
+        if isinstance(self.last, Doubling):
+            return self.last.coarse(x) if coarse else self.last.blocks(x)
+        logits = self.last(x).permute(0, 2, 3, 4, 1)
+        return logits.reshape(*logits.shape[:4], 1, 1, 1, 4)
+
+    def forward(self, appearance: Tensor, coarse: bool = False) -> Tensor:
+        return joined(self.blocks(appearance, coarse))
 
 
 class HoloGANDecoder(nn.Module):
@@ -195,8 +205,6 @@ class HoloGANDecoder(nn.Module):
 
     def draw(self, features: Tensor, appearance: Tensor, frames: Tensor) -> Tensor:
         """Pictures (N, 3, S, S) in [0, 1]; N a multiple of the number of feature volumes, as in viewnet.volume."""
-        from viewnet.volume import ray_points
-
         share = len(frames) // len(features)
         points = ray_points(self.size, self.size, frames.new_zeros(()))
         # A volume's views are sampled as one grid, one behind the other, which spares a copy of the volume for each.

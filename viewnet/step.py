@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -275,11 +276,23 @@ def step_loss(
         pulled = found.hypotheses.pick(found.best)
         terms["pull"] = config.pull_weight * (found.better - pulled).square().sum(-1).mean()
     if model.config.heads > 1:
-        terms["selection"] = config.selection_weight * F.cross_entropy(found.hypotheses.logits, found.best)
+        terms["selection"] = config.selection_weight * _selection(found, config.selection_angle)
     ramp = min(1.0, (progress - config.cycle_start) / 0.1) if config.cycle_start else 1.0
     if config.cycle and ramp > 0:
         terms["cycle"] = ramp * config.cycle_weight * _cycle(model, found, config, generator)
     return terms
+
+
+def _selection(found: Reconstruction, angle: float) -> Tensor:
+    """Cross-entropy of choosing any of the heads within `angle` degrees of the viewpoint to teach, or the one to teach.
+
+    Where two heads answer the same, which of them explains a picture better is chance: there is nothing to learn.
+    """
+    vectors, logits = found.hypotheses.vectors.detach(), found.hypotheses.logits
+    right = F.one_hot(found.best, logits.shape[1]).bool()
+    if angle:
+        right |= (vectors * found.better[:, None]).sum(-1) > math.cos(math.radians(angle))
+    return -logits.log_softmax(1).masked_fill(~right, -math.inf).logsumexp(1).mean()
 
 
 def _cycle(model: ViewNet, found: Reconstruction, config: TrainConfig, generator: torch.Generator) -> Tensor:

@@ -192,13 +192,13 @@ INNER_LAYERS = (torch.nn.Conv2d, torch.nn.ConvTranspose3d)
 
 def make_optimisers(model: ViewNet, config: TrainConfig) -> list[torch.optim.Optimizer]:
     """Adam, and Muon for the inner convolutions of encoders and generator where the configuration wants it."""
-    encoders = [*model.viewpoint.encoder, *model.appearance]
+    parts = [*model.viewpoint.encoder, *model.appearance, *getattr(model.decoder, "stages", [])] if config.muon else []
     # Neither a first layer, which sees colours, nor any last one: those are no maps from features to features.
     matrices = [
         layer.weight
-        for part in (*encoders, *getattr(model.decoder, "stages", []))
+        for part in parts
         for layer in part.modules()
-        if config.muon and isinstance(layer, INNER_LAYERS) and layer.in_channels > 3 and layer.kernel_size[0] > 1
+        if isinstance(layer, INNER_LAYERS) and layer.in_channels > 3 and layer.kernel_size[0] > 1
     ]
     taken = {id(weight) for weight in matrices}
     others = [weight for weight in model.parameters() if id(weight) not in taken]

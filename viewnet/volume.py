@@ -17,6 +17,8 @@ the tensors' device has (viewnet.volume_cpu).
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -41,6 +43,42 @@ def halved(volume: Tensor) -> Tensor:
     return volume / 8
 
 
+def joined(blocks: Tensor) -> Tensor:
+    """Volumes (B, 4, s z, s y, s x) of blocks (B, z, y, x, s, s, s, 4), each the s^3 voxels of one place."""
+    return blocks.permute(0, 7, 1, 4, 2, 5, 3, 6).flatten(6, 7).flatten(4, 5).flatten(2, 3)
+
+
+def squash(blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
+    """Logits as `joined` takes them to volumes: colours sigmoid(x + c), occupancy Q = 2 sigmoid(x) - 1 + S in [0, 1].
+
+    `colour` (B, 3) is c and `prior` (n, n, n) is S; 0 where None. Voxels outside [0, 1] still take the gradient that
+    pulls them back in: a plain clamp gives those that were once emptied none, so that thin parts, once lost, never come
+    back.
+    """
+    if blocks.device.type == "cpu" and volume_cpu.available():
+        return volume_cpu.squash(blocks, colour, prior)
+    logits = joined(blocks).float()
+    if colour is not None:
+        logits = logits + F.pad(colour, (0, 1))[:, :, None, None, None]
+    values = torch.sigmoid(logits)
+    occupancy = 2 * values[:, 3:] - 1 + (0 if prior is None else prior)
+    return torch.cat([values[:, :3], _Clamp.apply(occupancy)], 1)
+
+
+class _Clamp(torch.autograd.Function):
+    """To [0, 1], letting through the gradient that points back inside."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        ctx.save_for_backward(x)
+        return x.clamp(0, 1)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Any:
+        (x,), grad = ctx.saved_tensors, grads[0]
+        return grad.masked_fill((x < 0) & (grad > 0) | (x > 1) & (grad < 0), 0)
+
+
 def render_reference(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
     """Pictures (N, 4, size, size) of volumes (B, 4, Z, Y, X) from camera frames (N, 3, 3): RGB times mask, and mask.
 
@@ -63,8 +101,8 @@ def render(
 ) -> Tensor:
     """`render_reference` by the fastest path there is for the device; `steps` along a ray defaults to `size`.
 
-    `sparse` promises that occupancy of exactly 0 is clamped and takes no gradient (as with the shape prior), so that
-    empty space may be passed over backwards too.
+    `sparse` promises that nothing is lost where occupancy of exactly 0 takes no gradient (as `squash` clamps
+    it), so that empty space may be passed over backwards too.
     """
     steps = size if steps is None else steps
     if len(frames) % len(volume):

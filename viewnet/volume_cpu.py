@@ -29,12 +29,11 @@ def available() -> bool:
 
 
 def warm_up() -> None:
-    """Loads the kernels, and puts back the number of threads, which loading them resets behind PyTorch's back."""
-    threads = torch.get_num_threads()
-    if available():
-        volume = torch.rand(1, 4, 2, 2, 2, generator=torch.Generator().manual_seed(0)).requires_grad_()
-        render(volume, torch.eye(3)[None], torch.zeros(()), 2, 2, sparse=False).sum().backward()
-    torch.set_num_threads(threads)
+    """Loads the kernels."""
+    if not available():
+        return
+    blocks = torch.zeros(1, 2, 2, 2, 1, 1, 1, 4).requires_grad_()
+    render(squash(blocks, None, None), torch.eye(3)[None], torch.zeros(()), 2, 2, sparse=False).sum().backward()
 
 
 def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
@@ -45,10 +44,39 @@ def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int,
     return _Render.apply(volume, frames, focal, size, steps, sparse)
 
 
+def squash(blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
+    """As viewnet.volume.squash, to a volume that lies in memory as the renderer wants it."""
+    return _Squash.apply(blocks, colour, prior)
+
+
+class _Squash(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
+        count, *sides = blocks.shape[:4]
+        nz, ny, nx = (side * blocks.shape[4] for side in sides)
+        values = torch.empty(blocks.shape).copy_(blocks)
+        if colour is not None:
+            values += torch.nn.functional.pad(colour.float(), (0, 1)).view(-1, *[1] * 6, 4)
+        values.sigmoid_()
+        offset = torch.zeros(nz, ny, nx) if prior is None else prior.contiguous()
+        voxels = torch.empty(count, (nz + 2) * (ny + 2) * (nx + 2), 4)
+        _run("squash", values, offset, voxels)
+        ctx.save_for_backward(values, offset)
+        ctx.dtype = blocks.dtype
+        return _inside(voxels, (nz, ny, nx))
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Any:
+        values, offset = ctx.saved_tensors
+        grad = torch.empty_like(values)
+        _run("squash_backward", values, offset, _framed(grads[0]), grad)
+        return grad.to(ctx.dtype), None, None
+
+
 class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
-        voxels, frames = _padded(volume.detach()), frames.detach().contiguous()
+        voxels, frames = _framed(volume.detach(), empty=True), frames.detach().contiguous()
         cells = torch.zeros(voxels.shape[:2], dtype=torch.uint8)
         picture = torch.empty(len(frames), size, size, 4)
         shape = tuple(volume.shape[2:])
@@ -61,19 +89,37 @@ class _Render(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
         voxels, cells, frames, focal = ctx.saved_tensors
-        nz, ny, nx = ctx.shape
         grad = grads[0].permute(0, 2, 3, 1).contiguous()
         grad_voxels, grad_frames = torch.zeros_like(voxels), torch.empty_like(frames)
         grad_focal = torch.zeros(len(voxels))
         _run("backward", voxels, cells, ctx.shape, frames, focal, ctx.steps, grad, grad_voxels, grad_frames, grad_focal)
-        grad_volume = grad_voxels.view(-1, nz + 2, ny + 2, nx + 2, 4)[:, 1:-1, 1:-1, 1:-1]
-        return grad_volume.permute(0, 4, 1, 2, 3), grad_frames, grad_focal.sum().reshape(focal.shape), None, None, None
+        grad_volume = _inside(grad_voxels, ctx.shape)
+        return grad_volume, grad_frames, grad_focal.sum().reshape(focal.shape), None, None, None
 
 
-def _padded(volume: Tensor) -> Tensor:
-    """(B, 4, Z, Y, X) -> (B, P, 4): an empty voxel all around, and the four values of a voxel side by side."""
+def _inside(voxels: Tensor, shape: tuple[int, int, int]) -> Tensor:
+    """The volume (B, 4, Z, Y, X) in `voxels` (B, P, 4), without the voxel all around."""
+    nz, ny, nx = shape
+    return voxels.view(-1, nz + 2, ny + 2, nx + 2, 4)[:, 1:-1, 1:-1, 1:-1].permute(0, 4, 1, 2, 3)
+
+
+def _framed(volume: Tensor, empty: bool = False) -> Tensor:
+    """(B, 4, Z, Y, X) -> (B, P, 4): a voxel more all around, and the four values of a voxel side by side.
+
+    A volume that lies inside such a frame already is not copied; with `empty` only where the frame holds zeros.
+    """
     count, _, nz, ny, nx = volume.shape
-    voxels = torch.zeros(count, nz + 2, ny + 2, nx + 2, 4)
+    whole = (count, nz + 2, ny + 2, nx + 2, 4)
+    strides = torch.empty(whole, device="meta").stride()
+    corner = sum(strides[1:4])
+    if volume.stride() == (strides[0], 1, *strides[1:4]) and volume.dtype == torch.float32:
+        start, storage = volume.storage_offset() - corner, volume.untyped_storage().nbytes()
+        if start >= 0 and 4 * (start + count * strides[0]) <= storage:
+            framed = volume.as_strided(whole, strides, start)
+            sides = [framed.select(axis, end) for axis in (1, 2, 3) for end in (0, -1)]
+            if not empty or not any(side.any() for side in sides):
+                return framed.view(count, -1, 4)
+    voxels = torch.zeros(whole)
     voxels[:, 1:-1, 1:-1, 1:-1] = volume.permute(0, 2, 3, 4, 1)
     return voxels.view(count, -1, 4)
 
@@ -84,8 +130,11 @@ def _run(kernel: str, *arguments: Any) -> None:
 
     from viewnet import _volume_kernels
 
-    threads = min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+    allowed = torch.get_num_threads()
+    threads = min(allowed, numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
     if threads > 1:
         numba.set_num_threads(threads)
     plain = [(np.float32(a.item()) if a.dim() == 0 else a.numpy()) if isinstance(a, Tensor) else a for a in arguments]
     getattr(_volume_kernels, kernel)[threads > 1](*plain)
+    if torch.get_num_threads() != allowed:  # loading a kernel resets it behind PyTorch's back
+        torch.set_num_threads(allowed)

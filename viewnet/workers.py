@@ -72,6 +72,8 @@ class _Worker:
             context = multiprocessing.get_context("spawn")
             self.connection, theirs = context.Pipe()
             self.process = context.Process(target=_serve, args=(theirs, *self.setup), daemon=False)
+            # Pages of 2 MiB for what is large, which volumes are: a step is faster by some per cent. Read at its start.
+            os.environ.setdefault("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")
             self.process.start()
             theirs.close()  # so that the process's end is noticed
         assert self.connection is not None
