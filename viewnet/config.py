@@ -183,7 +183,6 @@ RECIPES: dict[str, Changes] = {
             "compare_masks": 1.0,
             "select_by": "reconstruction",
             "selection_weight": 0.2,
-            "selection_angle": 30.0,
             "search": 0.3,
             "search_views": 32,
             "neighbours": 8.0,
@@ -245,7 +244,7 @@ PROFILES: dict[str, Changes] = {
             "generator_last_kernel": 2,
             "appearance_size": 64,
         },
-        "train": {"epochs": 14, "validate_every": 3, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3},
+        "train": {"epochs": 11, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3},
     },
     "small": {
         "data": {"models": 2000},
