@@ -365,3 +365,24 @@ def test_heads_at_the_viewpoint_to_teach_are_all_right_choices():
     loss.backward()
     assert (logits.grad[0, :2] < 0).all() and logits.grad[0, 2] > 0  # both up, and neither against the other
     assert torch.allclose(_selection(found, 0.0), F.cross_entropy(logits, best))
+
+
+def test_objects_begin_with_one_shape_and_end_with_their_own():
+    torch.manual_seed(0)
+    model, views = ViewNet(SMOKE.model).eval(), pictures(3)
+    codes = [model.imagine(views, own=own)[0] for own in (0.0, 0.5, 1.0)]
+    assert torch.allclose(codes[0], codes[2].mean(0).expand(3, -1), atol=1e-6)
+    assert torch.allclose(codes[1], (codes[0] + codes[2]) / 2, atol=1e-6)
+    assert not torch.allclose(codes[2][0], codes[2][1], atol=1e-3)
+
+
+@pytest.mark.parametrize(("progress", "own"), [(0.0, 0.0), (0.1, 0.5), (0.2, 1.0), (0.9, 1.0)])
+def test_shapes_become_the_objects_own_as_training_goes_on(monkeypatch, progress, own):
+    asked = []
+    model = ViewNet(SMOKE.model)
+    plain = model.imagine
+    monkeypatch.setattr(model, "imagine", lambda views, coarse, own: asked.append(own) or plain(views, coarse, own))
+    config = dataclasses.replace(SMOKE.train, shared_shape=0.2)
+    views = pictures(4)
+    step_loss(model, (views, views, views), config, None, progress, torch.Generator().manual_seed(0))
+    assert asked == [pytest.approx(own)]

@@ -97,9 +97,14 @@ class ViewNet(nn.Module):
         """Pictures (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S) on the backdrop."""
         return pictures[:, :3] + self.config.backdrop * (1 - pictures[:, 3:])
 
-    def imagine(self, pictures: Tensor, coarse: bool = False) -> tuple[Tensor, Tensor]:
-        """Appearance codes (N, A) and volumes, as `shape` gives them, of the objects in pictures (N, 4, S, S)."""
+    def imagine(self, pictures: Tensor, coarse: bool = False, own: float = 1.0) -> tuple[Tensor, Tensor]:
+        """Appearance codes (N, A) and volumes, as `shape` gives them, of the objects in pictures (N, 4, S, S).
+
+        With `own` below 1 codes are drawn towards the mean of all, which they are at 0: one shape in many colours.
+        """
         code = self.appearance(self.see(pictures))
+        if own < 1:
+            code = torch.lerp(code.mean(0, keepdim=True), code, own)
         colour = None
         if self.config.colour_prior:
             colour = pictures[:, :3].sum((2, 3)) / pictures[:, 3].sum((1, 2))[:, None].clamp(min=1)

@@ -39,17 +39,18 @@ def reconstruct(
     config: TrainConfig,
     size: int | None = None,
     search: Search | None = None,
+    own: float = 1.0,
 ) -> Reconstruction:
     """Draws targets (N, 4, s, s) from appearance views (B, 4, s, s), N = B K (equations 1 and 2).
 
     All heads are compared without gradients; only the best is drawn with them ("gradients will only be propagated
     through m*"). `seen` (N, 4, s, s) is what the viewpoint network sees of the targets: themselves, or cut and
     augmented. `size` is the drawings' side in pixels (default: the configuration's). With `search`, what it finds is
-    drawn instead.
+    drawn instead. `own` is how much of its own shape each object has (ViewNet.imagine).
     """
     size = size or model.config.render_size
     with autocast(appearance.device, config):
-        code, shape = model.imagine(appearance, coarse=size < model.config.render_size)
+        code, shape = model.imagine(appearance, size < model.config.render_size, own)
         hypotheses = model.viewpoint(model.see(seen))
     target = target if target.shape[-1] == size else resize(target, size)
     with torch.no_grad():
@@ -257,7 +258,8 @@ def step_loss(
     # Chance goes out half-way through the search.
     noise = max(0.0, 1 - 2 * progress / config.search) if config.search else 0.0
     search = Search(config.search_views, noise, generator) if progress < config.search else None
-    found = reconstruct(model, appearance, target, seen, config, size, search)
+    own = min(1.0, progress / config.shared_shape) if config.shared_shape else 1.0
+    found = reconstruct(model, appearance, target, seen, config, size, search, own)
     if config.target == "mask":
         picture, wanted = found.drawn[:, 3:], found.target[:, 3:]
     else:
