@@ -61,3 +61,20 @@ def test_only_inner_convolutions_are_taken():
     assert len(names) == 2 * (depth - 2) + len(model.decoder.stages)
     assert len(adam.param_groups[0]["params"]) + len(taken) == len(list(model.parameters()))
     assert len(make_optimisers(model, make_config(profile="smoke", muon=0.0).train)) == 1
+
+
+def test_bfloat16_brings_large_matrices_as_near():
+    torch.manual_seed(0)
+    matrix = torch.randn(128, 200)
+    whole, half = orthogonal(matrix), orthogonal(matrix, half=True)
+    assert half.dtype == torch.float32
+    assert not torch.equal(whole, half)
+    assert (whole - half).norm() < 0.03 * whole.norm()
+    assert torch.equal(orthogonal(matrix[:64]), orthogonal(matrix[:64], half=True))  # too small to gain by it
+
+
+def test_without_mixed_precision_muon_has_none(monkeypatch):
+    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: True)
+    for amp, half in (("auto", True), ("off", False)):
+        config = make_config(profile="smoke", amp=amp)
+        assert make_optimisers(ViewNet(config.model), config.train)[1].half is half

@@ -10,10 +10,8 @@ from viewnet import _volume_kernels, volume, volume_cpu
 from viewnet.geometry import look_at, view_vector
 from viewnet.networks import gaussian_prior
 
-HERE = [pytest.param(True, id="compiled"), pytest.param(False, id="plain")]
 
-
-@pytest.fixture(params=HERE)
+@pytest.fixture(params=[True, False], ids=["compiled", "plain"])
 def squash(request, monkeypatch):
     if not request.param:
         monkeypatch.setattr(volume_cpu, "available", lambda: False)

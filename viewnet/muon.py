@@ -18,8 +18,9 @@ class Muon(torch.optim.Optimizer):
     works in bfloat16, which is slow where the processor has none, and for small matrices everywhere.
     """
 
-    def __init__(self, params: Iterable[Tensor], lr: float = 0.02, momentum: float = 0.95):
+    def __init__(self, params: Iterable[Tensor], lr: float = 0.02, momentum: float = 0.95, half: bool = False):
         super().__init__(params, {"lr": lr, "momentum": momentum})
+        self.half = half  # bfloat16 for matrices that are large enough to gain by it
 
     @torch.no_grad()
     def step(self, closure: Callable[[], float] | None = None) -> None:  # type: ignore[override]
@@ -34,15 +35,15 @@ class Muon(torch.optim.Optimizer):
                 direction = weight.grad.lerp(state["momentum"], group["momentum"]).flatten(1)
                 rows, columns = direction.shape
                 scale = max(1.0, rows / columns) ** 0.5
-                weight.add_(orthogonal(direction).view_as(weight), alpha=-group["lr"] * scale)
+                weight.add_(orthogonal(direction, half=self.half).view_as(weight), alpha=-group["lr"] * scale)
 
 
-def orthogonal(matrix: Tensor, iterations: int = 4) -> Tensor:
+def orthogonal(matrix: Tensor, iterations: int = 4, half: bool = False) -> Tensor:
     """The matrix (a, b) with its singular values brought near 1, by Newton-Schulz iterations of degree five."""
     a, b, c = 3.4445, -4.7750, 2.0315
     x = matrix.T if matrix.shape[0] > matrix.shape[1] else matrix
     x = x / (x.norm() + 1e-7)
-    if len(x) >= BFLOAT16_FROM and (x.is_cuda or torch.cpu._is_avx512_bf16_supported()):
+    if half and len(x) >= BFLOAT16_FROM:
         x = x.bfloat16()
     # Every iteration multiplies by a polynomial of the Gram matrix, and these commute: they are gathered first.
     gram, product = x @ x.T, None

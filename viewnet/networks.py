@@ -120,9 +120,6 @@ class Doubling(nn.ConvTranspose3d):
         eight = F.linear(x.permute(0, 2, 3, 4, 1), weight.T, bias)
         return eight.view(*eight.shape[:4], 2, 2, 2, 4)
 
-    def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
-        return joined(self.blocks(x))
-
 
 class Generator(nn.Module):
     """Appearance (N, A) -> volume logits (N, 4, n, n, n), the last channel the occupancy's (section 3.2, supplement).

@@ -202,10 +202,15 @@ def backgrounds(config: TrainConfig, count: int, generator: torch.Generator, dev
     return torch.rand(count, 3, generator=generator).to(device)
 
 
-def autocast(device: torch.device, config: TrainConfig) -> torch.autocast:
-    """bfloat16 for convolutions where the hardware computes in it, plain float32 elsewhere."""
+def half_precision(device: torch.device, config: TrainConfig) -> bool:
+    """Whether to compute in bfloat16: where the hardware does, unless the configuration forbids it."""
     able = torch.cuda.is_bf16_supported() if device.type == "cuda" else torch.cpu._is_avx512_bf16_supported()
-    return torch.autocast(device.type, torch.bfloat16, enabled=able and config.amp == "auto")
+    return able and config.amp == "auto"
+
+
+def autocast(device: torch.device, config: TrainConfig) -> torch.autocast:
+    """bfloat16 for convolutions with `half_precision`, plain float32 without."""
+    return torch.autocast(device.type, torch.bfloat16, enabled=half_precision(device, config))
 
 
 def augment(pictures: Tensor, generator: torch.Generator) -> Tensor:

@@ -30,7 +30,7 @@ from viewnet.losses import PerceptualLoss
 from viewnet.model import ViewNet
 from viewnet.muon import Muon
 from viewnet.progress import bar
-from viewnet.step import reconstruct, step_loss
+from viewnet.step import half_precision, reconstruct, step_loss
 
 VALIDATION_VIEWS = 320
 """Validation uses at most so many target views, those of the first models: enough to rank epochs."""
@@ -206,7 +206,7 @@ def make_optimisers(model: ViewNet, config: TrainConfig) -> list[torch.optim.Opt
         torch.optim.Adam(others, lr=config.learning_rate, betas=config.betas, fused=True)
     ]
     if matrices:
-        optimisers.append(Muon(matrices, config.muon))
+        optimisers.append(Muon(matrices, config.muon, half=half_precision(matrices[0].device, config)))
     for optimiser in optimisers:
         for group in optimiser.param_groups:
             group["initial_lr"] = group["lr"]

@@ -101,8 +101,8 @@ def render(
 ) -> Tensor:
     """`render_reference` by the fastest path there is for the device; `steps` along a ray defaults to `size`.
 
-    `sparse` promises that nothing is lost where occupancy of exactly 0 takes no gradient (as `squash` clamps
-    it), so that empty space may be passed over backwards too.
+    `sparse` promises that nothing is lost where occupancy of exactly 0 takes no gradient (as after `squash`), so that
+    empty space may be passed over backwards too.
     """
     steps = size if steps is None else steps
     if len(frames) % len(volume):
