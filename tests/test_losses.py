@@ -18,7 +18,7 @@ from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation, look_at, view_vector
 from viewnet.losses import PerceptualLoss, composite, cycle_loss, head_errors, pixel_loss
 from viewnet.model import Hypotheses, ViewNet
-from viewnet.step import Reconstruction, Search, _balanced, _choose, _selection, reconstruct, step_loss
+from viewnet.step import Reconstruction, Search, Stage, _balanced, _choose, _selection, _stage, reconstruct, step_loss
 
 PLAIN = {"neighbours": 0.0, "pull_weight": 0.0, "search": 0.0, "balance": 0.0, "mirror": False, "amp": "off"}
 SMOKE = make_config(profile="smoke", recipe="matting", **PLAIN)
@@ -161,11 +161,11 @@ def test_heads_are_compared_by_the_best_viewpoint_around_each(model):
     shape, code, azimuth, elevation, target = known_targets(model)
     heads = torch.stack([view_vector(azimuth + 170, elevation), view_vector(azimuth + 8, elevation)], dim=1)
     said = Hypotheses(heads, torch.zeros(6, 2))
-    best, view, errors = _choose(model, shape, code, said, target, config, None)
+    best, view, _, errors = _choose(model, shape, code, said, target, config, Stage())
     assert best.tolist() == [1] * 6
     assert torch.allclose(view, view_vector(azimuth, elevation), atol=1e-5)
     assert errors[:, 1].max() < 1e-9 < errors[:, 0].min()
-    best, plain, further = _choose(model.eval(), shape, code, said, target, config, None)
+    best, plain, _, further = _choose(model.eval(), shape, code, said, target, config, Stage())
     assert torch.equal(plain, heads[:, 1])  # which is for training only
     assert (further[:, 1] > errors[:, 1]).all()
 
@@ -178,7 +178,7 @@ def test_the_search_finds_what_no_head_says_and_the_closest_head_is_taught(model
     heads = torch.stack([view_vector(azimuth + 90, elevation), view_vector(azimuth + 200, elevation)], dim=1)
     search = Search(400, 0.0, torch.Generator().manual_seed(0))
     said = Hypotheses(heads, torch.zeros(6, 2))
-    best, view, _ = _choose(model, shape, code, said, target, SMOKE.train, search)
+    best, view, _, _ = _choose(model, shape, code, said, target, SMOKE.train, Stage(search=search))
     assert ((view * view_vector(azimuth, elevation)).sum(-1) > np.cos(np.radians(12))).all()
     assert best.tolist() == [0] * 6
 
@@ -351,12 +351,12 @@ def test_files_without_weights_are_refused(tmp_path: Path):
         PerceptualLoss("squeezenet", tmp_path / "other.pth")
 
 
-def test_heads_at_the_viewpoint_to_teach_are_all_right_choices():
+def test_heads_at_the_viewpoint_to_select_are_all_right_choices():
     vectors = view_vector(torch.tensor([[10.0, 20.0, 190.0], [10.0, 100.0, 190.0]]), torch.zeros(2, 3))
     logits = torch.tensor([[2.0, 1.0, -1.0], [2.0, 1.0, -1.0]], requires_grad=True)
     best = torch.tensor([0, 2])
     found = Reconstruction(
-        Hypotheses(vectors, logits), torch.zeros(2, 3), best, vectors[torch.arange(2), best], *[torch.zeros(())] * 4
+        Hypotheses(vectors, logits), torch.zeros(2, 3), best, vectors[[0, 1], best], best, *[torch.zeros(())] * 4
     )
     chances = logits.detach().softmax(1)
     wanted = -(chances[0, 0] + chances[0, 1]).log() - chances[1, 2].log()
@@ -365,6 +365,27 @@ def test_heads_at_the_viewpoint_to_teach_are_all_right_choices():
     loss.backward()
     assert (logits.grad[0, :2] < 0).all() and logits.grad[0, 2] > 0  # both up, and neither against the other
     assert torch.allclose(_selection(found, 0.0), F.cross_entropy(logits, best))
+
+
+def test_the_selection_has_a_say_in_what_is_drawn_and_none_in_what_it_is_taught(model):
+    """Heads a little and far off: the first explains the targets better, unless the selection is sure of the other."""
+    shape, code, azimuth, elevation, target = known_targets(model)
+    heads = torch.stack([view_vector(azimuth + 2, elevation), view_vector(azimuth + 60, elevation)], dim=1)
+    sure = torch.tensor([0.0, 30.0]).expand(6, 2)
+    for logits, trust, drawn in ((sure, 0.5, 1), (sure, 0.0, 0), (-sure, 0.5, 0), (0 * sure, 0.5, 0)):
+        best, view, label, errors = _choose(
+            model, shape, code, Hypotheses(heads, logits), target, SMOKE.train, Stage(trust=trust)
+        )
+        assert best.tolist() == [drawn] * 6
+        assert torch.equal(view, heads[:, drawn])
+        assert label.tolist() == [0] * 6
+        assert (errors[:, 0] < errors[:, 1]).all()
+
+
+@pytest.mark.parametrize(("progress", "trust"), [(0.0, 0.0), (0.49, 0.0), (0.5, 0.7), (1.0, 0.7)])
+def test_the_selection_is_trusted_once_it_has_learned(model, progress, trust):
+    config = dataclasses.replace(SMOKE.train, trust=0.7)
+    assert _stage(model, config, progress, torch.Generator()).trust == trust
 
 
 def test_objects_begin_with_one_shape_and_end_with_their_own():

@@ -98,7 +98,7 @@ class TrainConfig:
     search: float = 0.0  # in this first share of training a search over all viewpoints finds those to draw from
     search_views: int = 48  # how many viewpoints it tries a target, beside the heads'
     shared_shape: float = (
-        0.0  # until this share of training objects get a shape of their own by and by, all one at first
+        0.0  # share of training in which objects come by shapes of their own; at first all have one
     )
     neighbours: float = 0.0  # degrees: heads are compared by the best of five viewpoints so far around each; 0: itself
     pull_weight: float = 0.0  # of the pull of the best head towards the viewpoint found by search or among neighbours
@@ -117,7 +117,8 @@ class TrainConfig:
     pixel_weight: float = 0.0  # of L1 + MSE on pixels at two scales, beside the perceptual term
     mask_weight: float = 0.0  # of the same on masks
     selection_weight: float = 1.0
-    selection_angle: float = 0.0  # degrees: heads so close to the viewpoint to teach are as right a choice as the best
+    selection_angle: float = 0.0  # degrees: heads so close to the one to select are as right a choice
+    trust: float = 0.0  # in training's second half the selection has a say, so strong, in which head is drawn
     cycle: bool = False  # section 3.4
     cycle_weight: float = 1.0
     cycle_start: float = 0.0  # fraction of training before the cycle sets in (then ramped up over a tenth)
@@ -186,6 +187,9 @@ RECIPES: dict[str, Changes] = {
             "compare_masks": 1.0,
             "select_by": "reconstruction",
             "selection_weight": 0.2,
+            "selection_angle": 30.0,
+            "trust": 0.5,
+            "shared_shape": 0.15,
             "search": 0.3,
             "search_views": 32,
             "neighbours": 8.0,
@@ -247,7 +251,7 @@ PROFILES: dict[str, Changes] = {
             "generator_last_kernel": 2,
             "appearance_size": 64,
         },
-        "train": {"epochs": 11, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3},
+        "train": {"epochs": 14, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3, "validate_every": 3},
     },
     "small": {
         "data": {"models": 2000},

@@ -17,14 +17,25 @@ from viewnet.model import Hypotheses, ViewNet
 from viewnet.volume import halved
 
 
+@dataclass(frozen=True)
+class Stage:
+    """What is at work at one point of training only. As it stands: nothing, as in evaluation."""
+
+    size: int | None = None  # the drawings' side in pixels; None: the configuration's
+    search: Search | None = None  # what it finds is drawn instead of a head's viewpoint
+    own: float = 1.0  # how much of its own shape each object has (ViewNet.imagine)
+    trust: float = 0.0  # how much the selection counts in which head is drawn (TrainConfig.trust)
+
+
 @dataclass
 class Reconstruction:
     """One pass over target views: what was said of them and how they were drawn."""
 
     hypotheses: Hypotheses
     errors: Tensor  # (N, M) of each head
-    best: Tensor  # (N,) the head with the least, or the closest to what the search found
+    best: Tensor  # (N,) the head to teach: with the least, or the closest to what the search found
     better: Tensor  # (N, 3) the viewpoint near that head's, or found by the search, that explains the target best
+    label: Tensor  # (N,) the head that the selection is to choose
     drawn: Tensor  # (N, 4, S, S) from the head's viewpoint, or the one that the search found
     target: Tensor  # the target view at the same size
     shape: Tensor
@@ -37,28 +48,26 @@ def reconstruct(
     target: Tensor,
     seen: Tensor,
     config: TrainConfig,
-    size: int | None = None,
-    search: Search | None = None,
-    own: float = 1.0,
+    stage: Stage | None = None,
 ) -> Reconstruction:
     """Draws targets (N, 4, s, s) from appearance views (B, 4, s, s), N = B K (equations 1 and 2).
 
     All heads are compared without gradients; only the best is drawn with them ("gradients will only be propagated
     through m*"). `seen` (N, 4, s, s) is what the viewpoint network sees of the targets: themselves, or cut and
-    augmented. `size` is the drawings' side in pixels (default: the configuration's). With `search`, what it finds is
-    drawn instead. `own` is how much of its own shape each object has (ViewNet.imagine).
+    augmented.
     """
-    size = size or model.config.render_size
+    stage = stage or Stage()
+    size = stage.size or model.config.render_size
     with autocast(appearance.device, config):
-        code, shape = model.imagine(appearance, size < model.config.render_size, own)
+        code, shape = model.imagine(appearance, size < model.config.render_size, stage.own)
         hypotheses = model.viewpoint(model.see(seen))
     target = target if target.shape[-1] == size else resize(target, size)
     with torch.no_grad():
-        best, better, errors = _choose(model, shape, code, hypotheses, target, config, search)
-    drawn_from = look_at(better) if search else hypotheses.frames[torch.arange(len(best)), best]
+        best, better, label, errors = _choose(model, shape, code, hypotheses, target, config, stage)
+    drawn_from = look_at(better) if stage.search else hypotheses.frames[torch.arange(len(best)), best]
     with autocast(appearance.device, config):
         drawn = model.draw(shape, code, drawn_from, size)
-    return Reconstruction(hypotheses, errors, best, better, drawn, target, shape, code)
+    return Reconstruction(hypotheses, errors, best, better, label, drawn, target, shape, code)
 
 
 @dataclass
@@ -93,20 +102,22 @@ def _choose(
     hypotheses: Hypotheses,
     target: Tensor,
     config: TrainConfig,
-    search: Search | None,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The head to teach (N,), the viewpoint to teach it (N, 3), and every head's error (N, M)."""
+    stage: Stage,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The head to teach (N,), the viewpoint to teach it (N, 3), the head to select (N,), every head's error (N, M)."""
     vectors, rows = hypotheses.vectors, torch.arange(len(target), device=target.device)
     heads, limits = vectors.shape[1], model.config.elevation_limits or (-90.0, 90.0)
     better, errors = _compare_heads(model, shape, code, hypotheses, target, config)
     if not model.training:
         best = errors.argmin(1)
-        return best, better[rows, best], errors
+        return best, better[rows, best], best, errors
     score = errors
-    if search:
-        grid = search.grid(len(target), limits).to(vectors)
+    if stage.trust and heads > 1:
+        score = errors - stage.trust * errors.std(1, keepdim=True).mean() * hypotheses.logits.log_softmax(1)
+    if stage.search:
+        grid = stage.search.grid(len(target), limits).to(vectors)
         _, found = compare(model, shape, code, grid[:, :, None], None, target, config)
-        better, score = torch.cat([better, grid], 1), search.perturb(torch.cat([errors, found], 1))
+        better, score = torch.cat([better, grid], 1), stage.search.perturb(torch.cat([score, found], 1))
     if config.balance and score.shape[1] > 1:
         score = _balanced(score, better, model.viewpoint.shares, limits, config.balance)
     winner = score.argmin(1)
@@ -116,7 +127,9 @@ def _choose(
         counts = torch.bincount(_part(view, limits, shares.shape[1]), minlength=shares.numel())
         shares.lerp_((counts / len(view)).view_as(shares), 0.02)
     closest = (vectors - view[:, None]).square().sum(-1).argmin(1)
-    return torch.where(winner < heads, winner, closest), view, errors
+    best = torch.where(winner < heads, winner, closest)
+    # Were the selection taught what it had a say in, it would confirm itself.
+    return best, view, errors.argmin(1) if stage.trust else best, errors
 
 
 def _compare_heads(
@@ -254,17 +267,10 @@ def step_loss(
     device = appearance.device
     seen = augment(seen, generator) if config.augment else seen
     seen = jitter(seen, config.jitter, generator) if config.jitter else seen
-    # The HoloGAN decoder's layers paint one size only.
-    coarse = progress < config.coarse and model.config.decoder != "hologan"
-    size = model.config.render_size // 2 if coarse else model.config.render_size
     if config.mirror:
         mirrored = (torch.rand(len(target), 1, 1, 1, generator=generator) < 0.5).to(device)
         seen, target = (torch.where(mirrored, pictures.flip(-1), pictures) for pictures in (seen, target))
-    # Chance goes out half-way through the search.
-    noise = max(0.0, 1 - 2 * progress / config.search) if config.search else 0.0
-    search = Search(config.search_views, noise, generator) if progress < config.search else None
-    own = min(1.0, progress / config.shared_shape) if config.shared_shape else 1.0
-    found = reconstruct(model, appearance, target, seen, config, size, search, own)
+    found = reconstruct(model, appearance, target, seen, config, _stage(model, config, progress, generator))
     if config.target == "mask":
         picture, wanted = found.drawn[:, 3:], found.target[:, 3:]
     else:
@@ -290,15 +296,31 @@ def step_loss(
     return terms
 
 
+def _stage(model: ViewNet, config: TrainConfig, progress: float, generator: torch.Generator) -> Stage:
+    """What is at work when the share `progress` of training is done."""
+    # The HoloGAN decoder's layers paint one size only.
+    coarse = progress < config.coarse and model.config.decoder != "hologan"
+    # Chance goes out half-way through the search.
+    noise = max(0.0, 1 - 2 * progress / config.search) if config.search else 0.0
+    return Stage(
+        size=model.config.render_size // 2 if coarse else None,
+        search=Search(config.search_views, noise, generator) if progress < config.search else None,
+        own=min(1.0, progress / config.shared_shape) if config.shared_shape else 1.0,
+        # A selection that has seen little says little.
+        trust=config.trust if progress >= 0.5 else 0.0,
+    )
+
+
 def _selection(found: Reconstruction, angle: float) -> Tensor:
-    """Cross-entropy of choosing any of the heads within `angle` degrees of the viewpoint to teach, or the one to teach.
+    """Cross-entropy of choosing the head to select, or any other within `angle` degrees of it.
 
     Where two heads answer the same, which of them explains a picture better is chance: there is nothing to learn.
     """
     vectors, logits = found.hypotheses.vectors.detach(), found.hypotheses.logits
-    right = F.one_hot(found.best, logits.shape[1]).bool()
+    right = F.one_hot(found.label, logits.shape[1]).bool()
     if angle:
-        right |= (vectors * found.better[:, None]).sum(-1) > math.cos(math.radians(angle))
+        wanted = vectors[torch.arange(len(vectors)), found.label]
+        right |= (vectors * wanted[:, None]).sum(-1) > math.cos(math.radians(angle))
     return -logits.log_softmax(1).masked_fill(~right, -math.inf).logsumexp(1).mean()
 
 
