@@ -97,9 +97,7 @@ class TrainConfig:
     compare_masks: float = 0.0  # and of masks
     search: float = 0.0  # in this first share of training a search over all viewpoints finds those to draw from
     search_views: int = 48  # how many viewpoints it tries a target, beside the heads'
-    shared_shape: float = (
-        0.0  # share of training in which objects come by shapes of their own; at first all have one
-    )
+    shared_shape: float = 0.0  # share of training in which objects come by shapes of their own; at first all have one
     neighbours: float = 0.0  # degrees: heads are compared by the best of five viewpoints so far around each; 0: itself
     pull_weight: float = 0.0  # of the pull of the best head towards the viewpoint found by search or among neighbours
     balance: float = 0.0  # how strongly viewpoints from where too many are chosen are avoided
