@@ -39,7 +39,7 @@ def test_no_constant_passes_the_bounds(azimuth, elevation, seed):
     for name, made in metrics.DEFINITIONS.items():
         bound, found = audit.bounds(grid, a, name), audit.scores(made(mine), a)
         assert found["acc30"] <= bound["acc30"] + 1e-6
-        assert found["median"] >= bound["median"] - 0.05  # single precision near 0
+        assert found["median"] >= bound["median"] - 1e-6
         assert found["dva"] <= bound["dva"] + 1e-6
 
 
@@ -91,7 +91,8 @@ def test_the_printed_constants_of_table_2_are_no_geodesic_angles():
     cells = cells.set_index(["category", "definition"])
     for category in ("aeroplane", "car", "chair"):
         assert cells.loc[(category, "geodesic"), "verdict"] == "excluded"
-        assert cells.loc[(category, "folded"), "verdict"] != "excluded"
+    assert cells.loc[("aeroplane", "folded"), "verdict"] == "possible"
+    assert cells.loc[("chair", "folded"), "verdict"] == "possible"
 
 
 @given(st.floats(0, 360), st.floats(-80, 80), st.floats(0, 360), st.floats(-80, 80))
@@ -145,7 +146,7 @@ def test_the_command(tmp_path, capsys):
 
 def test_pascal3d_confidence_indices_and_the_constant_of_buses():
     views, left_out = viewpoints.read(real_data() / "pascal3d_viewpoints.csv")
-    assert left_out == {"only coarsely annotated": 17}
+    assert left_out == {"only coarsely annotated": 20}
     confidence = audit._confidence(views).query("test_set == 'imagenet val'").set_index("category")
     for category in ("aeroplane", "bus", "car", "chair", "tvmonitor"):
         assert confidence.loc[category, "equal"], category
@@ -159,6 +160,6 @@ def test_pascal3d_confidence_indices_and_the_constant_of_buses():
         .constants.set_index(["table", "test_set", "definition"])
         .loc["table3_pascal3d", "imagenet val"]
     )
-    assert cells["verdict"].to_dict() == {"geodesic": "excluded", "folded": "excluded", "scaled": "reproduced"}
+    assert cells["verdict"].to_dict() == {"geodesic": "excluded", "folded": "possible", "scaled": "reproduced"}
     assert cells.loc["scaled", "closest_acc30"] == pytest.approx(79, abs=0.3)
     assert cells.loc["scaled", "closest_median"] == pytest.approx(16.7, abs=0.1)

@@ -8,7 +8,7 @@ constants that the paper may have meant, and against all constants there are.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,18 +42,21 @@ class Audit:
                 no constant passes, the closest of the constants that the paper may have meant, and a verdict
     confidence  a row for each category and test set: the printed confidence index and that of the list
     left_out    rows of the list that could not be used: reason -> how many
+    stand_in    whether the list was drawn, so that verdicts on PASCAL3D+ are no evidence
     """
 
     constants: pd.DataFrame
     confidence: pd.DataFrame
     left_out: dict[str, int]
+    stand_in: bool = False
 
     @property
     def note(self) -> str:
         """How much was held against print, and what was left out, in a line."""
         images = self.confidence.groupby("category")["images"].max()
         left = "".join(f"; {count} left out: {reason}" for reason, count in self.left_out.items())
-        return f"{images.sum()} test viewpoints of {len(images)} categories{left}"
+        drawn = ", drawn as a stand-in" if self.stand_in else ""
+        return f"{images.sum()} test viewpoints of {len(images)} categories{drawn}{left}"
 
     def table(self, name: str) -> pd.DataFrame:
         """Every number compared for one table, rounded: a line for each category, test set and definition."""
@@ -75,11 +78,19 @@ class Audit:
         return frame
 
     def write(self, folder: Path) -> list[Path]:
-        """`audit_constants.csv` and `audit_confidence.csv`: every number that was compared."""
-        files = [folder / "audit_constants.csv", folder / "audit_confidence.csv"]
+        """`audit_constants.csv` and `audit_confidence.csv` (`stand_in_...` of one): every number that was compared."""
+        stem = "stand_in" if self.stand_in else "audit"
+        files = [folder / f"{stem}_constants.csv", folder / f"{stem}_confidence.csv"]
         for path, frame in zip(files, (self.constants, self.confidence), strict=True):
             write_text(path, frame.round(3).to_csv(index=False, lineterminator="\n"))
         return files
+
+
+def audit_list(path: Path | None = None) -> Audit:
+    """`audit` of the list at `path` (viewnet.viewpoints.read); without one, of a stand-in that is always the same."""
+    if path is None:
+        return replace(audit(drawn(np.random.default_rng(0))), stand_in=True)
+    return audit(*read(path))
 
 
 def audit(viewpoints: pd.DataFrame, left_out: dict[str, int] | None = None) -> Audit:
@@ -102,11 +113,6 @@ def audit(viewpoints: pd.DataFrame, left_out: dict[str, int] | None = None) -> A
                 cells += _examine(test_set, category, rows, dict(_sources(mine)), ("table3_pascal3d", "table4_dva"))
     cells.sort(key=lambda cell: list(TABLES).index(cell["table"]))
     return Audit(pd.DataFrame(cells), _confidence(viewpoints), left_out or {})
-
-
-def listed(path: Path | None) -> tuple[pd.DataFrame, dict[str, int]]:
-    """The list at `path` as `audit` takes it; without one a stand-in, always the same (viewnet.viewpoints.drawn)."""
-    return read(path) if path else (drawn(np.random.default_rng(0)), {})
 
 
 def test_sets(viewpoints: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -278,5 +284,8 @@ def _frames(truth: Floats) -> Floats:
 
 def _angles(constants: Floats, truth: Floats) -> Floats:
     """Geodesic errors (K, N), degrees, of frames (K, 3, 3) and (N, 3, 3): tr(A^T B) sums products of entries."""
-    trace = constants.reshape(-1, 9).astype(np.float32) @ truth.reshape(-1, 9).astype(np.float32).T
-    return np.degrees(np.arccos(((trace - 1) / 2).clip(-1, 1)))
+    cosine = constants.reshape(-1, 9) @ truth.reshape(-1, 9).T  # many numbers: changed in place from here on
+    cosine -= 1
+    cosine /= 2
+    np.clip(cosine, -1, 1, out=cosine)
+    return np.degrees(np.arccos(cosine, out=cosine), out=cosine)

@@ -61,9 +61,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _audit(options: argparse.Namespace) -> None:
-    from viewnet.audit import audit, listed
+    from viewnet.audit import audit_list
 
-    found = audit(*listed(options.viewpoints))
+    found = audit_list(options.viewpoints)
     print(found.note)
     print("\nRows Constant: verdict by each definition of the error, and the test sets where it holds")
     print(found.summary().to_string())

@@ -171,7 +171,7 @@ def experiment(
     parts += ["data_root"] if data_root else []
     parts += ["eval_root"] if eval_root else []
     parts += ["viewpoints"] if viewpoints else []
-    if parts and parts[0] != profile:
+    if parts not in ([], ["viewpoints"]) and parts[0] != profile:  # a list of viewpoints has no profile
         parts.insert(0, profile)
     return Experiment(
         name=name,
