@@ -116,3 +116,11 @@ def test_every_design_is_known():
     with pytest.raises(ViewnetError, match="unknown notebook 'table9': choose one of table1_shapenet"):
         experiment("table9")
     assert set(DESIGNS) >= {"table1_shapenet", "table2_ablation", "figure3_azimuth", "architecture"}
+
+
+def test_a_list_of_viewpoints_has_a_folder_of_its_own_and_no_profile(tmp_path, monkeypatch):
+    monkeypatch.delenv("VIEWNET_PROFILE", raising=False)
+    asked = experiment("audit_metrics", viewpoints=str(tmp_path / "list.csv"), output=str(tmp_path))
+    assert asked.viewpoints == tmp_path / "list.csv"
+    assert asked.folder == tmp_path / "viewpoints"
+    assert experiment("audit_metrics", output=str(tmp_path)).folder == tmp_path

@@ -150,7 +150,10 @@ def test_problems_are_told_in_one_line_before_a_kernel_starts(arguments, message
 
 def test_unknown_notebooks_are_told(capsys):
     assert cli.main(["notebook", "table9"]) == 2
-    assert "unknown notebook 'table9': choose one of architecture, figure3_azimuth" in capsys.readouterr().err
+    assert (
+        "unknown notebook 'table9': choose one of architecture, audit_metrics, figure3_azimuth"
+        in capsys.readouterr().err
+    )
 
 
 def test_parameters_are_listed(capsys):

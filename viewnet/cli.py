@@ -42,7 +42,35 @@ def _parser() -> argparse.ArgumentParser:
     notebook.add_argument("--parameters", action="store_true", help="list the parameters and stop")
     notebook.add_argument("--refresh", action="store_true", help="run with the defaults and keep the outputs in place")
     notebook.set_defaults(run=_notebook)
+    audit = commands.add_parser(
+        "audit",
+        help="hold the printed numbers of constants against a list of viewpoints",
+        description="What the printed scores of constants, and the confidence index, can and cannot be by each "
+        "definition of the error in print.",
+    )
+    audit.add_argument(
+        "--viewpoints",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="a CSV with category, azimuth_deg, elevation_deg, and if there are: subset, split, easy, annotated",
+    )
+    audit.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="where every number goes, as CSV files")
+    audit.set_defaults(run=_audit)
     return parser
+
+
+def _audit(options: argparse.Namespace) -> None:
+    from viewnet.audit import audit_list
+
+    found = audit_list(options.viewpoints)
+    print(found.note)
+    print("\nRows Constant: verdict by each definition of the error, and the test sets where it holds")
+    print(found.summary().to_string())
+    print("\nConfidence index")
+    print(found.confidence.to_string(index=False))
+    if options.output:
+        print(*found.write(options.output), sep="\n")
 
 
 def _notebook(options: argparse.Namespace) -> None:

@@ -87,8 +87,12 @@ def evaluate(
     rng = np.random.default_rng(seed)
     intervals = metrics.bootstrap_intervals([errors], [test.objects], rng, draws)
     best = aligned.errors.argmin(axis=1)
-    definitions = {"vector": metrics.vector_error, "folded": metrics.folded_error, "scaled": metrics.scaled_error}
-    audit = {name: error(aligned.selected, test.truth) for name, error in definitions.items()}
+    level = metrics.geodesic_error(aligned.selected, test.truth)
+    audit = {
+        "vector": metrics.vector_error(aligned.selected, test.truth),
+        "folded": metrics.folded(level),
+        "scaled": metrics.scaled(level),
+    }
     return {
         "images": len(test),
         "objects": len(set(test.objects)),

@@ -46,6 +46,7 @@ DESIGNS = {
     "figure3_azimuth": Design(("viewnet",)),
     # Nothing is trained for it, so the default is the paper's size.
     "architecture": Design(categories=(), profile="paper"),
+    "audit_metrics": Design(categories=(), profile="paper"),
 }
 
 
@@ -62,6 +63,7 @@ class Experiment:
     data_root: str | None
     splits: str | None
     eval_root: str | None
+    viewpoints: Path | None
     output: Path
     label: str  # what is not the plain default, "" if nothing
     workers: int | None
@@ -127,6 +129,7 @@ def experiment(
     data_root: str = "",
     splits: str = "",
     eval_root: str = "",
+    viewpoints: str = "",
     output: str = "",
     workers: int = 0,
 ) -> Experiment:
@@ -140,6 +143,7 @@ def experiment(
     data_root   a ShapeNetCore folder (v1 or v2); "": the built-in models
     splits      a folder of <synset>_{train,val,test}.txt lists for it; "": its own all.csv, else a seeded split
     eval_root   a ShapeNetCore folder to score on instead of the own test split
+    viewpoints  a CSV of annotated viewpoints (viewnet.viewpoints.read); "": a stand-in is drawn
     output      where tables and figures go; "": paper_tables
     workers     trainings side by side; 0: what the machine has room for
 
@@ -166,7 +170,8 @@ def experiment(
     parts += chosen if chosen != design.categories else []
     parts += ["data_root"] if data_root else []
     parts += ["eval_root"] if eval_root else []
-    if parts and parts[0] != profile:
+    parts += ["viewpoints"] if viewpoints else []
+    if parts not in ([], ["viewpoints"]) and parts[0] != profile:  # a list of viewpoints has no profile
         parts.insert(0, profile)
     return Experiment(
         name=name,
@@ -178,6 +183,7 @@ def experiment(
         data_root=_folder(data_root, "data_root"),
         splits=_folder(splits, "splits"),
         eval_root=_folder(eval_root, "eval_root"),
+        viewpoints=Path(viewpoints).expanduser() if viewpoints else None,
         output=Path(output).expanduser() if output else paths.tables(),
         label="-".join(parts),
         workers=workers or None,

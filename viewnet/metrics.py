@@ -36,18 +36,22 @@ def vector_error(predicted: Floats, truth: Floats) -> Floats:
     return geometry.vector_angle(_tensor(predicted), _tensor(truth)).numpy()
 
 
-def folded_error(predicted: Floats, truth: Floats) -> Floats:
-    """What the arcsine of the relative rotation's antisymmetric part makes of the geodesic error e: min(e, 180 - e).
+def folded(errors: Floats) -> Floats:
+    """What the arcsine of the relative rotation's antisymmetric part makes of geodesic errors e (...): min(e, 180 - e).
 
     A prediction from the opposite side counts as right. For the audit of printed numbers only.
     """
-    e = geodesic_error(predicted, truth)
-    return np.minimum(e, 180 - e)
+    return np.minimum(errors, 180 - errors)
 
 
-def scaled_error(predicted: Floats, truth: Floats) -> Floats:
-    """What |log(A^T B)|_F / 2 makes of the geodesic error e: e / sqrt(2). For the audit of printed numbers only."""
-    return geodesic_error(predicted, truth) / np.sqrt(2)
+def scaled(errors: Floats) -> Floats:
+    """What |log(A^T B)|_F / 2 makes of geodesic errors e (...): e / sqrt(2). For the audit of printed numbers only."""
+    return errors / np.sqrt(2)
+
+
+DEFINITIONS: dict[str, Callable[[Floats], Floats]] = {"geodesic": np.asarray, "folded": folded, "scaled": scaled}
+"""Name -> what a definition of the error in print makes of geodesic errors (...). Only the first is an angle between
+camera frames."""
 
 
 def accuracy(errors: Floats, threshold: float) -> float:
@@ -58,6 +62,33 @@ def accuracy(errors: Floats, threshold: float) -> float:
 def median(errors: Floats) -> float:
     """The median, degrees; of an even number of errors the mean of the middle two."""
     return float(np.median(errors))
+
+
+AZIMUTH_BINS = 12
+"""Of 30 degrees each, the first from 0 (supplement, Discretized Viewpoint Accuracy)."""
+CONFIDENT = 10
+"""A bin counts for the confidence index that has more images than this."""
+
+
+def azimuth_bins(azimuths: Floats) -> NDArray[np.intp]:
+    """In which of the twelve bins azimuths (N,), degrees, lie: 0 to 11."""
+    return (np.floor(np.asarray(azimuths, dtype=np.float64) / (360 / AZIMUTH_BINS)) % AZIMUTH_BINS).astype(np.intp)
+
+
+def bin_accuracies(errors: Floats, azimuths: Floats, threshold: float = 30) -> Floats:
+    """Per cent of errors (..., N) below `threshold` degrees in each bin, not empty, of azimuths (N,): (..., B)."""
+    bins, right = azimuth_bins(azimuths), np.asarray(errors) < threshold
+    return np.stack([100 * right[..., bins == part].mean(axis=-1) for part in np.unique(bins)], axis=-1)
+
+
+def dva(errors: Floats, azimuths: Floats) -> float:
+    """Discretized viewpoint accuracy, per cent, of errors (N,) at true azimuths (N,): the mean over bins not empty."""
+    return float(bin_accuracies(errors, azimuths).mean())
+
+
+def confidence_index(azimuths: Floats) -> float:
+    """The share of the twelve bins that hold more than ten of the true azimuths (N,), degrees."""
+    return float(np.mean(np.bincount(azimuth_bins(azimuths), minlength=AZIMUTH_BINS) > CONFIDENT))
 
 
 def flips(errors: Floats) -> float:
