@@ -249,7 +249,7 @@ PROFILES: dict[str, Changes] = {
             "generator_last_kernel": 2,
             "appearance_size": 64,
         },
-        "train": {"epochs": 14, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3, "validate_every": 3},
+        "train": {"epochs": 14, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3, "validate_every": 5},
     },
     "small": {
         "data": {"models": 2000},

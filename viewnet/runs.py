@@ -157,6 +157,8 @@ def ensure(
             stores[config.data] = steps.views(config.data, workers=workers, progress=progress)
     folders = {config: locate(config, stores[config.data].identity) for config in wanted}
     missing = [config for config in wanted if not is_complete(folders[config])]
+    # What takes longest is begun first and what is soonest done last, so that no core waits long at the end.
+    missing.sort(key=lambda config: (config.model.decoder != "hologan", config.model.heads == 1))
     jobs = [Job(config, folders[config], Path(stores[config.data].folder)) for config in missing]
     if failures := run_all(jobs, steps, workers, progress):
         raise ViewnetError(f"{len(failures)} of {len(wanted)} runs failed: {'; '.join(failures)}")

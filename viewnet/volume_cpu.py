@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import warnings
+import weakref
 from typing import Any
 
 import numpy as np
@@ -77,10 +78,9 @@ class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
         voxels, frames = _framed(volume.detach(), empty=True), frames.detach().contiguous()
-        cells = torch.zeros(voxels.shape[:2], dtype=torch.uint8)
         picture = torch.empty(len(frames), size, size, 4)
         shape = tuple(volume.shape[2:])
-        _run("occupied", voxels, shape, cells)
+        cells = _occupied(volume, voxels, shape)
         _run("forward", voxels, cells, shape, frames, focal, steps, picture)
         ctx.save_for_backward(voxels, cells if sparse else torch.ones_like(cells), frames, focal)
         ctx.shape, ctx.steps = shape, steps
@@ -95,6 +95,20 @@ class _Render(torch.autograd.Function):
         _run("backward", voxels, cells, ctx.shape, frames, focal, ctx.steps, grad, grad_voxels, grad_frames, grad_focal)
         grad_volume = _inside(grad_voxels, ctx.shape)
         return grad_volume, grad_frames, grad_focal.sum().reshape(focal.shape), None, None, None
+
+
+_known: tuple[weakref.ref[Tensor], int, Tensor] | None = None
+
+
+def _occupied(volume: Tensor, voxels: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """Which cells of `voxels` (B, P, 4) hold anything, (B, P); remembered for the volume drawn last."""
+    global _known
+    if _known is not None and _known[0]() is volume and _known[1] == volume._version:
+        return _known[2]
+    cells = torch.zeros(voxels.shape[:2], dtype=torch.uint8)
+    _run("occupied", voxels, shape, cells)
+    _known = weakref.ref(volume), volume._version, cells
+    return cells
 
 
 def _inside(voxels: Tensor, shape: tuple[int, int, int]) -> Tensor:

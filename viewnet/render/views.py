@@ -32,7 +32,7 @@ from viewnet.render.chunk import Chunk, draw_chunk, read_chunk
 CHUNK = 16
 """Models drawn between two points that a killed call can go on from."""
 # Below this many views starting processes takes longer than drawing.
-_WORTH_PROCESSES = 8000
+_WORTH_PROCESSES = 4000
 
 log = logging.getLogger(__name__)
 
