@@ -44,6 +44,7 @@ class DataConfig:
     root: str | None = None  # a ShapeNetCore folder (v1 or v2 layout); None: the built-in models
     splits: str | None = None  # a folder of <synset>_{train,val,test}.txt lists; None: all.csv, else a seeded split
     models: int = 1000  # built-in: how many to make; real: use at most so many, 0 for all
+    extra: str | None = None  # a second ShapeNetCore folder; all its models of the category join the training split
     views: int = 5
     image_size: int = 64
     supersample: int = 2
@@ -51,6 +52,27 @@ class DataConfig:
     elevation_range: tuple[float, float] = (-20.0, 40.0)
     seed: int = 0
     renderer: Literal["auto", "raycast", "pyrender"] = "auto"
+    # Behind both inputs in training, never behind the target: SUN397, any folder of pictures, or "drawn"; None: nothing
+    backgrounds: str | None = None
+
+
+@dataclass(frozen=True)
+class PhotoConfig:
+    """Which photographs of one category to score on (section 4.3), and how they are cut."""
+
+    category: str
+    root: str | None = None  # PASCAL3D+ 1.1, or a folder with images/ and viewpoints.csv; None: a stand-in is made
+    subset: Literal["imagenet", "pascal", "both"] = "imagenet"  # of PASCAL3D+; its "train" calibrates, its "val" scores
+    keep: Literal["all", "easy", "first"] = "all"  # easy: not difficult, truncated or occluded; first: of each image
+    coarse: bool = False  # objects whose viewpoint is only known to an eighth of a turn count too
+    size: int = 64  # pixels along a side
+    margin: float = 0.0  # so much of the box's longer side is seen beyond it, on either side
+    square: bool = True  # whether the object keeps its shape, or its box is stretched to a square
+    pad: tuple[int, int, int] = (0, 0, 0)  # colour of what lies beyond the photograph's edges
+    models: int = 60  # the stand-in: CAD models a split
+    count: int = 600  # the stand-in: photographs a split
+    backgrounds: str | None = None  # the stand-in: a folder of pictures; None: drawn ones
+    seed: int = 0  # the stand-in's
 
 
 @dataclass(frozen=True)
