@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from evaluation_data import make_index, noisy
 from hypothesis import given, settings
@@ -15,6 +16,7 @@ from viewnet.alignment import (
     Linear,
     PerAngle,
     Procrustes,
+    Robust,
     calibration_rows,
     fit_rotation,
     from_dict,
@@ -81,6 +83,23 @@ def test_mirrored_predictions_reach_the_cosine_of_the_right_formula():
     naive = np.linalg.svd(truth.T @ p)
     wrong = naive[0] @ naive[2] @ np.diag([1, 1, np.linalg.det(naive[0] @ naive[2])])
     assert cosine >= ((p @ wrong.T) * truth).sum(1).mean()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robust_fit_follows_those_that_agree(seed):
+    # Photographs of cars: most from the front quarters, slightly from above, and every fourth taken for the back.
+    rng, turn = np.random.default_rng(seed), rotation(seed)
+    azimuth, elevation = rng.choice([-35, 35], 60) + rng.normal(0, 8, 60), rng.normal(5, 5, 60)
+    truth = true_vectors(pd.DataFrame({"azimuth": azimuth % 360, "elevation": elevation}))
+    p = truth.copy()
+    p[::4, :2] *= -1
+    exact = Robust.fit(p, truth).apply(p)
+    assert np.median(vector_error(exact, truth)) < 2
+    assert np.linalg.norm(exact - truth, axis=1).sum() <= np.linalg.norm(p - truth, axis=1).sum() * 1.001
+    turned = Robust.fit(truth @ turn.T, truth)
+    assert vector_error(turned.apply(truth @ turn.T), truth).max() < 0.1
+    squares = Procrustes.fit(p, truth).apply(p)
+    assert np.median(vector_error(squares, truth)) > np.median(vector_error(exact, truth))
 
 
 def test_constant_predictions_are_turned_to_the_mean_direction_the_short_way():

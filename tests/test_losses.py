@@ -18,7 +18,18 @@ from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation, look_at, view_vector
 from viewnet.losses import PerceptualLoss, composite, cycle_loss, head_errors, pixel_loss
 from viewnet.model import Hypotheses, ViewNet
-from viewnet.step import Reconstruction, Search, Stage, _balanced, _choose, _selection, _stage, reconstruct, step_loss
+from viewnet.step import (
+    Reconstruction,
+    Search,
+    Stage,
+    _balanced,
+    _choose,
+    _selection,
+    _sightings,
+    _stage,
+    reconstruct,
+    step_loss,
+)
 
 PLAIN = {"neighbours": 0.0, "pull_weight": 0.0, "search": 0.0, "balance": 0.0, "mirror": False, "amp": "off"}
 SMOKE = make_config(profile="smoke", recipe="matting", **PLAIN)
@@ -355,16 +366,30 @@ def test_heads_at_the_viewpoint_to_select_are_all_right_choices():
     vectors = view_vector(torch.tensor([[10.0, 20.0, 190.0], [10.0, 100.0, 190.0]]), torch.zeros(2, 3))
     logits = torch.tensor([[2.0, 1.0, -1.0], [2.0, 1.0, -1.0]], requires_grad=True)
     best = torch.tensor([0, 2])
-    found = Reconstruction(
-        Hypotheses(vectors, logits), torch.zeros(2, 3), best, vectors[[0, 1], best], best, *[torch.zeros(())] * 4
-    )
+    found, wanted_view = Hypotheses(vectors, logits), vectors[[0, 1], best]
     chances = logits.detach().softmax(1)
     wanted = -(chances[0, 0] + chances[0, 1]).log() - chances[1, 2].log()
-    loss = _selection(found, 30.0)
+    loss = _selection(found, best, wanted_view, 30.0)
     assert torch.allclose(loss, wanted / 2)
     loss.backward()
     assert (logits.grad[0, :2] < 0).all() and logits.grad[0, 2] > 0  # both up, and neither against the other
-    assert torch.allclose(_selection(found, 0.0), F.cross_entropy(logits, best))
+    assert torch.allclose(_selection(found, best, wanted_view, 0.0), F.cross_entropy(logits, best))
+
+
+def test_other_pictures_of_a_target_learn_what_its_one_drawing_taught():
+    # Drawn from 10 degrees, where the first picture's head 0 is; another picture's closest head is number 2.
+    first = Hypotheses(view_vector(torch.tensor([[10.0, 130.0, 250.0]]), torch.zeros(1, 3)), torch.zeros(1, 3))
+    azimuth = torch.tensor([[200.0, 100.0, 30.0]], requires_grad=True)
+    logits = torch.zeros(1, 3, requires_grad=True)
+    others = Hypotheses(view_vector(azimuth, torch.zeros(1, 3)), logits)
+    drawn, label = first.vectors[:, 0], torch.tensor([0])
+    found = Reconstruction(first, others, torch.zeros(1, 3), label, drawn, label, *[torch.zeros(())] * 4)
+    loss = _sightings(found, TrainConfig(pull_weight=1.0, selection_weight=0.5, selection_angle=0.0))
+    distance = (view_vector(torch.tensor(10.0), torch.tensor(0.0)) - others.vectors[0, 2]).square().sum()
+    assert torch.allclose(loss, distance + 0.5 * torch.tensor(3.0).log())
+    loss.backward()
+    assert azimuth.grad[0, 2] > 0 and not azimuth.grad[0, :2].any()  # 30 degrees goes down towards 10
+    assert logits.grad[0, 2] < 0 < logits.grad[0, 0]
 
 
 def test_the_selection_has_a_say_in_what_is_drawn_and_none_in_what_it_is_taught(model):

@@ -1,8 +1,9 @@
 """Alignment: from a predictor's own frame to the annotated one, fitted on calibration images.
 
-Unsupervised predictions hold up to a rotation of the world (section 4.1). `procrustes` finds that rotation; `linear`
-is the affine map of the starred rows of Table 3; `per_angle` is the linear regression of each angle by itself, as SSV
-does; `none` is for predictors that speak in the annotated frame already.
+Unsupervised predictions hold up to a rotation of the world (section 4.1). `procrustes` finds that rotation by least
+squares, `robust` the one that most predictions agree on; `linear` is the affine map of the starred rows of Table 3,
+`per_angle` the linear regression of each angle by itself, as SSV does; `none` is for predictors that speak in the
+annotated frame already.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from viewnet.predictions import Floats, Predictions
 
 MINIMUM = 4
 """Calibration images that any fit needs: an affine map of view vectors has four unknowns a coordinate."""
+WEISZFELD = 40
+"""Rounds of reweighting of a robust fit."""
 COLLAPSED = 1e-6
 """Predictions are constant where the second singular value of their correlation is below this share of the first."""
 
@@ -68,6 +71,31 @@ class Procrustes:
     def fit(cls, predicted: Floats, truth: Floats) -> Procrustes:
         """`fit_rotation` of (N, 3) and (N, 3)."""
         return cls(fit_rotation(predicted, truth))
+
+    def apply(self, vectors: Floats) -> Floats:
+        """Rotated vectors (..., 3)."""
+        return np.asarray(vectors, dtype=np.float64) @ self.rotation.T
+
+    def to_dict(self) -> dict[str, Any]:
+        """The matrix row by row."""
+        return {"kind": self.kind, "rotation": self.rotation.tolist()}
+
+
+@dataclass(frozen=True)
+class Robust:
+    """The rotation of the world by the least sum of distances, and not of their squares (the L1 mean).
+
+    Where a share of the predictions is off by half a turn and the viewpoints are few-sided, squares are least for a
+    rotation that tilts the world to go between the two; distances are least for the one that most agree on.
+    """
+
+    rotation: Floats  # (3, 3), determinant +1
+    kind: ClassVar[str] = "robust"
+
+    @classmethod
+    def fit(cls, predicted: Floats, truth: Floats) -> Robust:
+        """`fit_robust` of (N, 3) and (N, 3)."""
+        return cls(fit_robust(predicted, truth))
 
     def apply(self, vectors: Floats) -> Floats:
         """Rotated vectors (..., 3)."""
@@ -141,8 +169,8 @@ class PerAngle:
         return {"kind": self.kind, "azimuth": list(self.azimuth), "elevation": list(self.elevation)}
 
 
-ALIGNMENTS: dict[str, type[Identity] | type[Procrustes] | type[Linear] | type[PerAngle]] = {
-    cls.kind: cls for cls in (Procrustes, Linear, PerAngle, Identity)
+ALIGNMENTS: dict[str, type[Identity] | type[Procrustes] | type[Robust] | type[Linear] | type[PerAngle]] = {
+    cls.kind: cls for cls in (Procrustes, Robust, Linear, PerAngle, Identity)
 }
 
 
@@ -155,8 +183,35 @@ def fit_rotation(predicted: Floats, truth: Floats) -> Floats:
     ViewnetError for fewer than four images, and where predictions and truth have no direction in common at all.
     """
     _check(predicted, truth)
-    u, s, vt = np.linalg.svd(truth.T @ predicted)
-    if s[0] < 1e-9 * len(truth):
+    return _rotation(truth.T @ predicted, len(truth))
+
+
+def fit_robust(predicted: Floats, truth: Floats) -> Floats:
+    """The rotation R (3, 3) that minimises the sum of |R p - t| over rows p of `predicted` and t of `truth`, (N, 3).
+
+    Weiszfeld's algorithm: `fit_rotation` with every image weighted by the reciprocal of its distance, again and again.
+    It begins at the least-squares rotation and at turns of the world about the vertical, twelve each, since where
+    predictions fall into two camps either may be a minimum; the least sum wins. Errors as in `fit_rotation`.
+    """
+    first = fit_rotation(predicted, truth)
+    best, least = first, np.inf
+    for angle in np.radians(np.arange(0, 360, 30)):
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        for rotation in (turn @ first, turn):
+            for _ in range(WEISZFELD):
+                distances = np.linalg.norm(predicted @ rotation.T - truth, axis=1)
+                # An image that fits exactly would count for everything.
+                weights = 1 / np.maximum(distances, 0.01)
+                rotation = _rotation((truth * weights[:, None]).T @ predicted, weights.sum())
+            if (total := float(np.linalg.norm(predicted @ rotation.T - truth, axis=1).sum())) < least:
+                best, least = rotation, total
+    return best
+
+
+def _rotation(correlation: Floats, count: float) -> Floats:
+    """The rotation (3, 3) of the largest trace with sums (3, 3) of t p^T over `count` images; see `fit_rotation`."""
+    u, s, vt = np.linalg.svd(correlation)
+    if s[0] < 1e-9 * count:
         raise ViewnetError("alignment: the calibration images determine no rotation: use more of them")
     if s[1] < COLLAPSED * s[0]:
         # The signs of u and v are arbitrary one by one, but their product is that of the correlation.
@@ -168,8 +223,9 @@ def from_dict(values: dict[str, Any]) -> Alignment:
     """The inverse of every `to_dict`. ViewnetError for an unknown kind or missing values."""
     kind = values.get("kind")
     try:
-        if kind == "procrustes":
-            return Procrustes(np.array(values["rotation"], dtype=np.float64).reshape(3, 3))
+        if kind in ("procrustes", "robust"):
+            rotation = np.array(values["rotation"], dtype=np.float64).reshape(3, 3)
+            return Procrustes(rotation) if kind == "procrustes" else Robust(rotation)
         if kind == "linear":
             weights = np.array(values["weights"], dtype=np.float64).reshape(3, 3)
             return Linear(weights, np.array(values["bias"], dtype=np.float64).reshape(3))

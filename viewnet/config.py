@@ -149,6 +149,7 @@ class TrainConfig:
     augment: bool = False  # random crop and +-3 degree rotation of the viewpoint encoder's input
     jitter: float = 0.0  # colours of that input change places, and strength by up to exp(+-2 jitter); 0: neither
     # The same input made to look as if cut from a photograph (viewnet.scene), with DataConfig.backgrounds only:
+    sightings: int = 1  # differently made pictures of each target that the viewpoint network learns from
     box_error: float = 0.0  # the crop is off by up to this share of its sides
     tilt: float = 0.0  # and tilted by up to so many degrees
     occlude: float = 0.0  # in this share of the pictures something is before the object
@@ -251,7 +252,7 @@ RECIPES["photos"] = _joined(
         # Cut to the object a view should still have as many pixels as the networks see.
         "data": {"views": 10, "image_size": 128, "supersample": 1, "backgrounds": "drawn"},
         "model": {"crop": "stretched"},
-        "train": {"box_error": 0.05, "tilt": 5.0, "exposure": 1.0},
+        "train": {"sightings": 3, "box_error": 0.05, "tilt": 5.0, "exposure": 1.0},
     },
 )
 

@@ -59,7 +59,7 @@ def align(
     fitted = fit(rows.selected, rows.truth)
     hypotheses = fitted.apply(test.hypotheses)
     # An affine map of view vectors says nothing of the tilt, a rotation of the world turns the up vectors along.
-    ups = fitted.apply(test.ups) if test.ups is not None and alignment in ("procrustes", "none") else None
+    ups = fitted.apply(test.ups) if test.ups is not None and alignment in ("procrustes", "robust", "none") else None
     truth = np.repeat(test.truth[:, None], test.heads, axis=1)
     errors = metrics.geodesic_error(hypotheses, truth, ups)
     return Aligned(test, rows, fitted, hypotheses, errors)

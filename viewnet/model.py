@@ -28,6 +28,10 @@ class Hypotheses:
         """Camera frames (N, M, 3, 3)."""
         return look_at(self.vectors, self.ups)
 
+    def part(self, rows: slice) -> Hypotheses:
+        """Those of some of the pictures."""
+        return Hypotheses(self.vectors[rows], self.logits[rows], None if self.ups is None else self.ups[rows])
+
     def pick(self, index: Tensor) -> Tensor:
         """View vectors (N, 3) of the heads `index` (N,)."""
         return self.vectors.gather(1, index[:, None, None].expand(-1, 1, 3))[:, 0]

@@ -52,7 +52,7 @@ def predict(model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = (
     """
     network, config = load_model(model) if isinstance(model, Path) else (model.eval(), None)
     device, size = network.focal.device, network.config.input_size
-    scenery = scene.load(config.data, device) if config else None
+    scenery = scene.load(config.data, size, device) if config else None
     rows, vectors, logits, ups = [], [], [], []
     for split in splits:
         views = viewed(store, split, size, network.config)
@@ -90,7 +90,7 @@ def candidates(folder: Path, store: ViewStore, rows: list[int], split: str = "te
     views = viewed(store, split, max(size, small), network.config)
     index = torch.tensor(rows)
     others = views.partners(index)
-    seen, behind, scenery = views.seen(index, small, device), None, scene.load(config.data, device)
+    seen, behind, scenery = views.seen(index, small, device), None, scene.load(config.data, small, device)
     if scenery is not None:
         chance = torch.Generator().manual_seed(0)
         seen = scene.photograph(seen, scenery, config.train, chance)

@@ -1,7 +1,7 @@
 """What tells a photograph from a view of a CAD model, given to views in training: something behind the object, a box
 that is a little off, things before it, exposure, blur and noise (section 4.3).
 
-Scenery is pictures (K, 3, B, B) uint8 (viewnet.data.backgrounds). Only what the networks see is changed, never the
+Scenery is pictures (K, 3, B, B) uint8, B twice the side of what is seen (viewnet.data.backgrounds). Only what the networks see is changed, never the
 target: the model reconstructs the object alone. Every random number comes from the generator given.
 """
 
@@ -15,28 +15,26 @@ from viewnet.config import DataConfig, TrainConfig
 from viewnet.data import backgrounds
 from viewnet.data.pairs import CROP_MARGIN
 
-SIZE = 128
-"""Pixels along a side of what is kept of a background; windows of it are seen."""
 
+def load(config: DataConfig, size: int, device: torch.device) -> Tensor | None:
+    """The backgrounds that a configuration asks for, for inputs of `size` pixels a side, or None where it wants none.
 
-def load(config: DataConfig, device: torch.device) -> Tensor | None:
-    """The backgrounds that a configuration asks for, (K, 3, SIZE, SIZE) uint8, or None where it wants none."""
+    (K, 3, 2 size, 2 size) uint8: windows of a quarter of a picture are seen.
+    """
     if config.backgrounds is None:
         return None
-    return torch.from_numpy(backgrounds.load(config.backgrounds, SIZE).pictures).to(device)
+    return torch.from_numpy(backgrounds.load(config.backgrounds, 2 * size).pictures).to(device)
 
 
 def behind(scenery: Tensor, count: int, size: int, generator: torch.Generator, device: torch.device) -> Tensor:
     """`count` random windows (count, 3, size, size) in [0, 1] of the scenery, half of them as in a mirror."""
-    chosen = torch.randint(len(scenery), (count,), generator=generator)
-    side = _uniform(0.3, 1.0, count, generator)
-    shift = _uniform(-1, 1, (count, 2), generator) * (1 - side)[:, None]
-    mirror = (torch.rand(count, generator=generator) < 0.5) * 2.0 - 1
-    none = torch.zeros(count)
-    rows = [torch.stack([mirror * side, none, shift[:, 0]], 1), torch.stack([none, side, shift[:, 1]], 1)]
-    pictures = scenery[chosen.to(scenery.device)].to(device).float() / 255
-    grid = F.affine_grid(torch.stack(rows, 1).to(device), [count, 3, size, size], align_corners=False)
-    return F.grid_sample(pictures, grid, padding_mode="reflection", align_corners=False)
+    room = scenery.shape[-1] - size + 1
+    chosen = torch.randint(len(scenery), (count,), generator=generator).tolist()
+    places = torch.randint(room, (count, 2), generator=generator).tolist()
+    windows = [scenery[k, :, y : y + size, x : x + size] for k, (y, x) in zip(chosen, places, strict=True)]
+    mirrored = (torch.rand(count, 1, 1, 1, generator=generator) < 0.5).to(device)
+    pictures = torch.stack(windows).to(device).float() / 255
+    return torch.where(mirrored, pictures.flip(-1), pictures)
 
 
 def over(pictures: Tensor, scene: Tensor) -> Tensor:
@@ -54,11 +52,10 @@ def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: t
     """
     count, size, device = len(crops), crops.shape[-1], crops.device
     crops = _shifted(crops, config, generator)
-    scene = behind(scenery, 2 * count, size, generator, device)
-    pictures = over(crops, scene[:count])[:, :3]
+    pictures = over(crops, behind(scenery, count, size, generator, device))[:, :3]
     if config.occlude:
         before = _patch(count, size, config.occlude, generator).to(device)
-        pictures = torch.where(before, scene[count:], pictures)
+        pictures = torch.where(before, behind(scenery, count, size, generator, device), pictures)
     if config.exposure:
         pictures = expose(pictures, config.exposure, generator)
     return torch.cat([pictures, torch.ones_like(crops[:, 3:])], 1)

@@ -33,6 +33,7 @@ class Reconstruction:
     """One pass over target views: what was said of them and how they were drawn."""
 
     hypotheses: Hypotheses
+    others: Hypotheses  # (K N, ...) of the targets as they were seen another K times; they are not drawn
     errors: Tensor  # (N, M) of each head
     best: Tensor  # (N,) the head to teach: with the least, or the closest to what the search found
     better: Tensor  # (N, 3) the viewpoint near that head's, or found by the search, that explains the target best
@@ -56,20 +57,22 @@ def reconstruct(
 
     All heads are compared without gradients; only the best is drawn with them ("gradients will only be propagated
     through m*"). `seen` (N, 4, s, s) is what the viewpoint network sees of the targets: themselves, or cut and
-    augmented. `behind` (B, 3, s, s): what the appearance network sees behind the object, if not the backdrop.
+    augmented; (N + K N, 4, s, s) where it sees each more than once, all targets in turn. `behind` (B, 3, s, s): what
+    the appearance network sees behind the object, if not the backdrop.
     """
     stage = stage or Stage()
     size = stage.size or model.config.render_size
     with autocast(appearance.device, config):
         code, shape = model.imagine(appearance, size < model.config.render_size, stage.own, behind)
-        hypotheses = model.viewpoint(model.see(seen))
+        sightings = model.viewpoint(model.see(seen))
+    hypotheses, others = sightings.part(slice(len(target))), sightings.part(slice(len(target), None))
     target = target if target.shape[-1] == size else resize(target, size)
     with torch.no_grad():
         best, better, label, errors = _choose(model, shape, code, hypotheses, target, config, stage)
     drawn_from = look_at(better) if stage.search else hypotheses.frames[torch.arange(len(best)), best]
     with autocast(appearance.device, config):
         drawn = model.draw(shape, code, drawn_from, size)
-    return Reconstruction(hypotheses, errors, best, better, label, drawn, target, shape, code)
+    return Reconstruction(hypotheses, others, errors, best, better, label, drawn, target, shape, code)
 
 
 @dataclass
@@ -278,7 +281,7 @@ def step_loss(
         seen, target = (torch.where(mirrored, pictures.flip(-1), pictures) for pictures in (seen, target))
     behind = None
     if scenery is not None:
-        seen = scene.photograph(seen, scenery, config, generator)
+        seen = scene.photograph(seen.repeat(config.sightings, 1, 1, 1), scenery, config, generator)
         behind = scene.behind(scenery, len(appearance), appearance.shape[-1], generator, device)
     stage = _stage(model, config, progress, generator)
     found = reconstruct(model, appearance, target, seen, config, stage, behind)
@@ -300,7 +303,12 @@ def step_loss(
         pulled = found.hypotheses.pick(found.best)
         terms["pull"] = config.pull_weight * (found.better - pulled).square().sum(-1).mean()
     if model.config.heads > 1:
-        terms["selection"] = config.selection_weight * _selection(found, config.selection_angle)
+        wanted = found.hypotheses.pick(found.label).detach()
+        terms["selection"] = config.selection_weight * _selection(
+            found.hypotheses, found.label, wanted, config.selection_angle
+        )
+    if len(found.others.logits):
+        terms["sightings"] = _sightings(found, config)
     ramp = min(1.0, (progress - config.cycle_start) / 0.1) if config.cycle_start else 1.0
     if config.cycle and ramp > 0:
         terms["cycle"] = ramp * config.cycle_weight * _cycle(model, found, config, generator, scenery)
@@ -322,15 +330,28 @@ def _stage(model: ViewNet, config: TrainConfig, progress: float, generator: torc
     )
 
 
-def _selection(found: Reconstruction, angle: float) -> Tensor:
-    """Cross-entropy of choosing the head to select, or any other within `angle` degrees of it.
+def _sightings(found: Reconstruction, config: TrainConfig) -> Tensor:
+    """What the target's one drawing teaches of its other pictures: the viewpoint drawn from, and which head to select.
+
+    As for the picture it was drawn for, the closest head is pulled, and the one closest to the head to select selected.
+    """
+    times = len(found.others.logits) // len(found.label)
+    drawn, wanted = (view.detach().repeat(times, 1) for view in (found.better, found.hypotheses.pick(found.label)))
+    closest, label = ((found.others.vectors - view[:, None]).square().sum(-1).argmin(1) for view in (drawn, wanted))
+    loss = config.pull_weight * (drawn - found.others.pick(closest)).square().sum(-1).mean()
+    if found.others.logits.shape[1] > 1:
+        loss = loss + config.selection_weight * _selection(found.others, label, wanted, config.selection_angle)
+    return times * loss
+
+
+def _selection(hypotheses: Hypotheses, label: Tensor, wanted: Tensor, angle: float) -> Tensor:
+    """Cross-entropy of choosing the head `label` (N,), or any other within `angle` degrees of `wanted` (N, 3).
 
     Where two heads answer the same, which of them explains a picture better is chance: there is nothing to learn.
     """
-    vectors, logits = found.hypotheses.vectors.detach(), found.hypotheses.logits
-    right = F.one_hot(found.label, logits.shape[1]).bool()
+    vectors, logits = hypotheses.vectors.detach(), hypotheses.logits
+    right = F.one_hot(label, logits.shape[1]).bool()
     if angle:
-        wanted = vectors[torch.arange(len(vectors)), found.label]
         right |= (vectors * wanted[:, None]).sum(-1) > math.cos(math.radians(angle))
     return -logits.log_softmax(1).masked_fill(~right, -math.inf).logsumexp(1).mean()
 

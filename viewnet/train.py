@@ -99,7 +99,7 @@ def train(
     volume_cpu.warm_up()
     size = max(config.model.input_size, config.model.render_size)
     training, validation = (viewed(views, split, size, config.model) for split in ("train", "val"))
-    scenery = scene.load(config.data, device)
+    scenery = scene.load(config.data, config.model.input_size, device)
     torch.manual_seed(config.seed)
     model = ViewNet(config.model).to(device)
     weights = os.environ.get(f"VIEWNET_{settings.perceptual.upper()}_WEIGHTS")
