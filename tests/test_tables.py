@@ -14,8 +14,11 @@ from viewnet import metrics, published, tables
 from viewnet.config import SHAPENET_CATEGORIES, make_config
 from viewnet.errors import ViewnetError
 from viewnet.evaluate import align
+from viewnet.latex import escape
+from viewnet.layouts import LAYOUTS
+from viewnet.published import DASH
 from viewnet.runs import ensure, untrained
-from viewnet.tables import DASH, LAYOUTS, Table, escape
+from viewnet.tables import Table
 
 
 @pytest.fixture(scope="module")

@@ -25,9 +25,10 @@ from viewnet.config import (
     make_config,
 )
 from viewnet.errors import ViewnetError
+from viewnet.layouts import LAYOUTS
 from viewnet.predictions import Predictions
 from viewnet.runs import UNTRAINED, Run, ensure, transferred, untrained
-from viewnet.tables import LAYOUTS, Table
+from viewnet.tables import Table
 
 DEFAULT_PROFILE = "tiny"
 

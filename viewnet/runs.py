@@ -4,6 +4,7 @@
                                    log.csv                a row a validation (viewnet.train)
                                    checkpoint.safetensors the kept weights
                                    predictions.parquet    of the validation and the test split
+                                   predictions-*.parquet  of photographs (see on_photographs)
                                    result.json            metrics and where they come from; written last
 
 The key is a hash of everything that decides the training: configuration, identity of the views, and the code of
@@ -279,6 +280,26 @@ def transferred(run: Run, views: Any, steps: Steps | None = None) -> Predictions
         )
     scored = Predictions(other.ids.assign(split="test"), other.hypotheses, other.logits, other.ups)
     return joined([validation, scored])
+
+
+def on_photographs(run: Run, store: Any, steps: Steps | None = None) -> Predictions:
+    """What a trained run says of the photographs of a store: its splits "val", to align on, and "test", to score.
+
+    Kept in the run's folder as `predictions-<store's identity>-<code's>.parquet`, and made anew where the store, the
+    code that predicts or the checkpoint is another. Raises ViewnetError for a run that was not trained.
+    """
+    if not run.trained:
+        raise ViewnetError(f"{name(run.config)} has no network to look at photographs: choose a trained variant")
+    path = run.folder / f"predictions-{store.identity}-{_codes()['predicting']}.parquet"
+    checkpoint = run.folder / "checkpoint.safetensors"
+    if path.is_file() and checkpoint.is_file() and path.stat().st_mtime_ns >= checkpoint.stat().st_mtime_ns:
+        return Predictions.from_parquet(path)
+    found = (steps or default_steps()).predict(run.folder, store, splits=("val", "test"))
+    found.to_parquet(path)
+    for stale in run.folder.glob(f"predictions-{store.identity}-*.parquet"):
+        if stale != path:
+            stale.unlink(missing_ok=True)
+    return found
 
 
 def _codes() -> dict[str, str]:
