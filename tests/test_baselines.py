@@ -8,7 +8,7 @@ from evaluation_data import make_index
 
 from viewnet import baselines, geometry
 from viewnet.errors import ViewnetError
-from viewnet.evaluate import evaluate
+from viewnet.evaluate import align, evaluate
 from viewnet.predictions import true_vectors
 
 
@@ -122,18 +122,24 @@ def test_a_huge_ridge_leaves_the_mean_viewpoint(readable):
     assert np.allclose(found.selected, mean.selected, atol=1e-3)
 
 
-def test_nothing_is_fitted_on_but_the_calibration_photographs_drawn(readable):
+def test_baselines_are_fitted_on_the_photographs_that_alignments_are_fitted_on(readable):
     index, features = readable
-    base = baselines.view_regression(index, features, calibration=20, seed=1)
-    assert np.array_equal(base.selected, baselines.view_regression(index, features, calibration=20, seed=1).selected)
-    others = [
-        baselines.view_regression(index, features, calibration=20, seed=2),
-        baselines.view_regression(index, features, calibration=40, seed=1),
-        baselines.view_regression(index, features),
-    ]
-    assert all(not np.allclose(base.selected, other.selected) for other in others)
+    rows = baselines.calibrating(index, 20, seed=1)
+    assert rows[index["split"] == "test"].all()
+    left = index[rows & (index["split"] == "val").to_numpy()]
+    drawn = align(baselines.oracle(index), calibration=20, seed=1).calibration
+    assert list(left["model_id"]) == list(drawn.ids["model_id"])
+    assert baselines.calibrating(index).all()
+    few, other = (baselines.calibrating(index, 20, seed=seed) for seed in (1, 2))
+    one, two = (baselines.view_regression(index[r], features[r]).subset("test") for r in (few, other))
+    assert not np.allclose(one.selected, two.selected)
+
+
+def test_test_photographs_have_no_part_in_the_fit(readable):
+    index, features = readable
     spun = index.assign(azimuth=np.where(index["split"] == "test", (index["azimuth"] + 90) % 360, index["azimuth"]))
-    assert np.array_equal(base.selected, baselines.view_regression(spun, features, calibration=20, seed=1).selected)
+    one, two = (baselines.view_regression(i, features).selected for i in (index, spun))
+    assert np.array_equal(one, two)
 
 
 def test_regressions_that_cannot_be_fitted_are_refused(readable):
@@ -143,4 +149,7 @@ def test_regressions_that_cannot_be_fitted_are_refused(readable):
     with pytest.raises(ViewnetError, match=r"ridge 0: expected more than 0"):
         baselines.view_regression(index, features, ridge=0)
     with pytest.raises(ViewnetError, match="151 images asked for, expected 4 to 150"):
-        baselines.view_regression(index, features, calibration=151)
+        baselines.calibrating(index, 151)
+    with pytest.raises(ViewnetError, match="no views of split 'val'"):
+        test = (index["split"] == "test").to_numpy()
+        baselines.view_regression(index[test], features[test], splits=("test",))

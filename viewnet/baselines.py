@@ -72,35 +72,41 @@ def view_regression(
     features: NDArray[np.float32],
     ridge: float = RIDGE,
     splits: tuple[str, ...] = ("val", "test"),
-    calibration: int | None = None,
-    seed: int = 0,
 ) -> Predictions:
     """Linear regression from features (N, D) to view vectors, fitted on the split "val" (the row "VGG view").
 
-    This is SSV's setup: no more labels than unsupervised predictions are aligned by. `features` are in the order of
-    `index` (see viewnet.features); `ridge` is the weight of the squared coefficients against the sum of squared errors,
-    with features and view vectors centred on what is fitted on. It is solved in the space of the images, which are far
-    fewer than features. `calibration` images are drawn as viewnet.alignment draws them (None: all). What is predicted
-    for "val" was fitted on it. Raises ViewnetError for features that do not fit the index and a `ridge` not above 0.
+    This is SSV's setup: no more labels than unsupervised predictions are aligned by (see `calibrating`). `features` are
+    in the order of `index` (see viewnet.features); `ridge` is the weight of the squared coefficients against the sum of
+    squared errors, with features and view vectors centred on what is fitted on. It is solved in the space of the
+    images, which are far fewer than features. What is predicted for "val" was fitted on it. Raises ViewnetError for
+    features that do not fit the index and a `ridge` not above 0.
     """
     if features.ndim != 2 or len(features) != len(index):
         raise ViewnetError(f"view regression: features are {features.shape} for {len(index)} images")
     if not ridge > 0:
         raise ViewnetError(f"ridge {ridge}: expected more than 0: features outnumber the images to fit on")
-    drawn = calibration_rows(oracle(index, ("val",)), calibration, seed)
-    keys = ["category", "model_id", "view"]
-    fit = pd.MultiIndex.from_frame(index[keys]).isin(pd.MultiIndex.from_frame(drawn.ids[keys]))
-    x, y = features[fit].astype(np.float64), true_vectors(index[fit])
+    ids, fit = _rows(index, splits), (index["split"] == "val").to_numpy()
+    x, y = features[fit].astype(np.float64), true_vectors(_rows(index, ("val",)))
     middle, mean = x.mean(axis=0), y.mean(axis=0)
     x -= middle
     dual = np.linalg.solve(x @ x.T + ridge * np.eye(len(x)), y - mean)
-    rows = index["split"].isin(splits).to_numpy()
-    ids = _rows(index, splits)
-    found = (features[rows] - middle) @ (x.T @ dual) + mean
+    found = (features[index["split"].isin(splits).to_numpy()] - middle) @ (x.T @ dual) + mean
     lengths = np.linalg.norm(found, axis=1, keepdims=True)
     if (lengths < 1e-12).any():
         raise ViewnetError("view regression: a prediction is the zero vector, which has no direction: use more images")
     return Predictions(ids, (found / lengths)[:, None], np.zeros((len(ids), 1)))
+
+
+def calibrating(index: pd.DataFrame, count: int | None = None, seed: int = 0) -> NDArray[np.bool_]:
+    """Which rows (N,) of an index are left where of the split "val" only `count` images stay (None: all).
+
+    They are the ones that predictions would be aligned on (viewnet.alignment.calibration_rows), so that a baseline that
+    is fitted sees as many labels as an alignment does, and the same.
+    """
+    drawn = calibration_rows(oracle(index, ("val",)), count, seed)
+    keys = ["category", "model_id", "view"]
+    stays = pd.MultiIndex.from_frame(index[keys]).isin(pd.MultiIndex.from_frame(drawn.ids[keys]))
+    return stays | (index["split"] != "val").to_numpy()
 
 
 def best_constant(index: pd.DataFrame, splits: tuple[str, ...] = ("val", "test")) -> Predictions:

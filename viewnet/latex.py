@@ -76,7 +76,7 @@ def blocks(table: Table) -> str:
             if not wide:
                 out.write(_line([escape(row), *(part for pair in pairs for part in pair)]))
                 continue
-            variant = dict(table.layout.rows)[row]
+            variant = dict(table.layout.rows)[table.labels.get(row, row)]
             if any(printed != DASH for printed, _ in pairs) or variant is None:
                 out.write(_line([escape(row), *(printed for printed, _ in pairs)]))
                 name = "\\quad\\textit{ours}"

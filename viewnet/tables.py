@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +92,7 @@ class Table:
     cells: pd.DataFrame
     provenance: dict[str, Any]
     remarks: tuple[str, ...] = ()  # more lines to stand under it
+    labels: dict[str, str] = field(default_factory=dict)  # label -> the layout's, where a row is called otherwise
 
     @classmethod
     def build(
@@ -113,13 +114,14 @@ class Table:
         categories: Sequence[str] | None = None,
         note: str = "",
         remarks: Sequence[str] = (),
+        called: dict[str, str] | None = None,
     ) -> Table:
-        """From entries. Several of one row and category are seeds and are averaged.
+        """From entries. Several of one row and category are seeds and are averaged; `called` renames rows.
 
         Raises ViewnetError for entries that have no place in the table and for two of the same row, category and seed.
         """
         layout = LAYOUTS[known(name, LAYOUTS, "table")]
-        categories = tuple(categories or layout.categories)
+        categories, called = tuple(categories or layout.categories), called or {}
         for entry in found:
             known(entry.row, (label for label, variant in layout.rows if variant), f"row of {name}")
             known(entry.category, categories, f"column of {name}")
@@ -136,7 +138,7 @@ class Table:
                     place = (layout.printed_as.get(label, label), metric, category)
                     cells.append(
                         {
-                            "row": label,
+                            "row": called.get(label, label),
                             "variant": variant or "",
                             "category": category,
                             "metric": metric,
@@ -146,7 +148,14 @@ class Table:
                             "runs": " ".join(e.key for e in mine),
                         }
                     )
-        return cls(name, note, pd.DataFrame(cells), {e.key: e.origin for e in found}, tuple(remarks))
+        return cls(
+            name,
+            note,
+            pd.DataFrame(cells),
+            {e.key: e.origin for e in found},
+            tuple(remarks),
+            {new: old for old, new in called.items()},
+        )
 
     @property
     def layout(self) -> Layout:
@@ -206,11 +215,11 @@ class Table:
     def checks(self) -> dict[str, bool]:
         """What must hold whatever was trained, and how long."""
         cells, layout = self.cells, self.layout
-        printed = _published(layout, self.name)["row"]
+        printed, rows = _published(layout, self.name)["row"], [self.labels.get(row, row) for row in self.rows]
         measured = cells[cells["seeds"] > 0]
         shares = measured[measured["metric"].isin(("acc30", "dva"))]
         found = {
-            "every printed row is here": set(printed) <= {layout.printed_as.get(row, row) for row in self.rows},
+            "every printed row is here": set(printed) <= {layout.printed_as.get(row, row) for row in rows},
             "every row of ours is measured in every category": len(measured) == int((cells["variant"] != "").sum()),
             "nothing is measured elsewhere": bool((measured["variant"] != "").all()),
             "accuracies lie between 0 and 100": bool(shares["measured"].between(0, 100).all()),
