@@ -27,7 +27,7 @@ def one_thread():
 
 
 # Until the recipes for photographs are merged.
-from viewnet import config
+from viewnet import config  # noqa: E402
 
 for _name, _like in (("photos", "matting"), ("paper_photos", "paper")):
     config.RECIPES.setdefault(_name, config.RECIPES[_like])

@@ -183,7 +183,7 @@ def test_only_what_was_trained_looks_at_photographs(photographs):
 
     asked = experiment("table3_pascal3d", profile="smoke", categories="car")
     (constant,) = ensure([untrained("constant", asked.configs[0])], progress=False, steps=STEPS)
-    with pytest.raises(ViewnetError, match="constant car .* has no network to look at photographs"):
+    with pytest.raises(ViewnetError, match=r"constant car .* has no network to look at photographs"):
         on_photographs(constant, asked.stores()["car"], STEPS)
 
 

@@ -60,7 +60,7 @@ def blocks(table: Table) -> str:
     width = len(categories) * (1 if wide else 2)
     out = io.StringIO()
     if wide:
-        out.write("{\\footnotesize\\setlength{\\tabcolsep}{3pt}%\n")
+        out.write("{\\footnotesize\\setlength{\\tabcolsep}{3pt}\n")
     out.write(f"\\begin{{tabular}}{{l{'r' * width}}}\n\\toprule\n")
     if wide:
         out.write(_line(["", *(SHORT.get(category, category) for category in categories)]))
