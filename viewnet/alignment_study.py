@@ -2,7 +2,7 @@
 
 The paper finds the linear regression of the starred rows ahead of the rigid rotation where photographs are taken from
 few sides, and reasons that its weights go to zero and leave the common viewpoint (section 4.3). Both halves of that are
-measured here: the accuracy that linear alignment adds, and how much of the predictions' variance it lets through, for
+measured here: the accuracy that linear alignment adds, and how far the predictions that it leaves are spread, for
 ViewNet and for predictions drawn at random, on the photographs as they are and on ever more one-sided parts of them.
 """
 
@@ -36,6 +36,7 @@ CONCENTRATIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
 """How one-sided a part is taken; 0: all photographs, 8: hardly any from beyond 45 degrees of the commonest side."""
 FEWEST = 16
 """Photographs that a part must have to calibrate, and to score."""
+EXPECTED = ("spread_linear", "acc30_gain", "dva_gain")
 RANDOM = "Random"
 RANDOM_SEED = 20211011
 """One that nothing else starts from: a stand-in drawn with the same numbers would be predicted by them."""
@@ -69,8 +70,9 @@ class Study:
               acc30, median, dva on the same test photographs
     collapse  a row for each predictor that needs alignment, category, seed and concentration: photographs that
               calibrate (calibrating) and score (scored), side (share of the commonest azimuth bin), confidence_index,
-              weights and bias (norms of the linear map), kept (share of the predictions' variance that it lets
-              through), and acc30 and dva by rigid and by linear alignment, and of the constant
+              weights and bias (norms of the linear map), spread_rigid and spread_linear (of the aligned predictions, as
+              a share of the true viewpoints': 0 is a constant), and acc30 and dva by rigid and by linear alignment, and
+              of the constant
     """
 
     note: str
@@ -101,23 +103,23 @@ class Study:
         means = self.collapse.drop(columns="seed").groupby(keys, sort=False).mean()
         for metric in ("acc30", "dva"):
             means[f"{metric}_gain"] = means[f"{metric}_linear"] - means[f"{metric}_rigid"]
-        digits = dict.fromkeys(("side", "confidence_index", "kept", "weights", "bias"), 2)
+        digits = dict.fromkeys(("side", "confidence_index", "spread_rigid", "spread_linear", "weights", "bias"), 2)
         return means.round({name: digits.get(name, 1) for name in means.columns})
 
     def verdict(self) -> pd.DataFrame:
         """For each category and predictor, over its parts: rank correlation of one-sidedness with what the paper says.
 
-        kept        expected below 0: the more one-sided, the less of the predictions is left
-        acc30_gain  expected above 0: the more one-sided, the more accuracy linear alignment adds
-        dva_gain    what it adds once all sides count alike
+        spread_linear  expected below 0: the more one-sided, the closer linear alignment comes to a constant
+        acc30_gain     expected above 0: the more one-sided, the more accuracy it adds to a rotation
+        dva_gain       the same with every side counting alike
         """
         parts = self.collapsed().reset_index()
         found: dict[tuple[str, str], dict[str, Any]] = {}
         for (category, predictor), rows in parts.groupby(["category", "predictor"], sort=False):
-            ranks = rows[["side", "kept", "acc30_gain", "dva_gain"]].rank()
+            ranks = rows[["side", *EXPECTED]].rank()
             found[category, predictor] = {
                 "parts": len(rows),
-                **{name: _correlation(ranks["side"], ranks[name]) for name in ("kept", "acc30_gain", "dva_gain")},
+                **{name: _correlation(ranks["side"], ranks[name]) for name in EXPECTED},
             }
         frame = pd.DataFrame.from_dict(found, orient="index").round(2)
         frame.index = pd.MultiIndex.from_tuples(frame.index, names=["category", "predictor"])
@@ -136,7 +138,7 @@ class Study:
                 and set(collapse["category"]) == set(scores["category"])
             ),
             "shares lie between 0 and 1": bool(collapse[["side", "confidence_index"]].stack().between(0, 1).all()),
-            "variances are not negative": bool((collapse["kept"] >= 0).all()),
+            "no spread is negative": bool((collapse[["spread_rigid", "spread_linear"]] >= 0).all(axis=None)),
         }
 
     def write(self, folder: Path) -> list[Path]:
@@ -211,7 +213,6 @@ def collapsing(predictor: Predictor, concentrations: Sequence[float] = CONCENTRA
             "confidence_index": metrics.confidence_index(azimuths),
             "weights": float(np.linalg.norm(fitted.weights)),
             "bias": float(np.linalg.norm(fitted.bias)),
-            "kept": kept(fitted, test),
         }
         constant = baselines.constant(part.ids, source="val")
         for name, predictions, kind in (
@@ -219,7 +220,10 @@ def collapsing(predictor: Predictor, concentrations: Sequence[float] = CONCENTRA
             ("linear", part, "linear"),
             ("constant", constant, "none"),
         ):
-            score = _measured(align(predictions, kind).selected_errors, azimuths)
+            aligned = align(predictions, kind)
+            score = _measured(aligned.selected_errors, azimuths)
+            if name != "constant":
+                found[f"spread_{name}"] = spread(aligned.selected) / spread(test.truth)
             found |= {f"{metric}_{name}": score[metric] for metric in ("acc30", "dva")}
         yield found
 
@@ -229,14 +233,9 @@ def side(azimuths: np.ndarray) -> float:
     return float(np.bincount(metrics.azimuth_bins(azimuths)).max() / len(azimuths))
 
 
-def kept(fitted: Linear, predictions: Predictions) -> float:
-    """The share of the variance of selected view vectors that a linear map lets through: 1 for a rotation, 0 where the
-    bias alone is left. It is taken before vectors are made as long as 1 again."""
-    vectors = predictions.selected
-    covariance = np.cov(vectors.T)
-    if (total := np.trace(covariance)) < 1e-12:  # predictions that are all alike have nothing to let through
-        return 0.0
-    return float(np.trace(fitted.weights @ covariance @ fitted.weights.T) / total)
+def spread(vectors: np.ndarray) -> float:
+    """The variance of unit vectors (N, 3), 1 - |mean|^2: 0 where they are all alike, 1 where they cancel out."""
+    return float(np.square(vectors - vectors.mean(axis=0)).sum(axis=1).mean())
 
 
 def one_sided(predictions: Predictions, concentration: float, seed: int = 0) -> Predictions | None:
@@ -252,7 +251,9 @@ def one_sided(predictions: Predictions, concentration: float, seed: int = 0) -> 
     width = 360 / metrics.AZIMUTH_BINS
     middle = (np.bincount(metrics.azimuth_bins(azimuths[calibrating])).argmax() + 0.5) * width
     chance = np.exp(concentration * (np.cos(np.deg2rad(azimuths - middle)) - 1))
-    stays = np.random.default_rng(seed).random(len(azimuths)) < chance
+    # Drawn by name, so that every predictor is left with the same images whatever their order.
+    rank = predictions.ids.sort_values(["model_id", "view"]).index.argsort()
+    stays = np.random.default_rng(seed).random(len(azimuths))[rank] < chance
     if min(np.sum(stays & calibrating), np.sum(stays & ~calibrating)) < FEWEST:
         return None
     return predictions.take(stays)

@@ -153,8 +153,8 @@ def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = ("acc30", 
 def collapse_curves(collapse: pd.DataFrame) -> Figure:
     """What linear alignment does the more one-sided photographs are, a colour a category and a style a predictor.
 
-    `collapse` is viewnet.alignment_study.Study.collapse. Left: the share of the predictions' variance it lets through.
-    Middle and right: the accuracy and the DVA that it adds to rigid alignment, in points.
+    `collapse` is viewnet.alignment_study.Study.collapse. Left: how far aligned predictions are spread, as a share of
+    the true viewpoints' spread. Middle and right: the accuracy and the DVA that it adds to rigid alignment, in points.
     """
     names = list(dict.fromkeys(collapse["predictor"]))
     categories = list(dict.fromkeys(collapse["category"]))
@@ -162,7 +162,7 @@ def collapse_curves(collapse: pd.DataFrame) -> Figure:
     shown = collapse.assign(
         acc30=collapse["acc30_linear"] - collapse["acc30_rigid"], dva=collapse["dva_linear"] - collapse["dva_rigid"]
     )
-    titles = {"kept": "variance let through", "acc30": "accuracy added, points", "dva": "DVA added, points"}
+    titles = {"spread_linear": "spread left", "acc30": "accuracy added, points", "dva": "DVA added, points"}
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.2, 2.5), layout="constrained")
         for axes, (column, title) in zip(figure.subplots(1, 3), titles.items(), strict=True):
