@@ -38,6 +38,7 @@ TRAINING = (
     "volume_cpu.py",
     "networks.py",
     "losses.py",
+    "backbones.py",
     "model.py",
     "step.py",
     "muon.py",
