@@ -106,7 +106,7 @@ def test_a_crop_may_reach_beyond_the_picture():
 
 def test_where_the_object_is_and_how_large_does_not_matter():
     small, large = picture_of(slice(4, 8), slice(20, 28)), picture_of(slice(8, 24), slice(0, 32))
-    assert (tight_crop(small, 32, 0.0) - tight_crop(large, 32, 0.0)).abs().mean() < 0.05
+    assert (tight_crop(small, 32, margin=0.0) - tight_crop(large, 32, margin=0.0)).abs().mean() < 0.05
 
 
 def test_a_picture_without_an_object_is_left_whole():

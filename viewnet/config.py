@@ -45,6 +45,7 @@ class DataConfig:
     splits: str | None = None  # a folder of <synset>_{train,val,test}.txt lists; None: all.csv, else a seeded split
     models: int = 1000  # built-in: how many to make; real: use at most so many, 0 for all
     extra: str | None = None  # a second ShapeNetCore folder; all its models of the category join the training split
+    extra_share: float = 0.3  # of the training models, where `models` says how many the others are
     views: int = 5
     image_size: int = 64
     supersample: int = 2
@@ -82,7 +83,8 @@ class ModelConfig:
     input_size: int = 64  # pixels along a side of what both encoders see
     volume_size: int = 64  # voxels along a side
     render_size: int = 64  # pixels along a side of the reconstruction
-    crop: bool = False  # the viewpoint network sees the object's tight square box, enlarged (the released code)
+    # The viewpoint network sees the object's tight square box, enlarged (the released code), or its own box stretched
+    crop: Literal["none", "square", "stretched"] = "none"
     backdrop: float = 0.0  # grey level behind what both encoders see
     encoder_padding: Literal["replicate", "zeros"] = "replicate"
     encoder_channels: tuple[int, ...] = (64, 128, 256, 512, 512, 512)
@@ -146,6 +148,11 @@ class TrainConfig:
     cycle_head: Literal["selected", "closest"] = "selected"  # which head it pulls
     augment: bool = False  # random crop and +-3 degree rotation of the viewpoint encoder's input
     jitter: float = 0.0  # colours of that input change places, and strength by up to exp(+-2 jitter); 0: neither
+    # The same input made to look as if cut from a photograph (viewnet.scene), with DataConfig.backgrounds only:
+    box_error: float = 0.0  # the crop is off by up to this share of its sides
+    tilt: float = 0.0  # and tilted by up to so many degrees
+    occlude: float = 0.0  # in this share of the pictures something is before the object
+    exposure: float = 0.0  # how strongly light, contrast, blur and noise vary
     amp: Literal["auto", "off"] = "auto"  # bfloat16 where the hardware has it
     validate_every: int = 1  # epochs
 
@@ -181,10 +188,17 @@ class RunConfig:
 Changes = dict[str, dict[str, Any]]
 """Section ("data", "model", "train") -> field -> value."""
 
+
+def _joined(*parts: Changes) -> Changes:
+    """Later parts have the last word."""
+    sections = dict.fromkeys(name for part in parts for name in part)
+    return {name: {k: v for part in parts for k, v in part.get(name, {}).items()} for name in sections}
+
+
 RECIPES: dict[str, Changes] = {
     # As printed, and as released where the paper is silent: black background, VGG16 perceptual loss, a free focal
     # length, the viewpoint network's input cut to the object, stopping by validation accuracy.
-    "paper": {"model": {"crop": True}, "train": {"augment": True}},
+    "paper": {"model": {"crop": "square"}, "train": {"augment": True}},
     # Ours: masks first and colours over a random background; a search for viewpoints to begin with; heads that start
     # apart; elevations within a plausible camera range; stopping without labels. See docs/recipes.md.
     "matting": {
@@ -228,6 +242,18 @@ RECIPES: dict[str, Changes] = {
         },
     },
 }
+
+# Section 4.3: training for photographs. Ten views a model, something behind both inputs.
+RECIPES["paper_photos"] = _joined(RECIPES["paper"], {"data": {"views": 10, "backgrounds": "drawn"}})
+RECIPES["photos"] = _joined(
+    RECIPES["matting"],
+    {
+        # Cut to the object a view should still have as many pixels as the networks see.
+        "data": {"views": 10, "image_size": 128, "supersample": 1, "backgrounds": "drawn"},
+        "model": {"crop": "stretched"},
+        "train": {"box_error": 0.05, "tilt": 5.0, "exposure": 1.0},
+    },
+)
 
 VARIANTS: dict[str, Changes] = {
     "viewnet": {},
@@ -281,6 +307,9 @@ PROFILES: dict[str, Changes] = {
     "paper": {"data": {"models": 0}},
 }
 
+FITTED: dict[tuple[str, str], Changes] = {("tiny", "photos"): {"train": {"epochs": 8}}}
+"""What a profile and a recipe change only together: twice the views a model are half as many epochs."""
+
 PROFILE_RECIPE = {"smoke": "matting", "tiny": "matting", "small": "matting", "paper": "paper"}
 """The recipe a profile uses unless another is named."""
 
@@ -310,7 +339,8 @@ def make_config(
         "model": {},
         "train": {},
     }
-    for changes in (RECIPES[recipe], PROFILES[profile], VARIANTS[variant], _by_section(overrides)):
+    fitted = FITTED.get((profile, recipe), {})
+    for changes in (RECIPES[recipe], PROFILES[profile], fitted, VARIANTS[variant], _by_section(overrides)):
         for section, values in changes.items():
             sections[section].update(values)
     if data_root is not None and profile != "smoke" and "models" not in overrides:

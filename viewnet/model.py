@@ -93,16 +93,22 @@ class ViewNet(nn.Module):
         coarse = volume.halved(prior[None, None])[0, 0] if config.shape_prior else prior
         self.register_buffer("coarse_prior", coarse, persistent=False)
 
-    def see(self, pictures: Tensor) -> Tensor:
-        """Pictures (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S) on the backdrop."""
-        return pictures[:, :3] + self.config.backdrop * (1 - pictures[:, 3:])
+    def see(self, pictures: Tensor, behind: Tensor | None = None) -> Tensor:
+        """Pictures (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S).
 
-    def imagine(self, pictures: Tensor, coarse: bool = False, own: float = 1.0) -> tuple[Tensor, Tensor]:
+        On the backdrop, or with the scenes `behind` (N, 3, S, S) behind them.
+        """
+        return pictures[:, :3] + (self.config.backdrop if behind is None else behind) * (1 - pictures[:, 3:])
+
+    def imagine(
+        self, pictures: Tensor, coarse: bool = False, own: float = 1.0, behind: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Appearance codes (N, A) and volumes, as `shape` gives them, of the objects in pictures (N, 4, S, S).
 
         With `own` below 1 codes are drawn towards the mean of all, which they are at 0: one shape in many colours.
+        `behind` as in `see`.
         """
-        code = self.appearance(self.see(pictures))
+        code = self.appearance(self.see(pictures, behind))
         if own < 1:
             code = torch.lerp(code.mean(0, keepdim=True), code, own)
         colour = None

@@ -11,8 +11,9 @@ from safetensors import safe_open
 from safetensors.torch import load_file
 from torch import Tensor
 
+from viewnet import scene
 from viewnet.config import RunConfig
-from viewnet.data.pairs import load_views
+from viewnet.data.pairs import viewed
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.losses import composite
@@ -44,15 +45,24 @@ def load_model(folder: Path) -> tuple[ViewNet, RunConfig]:
 
 @torch.no_grad()
 def predict(model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = ("val", "test")) -> Predictions:
-    """Viewpoint hypotheses for every view of the given splits, in the store's order."""
-    network = load_model(model)[0] if isinstance(model, Path) else model.eval()
+    """Viewpoint hypotheses for every view of the given splits, in the store's order.
+
+    A run that was trained before backgrounds is shown views as in training, the same each time; photographs have their
+    own background and are shown as they are.
+    """
+    network, config = load_model(model) if isinstance(model, Path) else (model.eval(), None)
     device, size = network.focal.device, network.config.input_size
+    scenery = scene.load(config.data, device) if config else None
     rows, vectors, logits, ups = [], [], [], []
     for split in splits:
-        views = load_views(store, split, size, size if network.config.crop else None)
+        views = viewed(store, split, size, network.config)
         rows.append(store.index[store.index["split"] == split])
+        chance = torch.Generator().manual_seed(0)
         for part in torch.arange(len(views.objects)).split(BATCH):
-            found = network.viewpoint(network.see(views.seen(part, size, device)))
+            seen = views.seen(part, size, device)
+            if config and scenery is not None and not views.opaque:
+                seen = scene.photograph(seen, scenery, config.train, chance)
+            found = network.viewpoint(network.see(seen))
             vectors.append(_array(found.vectors))
             logits.append(_array(found.logits))
             if found.ups is not None:
@@ -77,15 +87,21 @@ def candidates(folder: Path, store: ViewStore, rows: list[int], split: str = "te
     network, config = load_model(folder)
     device, size = network.focal.device, network.config.render_size
     small = network.config.input_size
-    views = load_views(store, split, max(size, small), small if network.config.crop else None)
+    views = viewed(store, split, max(size, small), network.config)
     index = torch.tensor(rows)
     others = views.partners(index)
+    seen, behind, scenery = views.seen(index, small, device), None, scene.load(config.data, device)
+    if scenery is not None:
+        chance = torch.Generator().manual_seed(0)
+        seen = scene.photograph(seen, scenery, config.train, chance)
+        behind = scene.behind(scenery, len(others), small, chance, device)
     found = reconstruct(
         network,
         views.pictures(others, small, device),
         views.pictures(index, small, device),
-        views.seen(index, small, device),
+        seen,
         config.train,
+        behind=behind,
     )
     heads = network.config.heads
     drawn = _on_white(network.draw(found.shape, found.appearance, found.hypotheses.frames.flatten(0, 1)))

@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from viewnet import scene
 from viewnet.config import TrainConfig
 from viewnet.data.pairs import resize, tight_crop
 from viewnet.geometry import azimuth_elevation, look_at, view_vector
@@ -49,17 +50,18 @@ def reconstruct(
     seen: Tensor,
     config: TrainConfig,
     stage: Stage | None = None,
+    behind: Tensor | None = None,
 ) -> Reconstruction:
     """Draws targets (N, 4, s, s) from appearance views (B, 4, s, s), N = B K (equations 1 and 2).
 
     All heads are compared without gradients; only the best is drawn with them ("gradients will only be propagated
     through m*"). `seen` (N, 4, s, s) is what the viewpoint network sees of the targets: themselves, or cut and
-    augmented.
+    augmented. `behind` (B, 3, s, s): what the appearance network sees behind the object, if not the backdrop.
     """
     stage = stage or Stage()
     size = stage.size or model.config.render_size
     with autocast(appearance.device, config):
-        code, shape = model.imagine(appearance, size < model.config.render_size, stage.own)
+        code, shape = model.imagine(appearance, size < model.config.render_size, stage.own, behind)
         hypotheses = model.viewpoint(model.see(seen))
     target = target if target.shape[-1] == size else resize(target, size)
     with torch.no_grad():
@@ -261,8 +263,12 @@ def step_loss(
     perceptual: PerceptualLoss | None,
     progress: float,
     generator: torch.Generator,
+    scenery: Tensor | None = None,
 ) -> dict[str, Tensor]:
-    """The terms of one step's loss, weighted; their sum is minimised. `progress` is the share of training done."""
+    """The terms of one step's loss, weighted; their sum is minimised. `progress` is the share of training done.
+
+    With `scenery`, pictures (K, 3, S, S) uint8, there is something behind both inputs, never behind the target.
+    """
     appearance, target, seen = batch
     device = appearance.device
     seen = augment(seen, generator) if config.augment else seen
@@ -270,7 +276,12 @@ def step_loss(
     if config.mirror:
         mirrored = (torch.rand(len(target), 1, 1, 1, generator=generator) < 0.5).to(device)
         seen, target = (torch.where(mirrored, pictures.flip(-1), pictures) for pictures in (seen, target))
-    found = reconstruct(model, appearance, target, seen, config, _stage(model, config, progress, generator))
+    behind = None
+    if scenery is not None:
+        seen = scene.photograph(seen, scenery, config, generator)
+        behind = scene.behind(scenery, len(appearance), appearance.shape[-1], generator, device)
+    stage = _stage(model, config, progress, generator)
+    found = reconstruct(model, appearance, target, seen, config, stage, behind)
     if config.target == "mask":
         picture, wanted = found.drawn[:, 3:], found.target[:, 3:]
     else:
@@ -292,7 +303,7 @@ def step_loss(
         terms["selection"] = config.selection_weight * _selection(found, config.selection_angle)
     ramp = min(1.0, (progress - config.cycle_start) / 0.1) if config.cycle_start else 1.0
     if config.cycle and ramp > 0:
-        terms["cycle"] = ramp * config.cycle_weight * _cycle(model, found, config, generator)
+        terms["cycle"] = ramp * config.cycle_weight * _cycle(model, found, config, generator, scenery)
     return terms
 
 
@@ -324,7 +335,13 @@ def _selection(found: Reconstruction, angle: float) -> Tensor:
     return -logits.log_softmax(1).masked_fill(~right, -math.inf).logsumexp(1).mean()
 
 
-def _cycle(model: ViewNet, found: Reconstruction, config: TrainConfig, generator: torch.Generator) -> Tensor:
+def _cycle(
+    model: ViewNet,
+    found: Reconstruction,
+    config: TrainConfig,
+    generator: torch.Generator,
+    scenery: Tensor | None,
+) -> Tensor:
     """Section 3.4: new views of the same objects at random viewpoints, and what the viewpoint network says of them."""
     count = len(found.appearance)
     low, high = config.cycle_elevation
@@ -333,7 +350,9 @@ def _cycle(model: ViewNet, found: Reconstruction, config: TrainConfig, generator
     truth = view_vector(azimuth, elevation).to(found.appearance.device)
     with torch.no_grad(), autocast(truth.device, config):
         novel = model.draw(found.shape, found.appearance, look_at(truth), model.config.input_size)
-        if model.config.crop:
-            novel = tight_crop(novel, model.config.input_size)
+        if model.config.crop != "none":
+            novel = tight_crop(novel, model.config.input_size, model.config.crop == "stretched")
+        if scenery is not None:
+            novel = scene.photograph(novel, scenery, config, generator)
     with autocast(truth.device, config):
         return cycle_loss(model.viewpoint(model.see(novel)), truth, config)

@@ -17,11 +17,12 @@ from typing import Any
 
 import torch
 from safetensors.torch import save_file
+from torch import Tensor
 
-from viewnet import volume_cpu
+from viewnet import scene, volume_cpu
 from viewnet.alignment import fit_rotation
 from viewnet.config import RunConfig, TrainConfig
-from viewnet.data.pairs import Views, draw_pairs, load_views, step_generator
+from viewnet.data.pairs import Views, draw_pairs, step_generator, viewed
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.files import replacing
@@ -37,19 +38,27 @@ VALIDATION_VIEWS = 320
 
 
 @torch.no_grad()
-def validate(model: ViewNet, views: Views, config: TrainConfig, device: torch.device) -> dict[str, float]:
+def validate(
+    model: ViewNet, views: Views, config: TrainConfig, device: torch.device, scenery: Tensor | None = None
+) -> dict[str, float]:
     """Reconstruction error of the best head (label-free) and true acc@30 in percent after Procrustes (uses labels).
 
-    Each view is drawn from the appearance of the next view of its object.
+    Each view is drawn from the appearance of the next view of its object. With `scenery`, pictures (K, 3, S, S) uint8,
+    views are before it as in training, the same each time.
     """
     model.eval()
     rows = torch.arange(min(VALIDATION_VIEWS, len(views.objects)))
     others = views.partners(rows)
     error, vectors = 0.0, []
+    chance = torch.Generator().manual_seed(0)
     size = model.config.input_size
     for part in rows.split(64):
         appearance, target = views.pictures(others[part], size, device), views.pictures(rows[part], size, device)
-        found = reconstruct(model, appearance, target, views.seen(rows[part], size, device), config)
+        seen, behind = views.seen(rows[part], size, device), None
+        if scenery is not None:
+            seen = scene.photograph(seen, scenery, config, chance)
+            behind = scene.behind(scenery, len(part), size, chance, device)
+        found = reconstruct(model, appearance, target, seen, config, behind=behind)
         error += found.errors.amin(1).sum().item()
         vectors.append(found.hypotheses.pick(found.hypotheses.logits.argmax(1)))
     predicted = torch.cat(vectors).cpu().double()
@@ -89,8 +98,8 @@ def train(
         return
     volume_cpu.warm_up()
     size = max(config.model.input_size, config.model.render_size)
-    crop = config.model.input_size if config.model.crop else None
-    training, validation = load_views(views, "train", size, crop), load_views(views, "val", size, crop)
+    training, validation = (viewed(views, split, size, config.model) for split in ("train", "val"))
+    scenery = scene.load(config.data, device)
     torch.manual_seed(config.seed)
     model = ViewNet(config.model).to(device)
     weights = os.environ.get(f"VIEWNET_{settings.perceptual.upper()}_WEIGHTS")
@@ -133,7 +142,8 @@ def train(
                 training.pictures(target_rows, config.model.input_size, device),
                 training.seen(target_rows, config.model.input_size, device),
             )
-            terms = step_loss(model, batch, settings, perceptual, done, step_generator(config.seed, step))
+            chance = step_generator(config.seed, step)
+            terms = step_loss(model, batch, settings, perceptual, done, chance, scenery)
             loss = torch.stack(list(terms.values())).sum()
             if not torch.isfinite(loss):
                 names = ", ".join(f"{name} {value.item():.3g}" for name, value in terms.items())
@@ -152,7 +162,7 @@ def train(
             continue
 
         # ---- validation: labels are used for the choice only where the recipe says so (section 4.1)
-        found = validate(model, validation, settings, device)
+        found = validate(model, validation, settings, device, scenery)
         score = found["accuracy"] if settings.select_by == "accuracy" else -found["reconstruction"]
         if score > best["score"] or best["weights"] is None:
             kept = {

@@ -9,8 +9,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from viewnet.config import ModelConfig
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
+
+CROP_MARGIN = 0.05
+"""So much of the object's side is seen beyond it, all around, where views are cut to their object."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,11 @@ class Views:
         pictures = self.pixels[rows].to(device).float().div_(255)
         return pictures if pictures.shape[-1] == size else resize(pictures, size)
 
+    @property
+    def opaque(self) -> bool:
+        """Whether nothing in any view is transparent: photographs."""
+        return bool((self.pixels[:, 3] == 255).all())
+
     def partners(self, rows: Tensor) -> Tensor:
         """The next view of each view's object, the last one's being the first: where an appearance may come from."""
         start, count = self.first[self.objects[rows]], self.count[self.objects[rows]]
@@ -46,11 +55,12 @@ def resize(pictures: Tensor, size: int) -> Tensor:
     return F.interpolate(pictures, (size, size), mode="area")
 
 
-def tight_crop(pictures: Tensor, size: int, margin: float = 0.05) -> Tensor:
+def tight_crop(pictures: Tensor, size: int, stretch: bool = False, margin: float = CROP_MARGIN) -> Tensor:
     """Pictures (N, 4, H, H), RGB times alpha and alpha in [0, 1], cut to their alpha's square box: (N, 4, size, size).
 
-    The box keeps its aspect (a square around the longer side, centred) and a `margin` of its side all around; what it
-    needs beyond the picture is empty. A picture without an object is left whole.
+    The box is a square around the longer side, centred, so that things keep their shape; with `stretch` it is their
+    own, and what is in it is stretched. It has a `margin` of its sides all around; what it needs beyond the picture is
+    empty. A picture without an object, or without anything else, is left whole.
     """
     full = pictures.shape[-1]
     covered = pictures[:, 3] > 0.5
@@ -61,12 +71,13 @@ def tight_crop(pictures: Tensor, size: int, margin: float = 0.05) -> Tensor:
         low.append(torch.where(occupied, edges, full).amin(1))
         high.append(torch.where(occupied, edges + 1, 0).amax(1))
     start, end = torch.stack(low, 1).float(), torch.stack(high, 1).float()
-    empty = ~covered.flatten(1).any(1)[:, None]
-    start, end = start.masked_fill(empty, 0), end.masked_fill(empty, full)
-    half = (end - start).amax(1) / 2 * (1 + 2 * margin)
+    empty = ~covered.flatten(1).any(1)
+    start, end = start.masked_fill(empty[:, None], 0), end.masked_fill(empty[:, None], full)
+    margins = torch.where(empty | covered.flatten(1).all(1), 0.0, margin)
+    sides = end - start if stretch else (end - start).amax(1, keepdim=True).expand(-1, 2)
+    half = sides / 2 * (1 + 2 * margins[:, None])
     centre = (start + end) / 2
-    scale = (half / (full / 2))[:, None, None]
-    matrix = torch.eye(2, device=pictures.device) * scale
+    matrix = torch.diag_embed(half / (full / 2))
     shift = (centre / (full / 2) - 1)[:, :, None]
     # More samples than pixels, averaged: an enlarged crop stays smooth and a whole picture is not aliased.
     fine = size * max(1, -(-full // size))
@@ -74,10 +85,10 @@ def tight_crop(pictures: Tensor, size: int, margin: float = 0.05) -> Tensor:
     return resize(F.grid_sample(pictures, grid, align_corners=False), size)
 
 
-def load_views(store: ViewStore, split: str, size: int, crop: int | None = None) -> Views:
+def load_views(store: ViewStore, split: str, size: int, crop: int | None = None, stretch: bool = False) -> Views:
     """The views of one split at `size` pixels a side, and cut to `crop` pixels a side where that is given.
 
-    ViewnetError where the split has none.
+    See `tight_crop`. ViewnetError where the split has none.
     """
     rows = np.flatnonzero((store.index["split"] == split).to_numpy())
     if not len(rows):
@@ -90,13 +101,20 @@ def load_views(store: ViewStore, split: str, size: int, crop: int | None = None)
         weighted = torch.cat([straight[:, :3] * (straight[:, 3:] / 255), straight[:, 3:]], dim=1)
         chunks.append(resize(weighted, size).round_().to(torch.uint8))
         if crop:
-            crops.append(tight_crop(weighted / 255, crop).mul_(255).round_().to(torch.uint8))
+            crops.append(tight_crop(weighted / 255, crop, stretch).mul_(255).round_().to(torch.uint8))
     objects = torch.from_numpy(index["model_id"].factorize()[0].astype(np.int64))
     count = torch.bincount(objects)
     if (objects.diff() < 0).any():
         raise ViewnetError(f"{store.folder}: the views of a model do not lie side by side: build the store again")
     truth = torch.from_numpy(index[["azimuth", "elevation"]].to_numpy(np.float32, copy=True))
     return Views(torch.cat(chunks), torch.cat(crops) if crop else None, objects, truth, count.cumsum(0) - count, count)
+
+
+def viewed(store: ViewStore, split: str, size: int, config: ModelConfig) -> Views:
+    """`load_views` with the crops that the networks of `config` want."""
+    return load_views(
+        store, split, size, None if config.crop == "none" else config.input_size, config.crop == "stretched"
+    )
 
 
 def draw_pairs(views: Views, objects: int, targets: int, seed: int, step: int) -> tuple[Tensor, Tensor]:

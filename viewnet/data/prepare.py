@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from viewnet import cad, paths
 from viewnet.config import DataConfig
-from viewnet.data.shapenet import ModelFile, find_models, take
+from viewnet.data.shapenet import SHARES, ModelFile, find_models, take
 from viewnet.data.store import ViewStore, identity_of
 from viewnet.errors import ViewnetError
 from viewnet.files import locked
@@ -32,6 +33,7 @@ def view_store(config: DataConfig, workers: int | None = None, progress: bool = 
         config.seed,
         backend,
     )
+    extra = [] if config.extra is None else joining(find_models(config.extra, config.category), config)
     models: list[ModelFile] | None = None
     if config.root is None:
         # Known without looking at a file, so that a store is found when its collection has been removed.
@@ -39,13 +41,15 @@ def view_store(config: DataConfig, workers: int | None = None, progress: bool = 
     else:
         models = take(find_models(config.root, config.category, config.splits, config.seed), config.models, config.seed)
         described["models"] = digest(models)
+    if extra:
+        described["extra"] = digest(extra)
     folder = paths.data() / "views" / f"{config.category}-{identity_of(described)[:12]}"
     if folder.exists():
         return ViewStore.open(folder)
     if models is None:
         models = find_models(built_in(config.category, config.models, config.seed, progress), config.category)
     return render_views(
-        models,
+        [*models, *extra],
         folder,
         views=config.views,
         image_size=config.image_size,
@@ -57,6 +61,19 @@ def view_store(config: DataConfig, workers: int | None = None, progress: bool = 
         workers=workers,
         progress=progress,
     )
+
+
+def joining(models: list[ModelFile], config: DataConfig) -> list[ModelFile]:
+    """Models of the second collection as they join the first: for training all of them.
+
+    Each as often as it takes to make `config.extra_share` of the training models, the first collection's being 70 %,
+    every time seen from other viewpoints. Without a known number of models in the first each comes once.
+    """
+    if not 0 < config.extra_share < 1:
+        raise ViewnetError(f"extra_share {config.extra_share}: expected a number between 0 and 1")
+    others = SHARES[0] * config.models * config.extra_share / (1 - config.extra_share)
+    copies = max(1, round(others / len(models)))
+    return [replace(model, id=f"extra{i}-{model.id}", split="train") for i in range(copies) for model in models]
 
 
 def built_in(category: str, models: int, seed: int = 0, progress: bool = True) -> Path:

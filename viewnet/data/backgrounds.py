@@ -1,0 +1,232 @@
+"""Pictures to stand behind objects: SUN397, any folder of pictures, or drawn ones; cut to squares of one size.
+
+Made once and kept under `<paths.data()>/backgrounds/<identity>`: pictures.npy, classes.npy and rejected.csv.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from viewnet import paths
+from viewnet.data import scenes
+from viewnet.data.store import identity_of
+from viewnet.errors import ViewnetError
+from viewnet.files import locked
+from viewnet.progress import bar
+
+DRAWN = "drawn"
+"""The source that needs no pictures."""
+SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".ppm", ".tif", ".tiff")
+VERSION = 1
+"""Raise it when a change alters how pictures are chosen or cut."""
+LARGEST = 1024
+"""Pixels along a side."""
+
+_CLASSES = "ClassName.txt"
+
+
+@dataclass(frozen=True, eq=False)
+class Backgrounds:
+    """Square pictures and what decided them.
+
+    pictures    (K, 3, size, size) uint8
+    classes     (K,) int64: SUN397's class, from 0, as its list counts them; 0 for all others
+    identity    16 hex digits of what decided the pictures, the same wherever a folder lies
+    rejected    path and reason of what could not be used
+    """
+
+    pictures: np.ndarray
+    classes: np.ndarray
+    identity: str
+    rejected: list[tuple[str, str]]
+
+    def __len__(self) -> int:
+        return len(self.pictures)
+
+
+def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: bool = True) -> Backgrounds:
+    """`count` pictures of size x size pixels from `source`, or all of its usable ones where it has fewer.
+
+    `source` is "drawn" (viewnet.data.scenes), the folder of SUN397 (a `ClassName.txt` that lists class folders such as
+    /a/abbey) or any folder of pictures, which is read with all folders in it. Of more than `count` pictures classes
+    have as many each as can be. Every picture is cut to a square at a place drawn by `seed` and its path. Pictures
+    that cannot be used are in `rejected`, and others take their place.
+
+    Raises ViewnetError for values out of range, and a folder that does not exist or holds no usable picture.
+    """
+    if not 1 <= size <= LARGEST:
+        raise ViewnetError(f"backgrounds: size {size}: expected 1 to {LARGEST} pixels")
+    if count < 1:
+        raise ViewnetError(f"backgrounds: count {count}: expected 1 or more")
+    described: dict[str, Any] = {"version": VERSION, "size": size, "count": count, "seed": seed}
+    missing: list[tuple[str, str]] = []
+    if source == DRAWN:
+        described["drawn"] = scenes.VERSION
+        classed: list[tuple[str, int]] = []
+    else:
+        classed, missing = list_pictures(Path(source))
+        described["pictures"] = _digest(Path(source), classed, missing)
+    identity = identity_of(described)
+    folder = paths.data() / "backgrounds" / identity
+    with locked(folder):
+        if not folder.exists():
+            if source == DRAWN:
+                pictures, classes, rejected = _draw(size, count, seed, progress), np.zeros(count, np.int64), missing
+            else:
+                pictures, classes, rejected = _cut_all(Path(source), classed, size, count, seed, progress)
+                rejected = missing + rejected
+            _write(folder, pictures, classes, rejected)
+    return _read(folder, identity)
+
+
+def list_pictures(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, str]]]:
+    """The pictures of a folder, (path from `root`, class) sorted by path, and what its list of classes lacks.
+
+    Raises ViewnetError where there is no such folder or no picture in it, and for a line of the list that is no folder.
+    """
+    if not root.is_dir():
+        raise ViewnetError(
+            f"{root}: no such folder: give one of pictures, SUN397's, or {DRAWN!r} for backgrounds that are drawn"
+        )
+    found: dict[str, int] = {}
+    missing: list[tuple[str, str]] = []
+    if (root / _CLASSES).is_file():
+        lines = (root / _CLASSES).read_text(encoding="utf-8").splitlines()
+        for number, name in enumerate(line.strip() for line in lines if line.strip()):
+            inside = Path(name.lstrip("/"))
+            if ".." in inside.parts:
+                raise ViewnetError(f"{root / _CLASSES}: line {name!r}: expected a folder such as /a/abbey")
+            if not (root / inside).is_dir():
+                missing.append((name, "no such class folder"))
+                continue
+            # A class may lie within another's folder; its pictures are its own.
+            for entry in os.scandir(root / inside):
+                if _is_picture(entry.name) and entry.is_file():
+                    found[(inside / entry.name).as_posix()] = number
+    else:
+        found = {path.relative_to(root).as_posix(): 0 for path in _walk(root, {root.resolve()})}
+    if not found:
+        told = f", and {len(missing)} of the folders in {_CLASSES} are missing" if missing else ""
+        raise ViewnetError(f"{root}: no pictures in it ({', '.join(SUFFIXES)}){told}: name a folder that has some")
+    return sorted(found.items()), missing
+
+
+def _walk(folder: Path, seen: set[Path]) -> Iterator[Path]:
+    """The pictures below a folder. Linked folders are followed, but none is entered twice."""
+    for entry in os.scandir(folder):
+        if entry.name.startswith("."):
+            continue
+        if entry.is_dir():
+            real = Path(entry.path).resolve()
+            if real not in seen:
+                seen.add(real)
+                yield from _walk(Path(entry.path), seen)
+        elif _is_picture(entry.name) and entry.is_file():
+            yield Path(entry.path)
+
+
+def _is_picture(name: str) -> bool:
+    return name.lower().endswith(SUFFIXES) and not name.startswith(".")
+
+
+def _digest(root: Path, classed: Iterable[tuple[str, int]], missing: list[tuple[str, str]]) -> str:
+    """What pictures depend on: paths within the folder, classes and, as a cheap sign of a changed file, sizes."""
+    hashed = hashlib.sha256(json.dumps(missing).encode())
+    for path, number in classed:
+        hashed.update(json.dumps([path, number, (root / path).stat().st_size]).encode())
+    return hashed.hexdigest()
+
+
+def _draw(size: int, count: int, seed: int, progress: bool) -> np.ndarray:
+    pictures = np.empty((count, 3, size, size), np.uint8)
+    for number in bar(progress, iterable=range(count), desc="backgrounds", unit="picture"):
+        pictures[number] = scenes.draw(np.random.default_rng([seed, number]), size, size).transpose(2, 0, 1)
+    return pictures
+
+
+def _cut_all(
+    root: Path, classed: list[tuple[str, int]], size: int, count: int, seed: int, progress: bool
+) -> tuple[np.ndarray, np.ndarray, list[tuple[str, str]]]:
+    pictures, classes, rejected = [], [], []
+    with bar(progress, total=min(count, len(classed)), desc="backgrounds", unit="picture") as shown:
+        for path, number in _evenly(classed, seed):
+            if len(pictures) == count:
+                break
+            try:
+                pictures.append(_cut(root / path, size, _generator(seed, path)).transpose(2, 0, 1))
+            except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+                rejected.append((path, f"picture does not decode ({type(error).__name__})"))
+            else:
+                classes.append(number)
+                shown.update()
+    if not pictures:
+        raise ViewnetError(f"{root}: none of its {len(classed)} pictures can be used ({': '.join(rejected[0])})")
+    order = np.argsort(classes, kind="stable")
+    return np.stack(pictures)[order], np.array(classes, np.int64)[order], rejected
+
+
+def _evenly(classed: list[tuple[str, int]], seed: int) -> list[tuple[str, int]]:
+    """In an order in which any beginning has as many of one class as of another, but for those that have run out."""
+    ranked = sorted(classed, key=lambda item: hashlib.sha256(f"{seed} {item[0]}".encode()).digest())
+    turn: dict[int, int] = {}
+    rounds = []
+    for _, number in ranked:
+        turn[number] = turn.get(number, -1) + 1
+        rounds.append(turn[number])
+    return [ranked[i] for i in sorted(range(len(ranked)), key=rounds.__getitem__)]
+
+
+def _generator(seed: int, path: str) -> np.random.Generator:
+    digest = hashlib.sha256(f"{seed} place {path}".encode()).digest()
+    return np.random.default_rng(int.from_bytes(digest[:8], "little"))
+
+
+def _cut(path: Path, size: int, rng: np.random.Generator) -> np.ndarray:
+    """A square of a picture, 0.7 to 1 of its shorter side wide, somewhere in it: (size, size, 3)."""
+    with Image.open(path) as picture:
+        # A JPEG is read at a fraction of its size where that is large enough: much sooner.
+        picture.draft("RGB", (3 * size, 3 * size))
+        whole = picture.convert("RGB")
+    side = min(whole.size) * rng.uniform(0.7, 1)
+    left, upper = rng.random(2) * (np.array(whole.size) - side)
+    box = (left, upper, left + side, upper + side)
+    return np.asarray(whole.resize((size, size), Image.Resampling.LANCZOS, box=box, reducing_gap=3))
+
+
+def _write(folder: Path, pictures: np.ndarray, classes: np.ndarray, rejected: list[tuple[str, str]]) -> None:
+    """The folder appears when it is whole."""
+    temporary = folder.with_name(f".{folder.name}.{os.getpid()}")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir(parents=True)
+    try:
+        np.save(temporary / "pictures.npy", pictures)
+        np.save(temporary / "classes.npy", classes)
+        with (temporary / "rejected.csv").open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows([("path", "reason"), *rejected])
+        temporary.rename(folder)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+
+
+def _read(folder: Path, identity: str) -> Backgrounds:
+    try:
+        pictures, classes = (np.load(folder / f"{name}.npy", allow_pickle=False) for name in ("pictures", "classes"))
+        with (folder / "rejected.csv").open(newline="", encoding="utf-8") as file:
+            rejected = [(row["path"], row["reason"]) for row in csv.DictReader(file)]
+    except (OSError, ValueError, EOFError, KeyError) as error:
+        raise ViewnetError(f"{folder}: damaged ({error}): remove the folder, and it is made again") from None
+    if pictures.ndim != 4 or len(pictures) != len(classes):
+        raise ViewnetError(f"{folder}: damaged ({pictures.shape} pictures): remove the folder, and it is made again")
+    return Backgrounds(pictures, classes, identity, rejected)

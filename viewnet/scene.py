@@ -1,0 +1,108 @@
+"""What tells a photograph from a view of a CAD model, given to views in training: something behind the object, a box
+that is a little off, things before it, exposure, blur and noise (section 4.3).
+
+Scenery is pictures (K, 3, B, B) uint8 (viewnet.data.backgrounds). Only what the networks see is changed, never the
+target: the model reconstructs the object alone. Every random number comes from the generator given.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from viewnet.config import DataConfig, TrainConfig
+from viewnet.data import backgrounds
+from viewnet.data.pairs import CROP_MARGIN
+
+SIZE = 128
+"""Pixels along a side of what is kept of a background; windows of it are seen."""
+
+
+def load(config: DataConfig, device: torch.device) -> Tensor | None:
+    """The backgrounds that a configuration asks for, (K, 3, SIZE, SIZE) uint8, or None where it wants none."""
+    if config.backgrounds is None:
+        return None
+    return torch.from_numpy(backgrounds.load(config.backgrounds, SIZE).pictures).to(device)
+
+
+def behind(scenery: Tensor, count: int, size: int, generator: torch.Generator, device: torch.device) -> Tensor:
+    """`count` random windows (count, 3, size, size) in [0, 1] of the scenery, half of them as in a mirror."""
+    chosen = torch.randint(len(scenery), (count,), generator=generator)
+    side = _uniform(0.3, 1.0, count, generator)
+    shift = _uniform(-1, 1, (count, 2), generator) * (1 - side)[:, None]
+    mirror = (torch.rand(count, generator=generator) < 0.5) * 2.0 - 1
+    none = torch.zeros(count)
+    rows = [torch.stack([mirror * side, none, shift[:, 0]], 1), torch.stack([none, side, shift[:, 1]], 1)]
+    pictures = scenery[chosen.to(scenery.device)].to(device).float() / 255
+    grid = F.affine_grid(torch.stack(rows, 1).to(device), [count, 3, size, size], align_corners=False)
+    return F.grid_sample(pictures, grid, padding_mode="reflection", align_corners=False)
+
+
+def over(pictures: Tensor, scene: Tensor) -> Tensor:
+    """Pictures (N, 4, S, S), RGB times alpha and alpha, before scenes (N, 3, S, S): the same, without transparency."""
+    alpha = pictures[:, 3:]
+    return torch.cat([pictures[:, :3] + scene * (1 - alpha), torch.ones_like(alpha)], 1)
+
+
+def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: torch.Generator) -> Tensor:
+    """Crops of views (N, 4, S, S), RGB times alpha and alpha, as if cut from photographs: (N, 4, S, S) with alpha 1.
+
+    Crops have CROP_MARGIN about the object, photographs' boxes none. In this order: the box is off by up to `box_error`
+    of its sides and tilted by up to `tilt` degrees; something is behind the object, and (`occlude`) in some of the
+    pictures before it; light, contrast, blur and noise vary as `exposure` says.
+    """
+    count, size, device = len(crops), crops.shape[-1], crops.device
+    crops = _shifted(crops, config, generator)
+    scene = behind(scenery, 2 * count, size, generator, device)
+    pictures = over(crops, scene[:count])[:, :3]
+    if config.occlude:
+        before = _patch(count, size, config.occlude, generator).to(device)
+        pictures = torch.where(before, scene[count:], pictures)
+    if config.exposure:
+        pictures = expose(pictures, config.exposure, generator)
+    return torch.cat([pictures, torch.ones_like(crops[:, 3:])], 1)
+
+
+def expose(pictures: Tensor, strength: float, generator: torch.Generator) -> Tensor:
+    """Pictures (N, 3, S, S) in [0, 1] in another light, contrast and gamma, some grey, blurred and noisy."""
+    count, device = len(pictures), pictures.device
+    each = (count, 1, 1, 1)
+    contrast, gamma = (torch.exp(strength * _uniform(-0.4, 0.4, each, generator)).to(device) for _ in range(2))
+    light = (strength * _uniform(-0.15, 0.15, each, generator)).to(device)
+    mean = pictures.mean((1, 2, 3), keepdim=True)
+    pictures = ((pictures - mean) * contrast + mean + light).clamp(0, 1) ** gamma
+    grey = (torch.rand(each, generator=generator) < 0.15 * strength).to(device)
+    pictures = torch.where(grey, pictures.mean(1, keepdim=True), pictures)
+    blurred = F.avg_pool2d(F.pad(pictures, (1, 1, 1, 1), mode="replicate"), 3, 1)
+    pictures = torch.lerp(pictures, blurred, _uniform(0, min(1.0, strength), each, generator).to(device))
+    deviation = (strength * _uniform(0, 0.05, each, generator)).to(device)
+    noise = torch.randn(pictures.shape, generator=generator).to(device)
+    return (pictures + deviation * noise).clamp(0, 1)
+
+
+def _shifted(crops: Tensor, config: TrainConfig, generator: torch.Generator) -> Tensor:
+    """Crops (N, 4, S, S) larger or smaller, moved and tilted; what comes in from outside is empty."""
+    count = len(crops)
+    scale = (1 + config.box_error * _uniform(-1, 1, (2, count), generator)) / (1 + 2 * CROP_MARGIN)
+    shift = config.box_error * _uniform(-1, 1, (count, 2), generator)
+    angle = torch.deg2rad(config.tilt * _uniform(-1, 1, count, generator))
+    rows = [
+        torch.stack([scale[0] * angle.cos(), -scale[0] * angle.sin(), shift[:, 0]], 1),
+        torch.stack([scale[1] * angle.sin(), scale[1] * angle.cos(), shift[:, 1]], 1),
+    ]
+    grid = F.affine_grid(torch.stack(rows, 1).to(crops), list(crops.shape), align_corners=False)
+    return F.grid_sample(crops, grid, align_corners=False)
+
+
+def _patch(count: int, size: int, share: float, generator: torch.Generator) -> Tensor:
+    """A rectangle of 10 to 40 % of the side somewhere in a `share` of the pictures: (count, 1, size, size) bool."""
+    half = size * _uniform(0.05, 0.2, (2, count, 1), generator)
+    centre = size * torch.rand(2, count, 1, generator=generator)
+    there = torch.rand(count, generator=generator) < share
+    columns, rows = ((torch.arange(size) - centre).abs() < half).unbind(0)
+    return (there[:, None, None] & columns[:, None, :] & rows[:, :, None])[:, None]
+
+
+def _uniform(low: float, high: float, shape: int | tuple[int, ...], generator: torch.Generator) -> Tensor:
+    return low + (high - low) * torch.rand(shape, generator=generator)
