@@ -24,10 +24,3 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
-
-
-# Until the recipes for photographs are merged.
-from viewnet import config  # noqa: E402
-
-for _name, _like in (("photos", "matting"), ("paper_photos", "paper")):
-    config.RECIPES.setdefault(_name, config.RECIPES[_like])

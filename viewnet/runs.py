@@ -40,12 +40,15 @@ TRAINING = (
     "losses.py",
     "backbones.py",
     "model.py",
+    "scene.py",
     "step.py",
     "muon.py",
     "train.py",
     "geometry.py",
     "alignment.py",
     "data/pairs.py",
+    "data/backgrounds.py",
+    "data/scenes.py",
 )
 UNTRAINED_CODE = ("baselines.py", "geometry.py")
 PREDICTING = ("predict.py", "predictions.py")
@@ -134,7 +137,7 @@ def untrained(variant: str, config: RunConfig) -> RunConfig:
 def locate(config: RunConfig, identity: str) -> Path:
     """The folder of a run on the views of that identity, wherever the models they show lie on this machine."""
     code = TRAINING if config.variant not in UNTRAINED else UNTRAINED_CODE
-    placeless = replace(config, data=replace(config.data, root=None, splits=None))
+    placeless = replace(config, data=replace(config.data, root=None, splits=None, extra=None))
     return paths.runs() / config.variant / placeless.key(identity, provenance.code_identity(code))
 
 
