@@ -128,6 +128,16 @@ def test_in_plane_rotation_is_aligned_with_the_view_and_scored():
     assert score(tilted, "linear")["median"] == pytest.approx(0, abs=1e-3)
 
 
+def test_dva_is_not_taken_in_by_a_biased_set_of_viewpoints():
+    index = make_index(400, 1)
+    biased = index.assign(azimuth=np.where(index["view"].index % 10, 5.0, index["azimuth"]), elevation=5.0)
+    found = score(baselines.constant(biased))
+    assert found["acc30"] > 85
+    assert found["dva"] < 25
+    assert found["intervals"]["dva"][0] <= found["dva"] <= found["intervals"]["dva"][1]
+    assert found["confidence_index"] == pytest.approx(1 / 12)
+
+
 def test_the_result_is_plain_json():
     found = evaluate(noisy(make_index(30)), draws=20)
     assert json.loads(json.dumps(found, allow_nan=False)) == found

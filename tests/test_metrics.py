@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from viewnet import metrics
+from viewnet.errors import ViewnetError
 from viewnet.predictions import true_vectors
 
 ANGLES = st.floats(-180, 180)
@@ -112,3 +113,36 @@ def test_bootstrap_is_a_function_of_its_generator_and_not_of_the_row_order():
 def test_a_single_object_has_no_interval():
     none = metrics.bootstrap_intervals([np.ones(5)], [np.array(["m"] * 5)], np.random.default_rng(0))
     assert none == {"acc30": None, "median": None}
+
+
+def test_intervals_of_dva_are_those_of_resampled_objects():
+    rng = np.random.default_rng(0)
+    azimuths, objects = rng.uniform(0, 360, 90), np.repeat([f"m{i:02}" for i in range(30)], 3)
+    errors = np.where(azimuths < 90, 5.0, 90.0)
+    draws = []
+    generator = np.random.default_rng(3)
+    for _ in range(50):
+        taken = generator.integers(30, size=30)
+        rows = np.concatenate([np.flatnonzero(objects == f"m{i:02}") for i in taken])
+        draws.append(metrics.dva(errors[rows], azimuths[rows]))
+    found = metrics.bootstrap_intervals(
+        [errors], [objects], np.random.default_rng(3), 50, statistics=("acc30", "dva"), azimuths=[azimuths]
+    )
+    assert found["dva"] == pytest.approx(tuple(np.percentile(draws, [2.5, 97.5])))
+    assert found["acc30"] == metrics.bootstrap_intervals([errors], [objects], np.random.default_rng(3), 50)["acc30"]
+
+
+def test_bins_that_a_draw_leaves_empty_do_not_count_as_wrong():
+    # One object in a bin of its own: half of the draws or so leave it out, and all that is left is right.
+    azimuths, objects = np.array([15.0] * 9 + [195.0]), np.array([f"m{i}" for i in range(10)])
+    found = metrics.bootstrap_intervals(
+        [np.ones(10)], [objects], np.random.default_rng(0), statistics=("dva",), azimuths=[azimuths]
+    )
+    assert found["dva"] == (100, 100)
+
+
+def test_dva_intervals_need_azimuths():
+    with pytest.raises(ViewnetError, match="dva of 1 runs needs their true azimuths, got 0"):
+        metrics.bootstrap_intervals(
+            [np.ones(4)], [np.array(list("abcd"))], np.random.default_rng(0), statistics=("dva",)
+        )

@@ -75,7 +75,7 @@ def test_the_result_tells_where_it_comes_from():
 def test_the_key_follows_config_views_and_code(monkeypatch):
     base = runs.locate(config(), "views")
     assert base == runs.locate(config(), "views")
-    moved = replace(config(), data=replace(config().data, root="elsewhere"))
+    moved = replace(config(), data=replace(config().data, root="elsewhere", splits="lists", extra="more"))
     assert base == runs.locate(moved, "views")  # the views' identity knows the models, not their place
     others = [runs.locate(config(1), "views"), runs.locate(config(), "other")]
     monkeypatch.setattr(provenance, "code_identity", lambda modules: "edited")

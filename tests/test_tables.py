@@ -4,18 +4,23 @@ import json
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from evaluation_data import make_index, noisy
 from fake_steps import STEPS
 
 from viewnet import metrics, published, tables
-from viewnet.config import SHAPENET_CATEGORIES, make_config
+from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES, make_config
 from viewnet.errors import ViewnetError
 from viewnet.evaluate import align
+from viewnet.latex import escape
+from viewnet.layouts import LAYOUTS
+from viewnet.published import DASH
 from viewnet.runs import ensure, untrained
-from viewnet.tables import DASH, LAYOUTS, Table, escape
+from viewnet.tables import Entry, Table, entries
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +92,10 @@ def assert_tabular(text: str) -> None:
     assert bare.count("{") == bare.count("}")
     width = len(re.sub(r"[^lcr]", "", re.search(r"\\begin\{tabular\}\{(.*)\}", text)[1]))
     known = {"begin", "end", "toprule", "midrule", "bottomrule", "cmidrule", "multicolumn", "textbf", "uparrow"}
-    known |= {"downarrow", "circ", "footnotesize", "textbackslash", "textasciitilde"}
+    known |= {"downarrow", "circ", "footnotesize", "textbackslash", "textasciitilde", "textit", "quad", "parbox"}
+    known |= {"smallskip", "noindent", "linewidth", "raggedright", "setlength", "tabcolsep"}
     assert set(re.findall(r"\\([a-zA-Z]+)", text)) <= known
-    lines = [line for line in text.splitlines() if line.endswith("\\\\")]
+    lines = [line for line in text.split("\\end{tabular}")[0].splitlines() if line.endswith("\\\\")]
     assert lines
     for line in lines:
         spans = sum(int(n) - 1 for n in re.findall(r"\\multicolumn\{(\d+)\}", line))
@@ -97,15 +103,73 @@ def assert_tabular(text: str) -> None:
     assert not re.search(r"(?<!\\)[%#_]", text.replace("\\_", ""))
 
 
+def on_photographs(name: str, categories: tuple[str, ...]) -> Table:
+    """A table of made-up predictors on made-up photographs."""
+    found = [
+        Entry(
+            label, c, 0, "linear" if label.endswith("*") else "procrustes", f"{i}-{c}", noisy(make_index(40, 3, c)), {}
+        )
+        for c in categories
+        for i, (label, variant) in enumerate(LAYOUTS[name].rows)
+        if variant
+    ]
+    return Table.of(name, found, categories, "made up", ["car: 3 left out & more"], {"VGG view*": "VGG view* (x_y)"})
+
+
+@pytest.mark.parametrize("name", ["table3_pascal3d", "table5_dva"])
+def test_few_categories_have_two_columns_each_and_metrics_stand_below_one_another(name):
+    table = on_photographs(name, ("car", "chair"))
+    text = table.latex()
+    assert_tabular(text)
+    assert text.count("\\midrule") == len(LAYOUTS[name].metrics)
+    assert "VGG view* (x\\_y) & 56 &" in text
+    assert text.index("\\end{tabular}") < text.index("ours: made up\\\\\ncar: 3 left out \\& more")
+    assert all(table.checks().values())
+
+
+@pytest.mark.parametrize("name", ["table3_pascal3d", "table5_dva"])
+def test_many_categories_have_one_column_each_and_ours_below_print(name):
+    table = on_photographs(name, CATEGORIES[:5])
+    text = table.latex()
+    assert_tabular(text)
+    assert "& airplane & bike & boat" in text
+    lines = text.splitlines()
+    after = lines[lines.index(next(line for line in lines if line.startswith("ViewNet* & "))) + 1]
+    assert after.startswith("\\quad\\textit{ours} & ")
+    if name == "table3_pascal3d":
+        assert "SSV* & -- & -- & -- & -- & \\textbf{82} \\\\" in lines
+        assert not lines[lines.index("SSV* & -- & -- & -- & -- & \\textbf{82} \\\\") + 1].startswith("\\quad")
+        assert any(line.startswith("Constant (rotation), \\textit{ours} & ") for line in lines)
+
+
+def test_a_run_fills_its_starred_row_too(runs):
+    found = entries("table3_pascal3d", [run for run in runs if run.config.variant == "viewnet"])
+    assert [(e.row, e.alignment) for e in found[:2]] == [("ViewNet*", "linear"), ("ViewNet", "procrustes")]
+    assert found[0].key == f"{runs[0].key}/linear" and found[1].key == runs[0].key
+    table = Table.of("table3_pascal3d", found)
+    for e, kind in ((found[0], "linear"), (found[1], "procrustes")):
+        median = np.median(align(e.predictions, kind).selected_errors)
+        assert table.cell(e.row, e.category, "median")["measured"] == pytest.approx(median)
+
+
 @pytest.mark.skipif(not any(map(shutil.which, ("pdflatex", "tectonic"))), reason="no TeX engine on this machine")
 @pytest.mark.parametrize("name", list(LAYOUTS))
 def test_latex_compiles(runs, name, tmp_path):
     mine = [run for run in runs if run.config.variant in LAYOUTS[name].variants]
+    compiles(Table.build(name, mine).latex(), tmp_path)
+
+
+@pytest.mark.skipif(not any(map(shutil.which, ("pdflatex", "tectonic"))), reason="no TeX engine on this machine")
+def test_latex_of_all_twelve_categories_compiles(tmp_path):
+    compiles(on_photographs("table5_dva", CATEGORIES).latex(), tmp_path)
+
+
+def compiles(text: str, folder: Path) -> None:
+    (folder / "t.tex").write_text(text)
     document = "\\documentclass{article}\\usepackage{booktabs}\\begin{document}\\tiny\\input{t}\\end{document}\n"
-    (tmp_path / "t.tex").write_text(Table.build(name, mine).latex())
-    (tmp_path / "d.tex").write_text(document)
+    (folder / "d.tex").write_text(document)
     engine = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error"] if shutil.which("pdflatex") else ["tectonic"]
-    done = subprocess.run([*engine, "d.tex"], cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run([*engine, "d.tex"], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-2000:]
 
 

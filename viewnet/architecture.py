@@ -11,9 +11,9 @@ from torch import nn
 from viewnet import published
 from viewnet.config import ModelConfig
 from viewnet.files import write_text
+from viewnet.latex import escape
 from viewnet.model import ViewNet
 from viewnet.networks import AdaIN, Stage, parameters
-from viewnet.tables import escape
 
 COLUMNS = ("layer", "channels", "kernel", "stride")
 _NAMES = {

@@ -5,22 +5,108 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import torch
+from numpy.typing import NDArray
 
 from viewnet import geometry
+from viewnet.alignment import calibration_rows
+from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.predictions import Floats, Predictions, true_vectors
 
+RIDGE = 1e3
+"""Weight of squared coefficients in the view regression. Chosen on real cars with SqueezeNet's features."""
 
-def constant(index: pd.DataFrame, splits: tuple[str, ...] = ("val", "test")) -> Predictions:
-    """The normalised mean view vector of the training views, for every image (the rows "Constant").
 
-    `index` has the columns of a view store; its "train" rows give the constant, its rows of `splits` are predicted. The
-    supplement takes the mean over training data, the main text over validation data; training is used here.
+def constant(
+    index: pd.DataFrame, splits: tuple[str, ...] = ("val", "test"), source: str = "train", mean: str = "vector"
+) -> Predictions:
+    """The mean viewpoint of the rows of the split `source`, for every image (the rows "Constant").
+
+    `index` has the columns of a view store; its rows of `splits` are predicted. The supplement takes the mean over
+    training data, the main text over validation data. There are two means, `mean`:
+
+    vector    the mean view vector, normalised. Where cameras stand all around an object their azimuths cancel and leave
+              what they have in common, the height: it points to the sky, where no camera was.
+    rotation  the level camera frame with the smallest sum of squared distances (Frobenius) to the frames of `source`.
+              It has a right direction that must fit as well, which is level at any height: where azimuths cancel, the
+              mean elevation remains.
+
+    Both agree where viewpoints lie close together. Raises ViewnetError for a missing split, an unknown mean, and where
+    view vectors cancel out altogether.
     """
-    mean = true_vectors(_rows(index, ("train",))).mean(axis=0)
+    middle = MEANS[known(mean, MEANS, "mean")]
+    return _same(index, splits, middle(true_vectors(_rows(index, (source,)))))
+
+
+def mean_vector(truth: Floats) -> Floats:
+    """The normalised mean (3,) of view vectors (N, 3). ViewnetError where they cancel out."""
+    mean = truth.mean(axis=0)
     if (length := float(np.linalg.norm(mean))) < 1e-9:
-        raise ViewnetError("constant predictor: the training viewpoints cancel out, so they have no mean direction")
-    return _same(index, splits, mean / length)
+        raise ViewnetError("constant predictor: the viewpoints cancel out, so they have no mean direction")
+    return mean / length
+
+
+def mean_rotation(truth: Floats) -> Floats:
+    """The view vector (3,) of the level camera frame closest to those of view vectors (N, 3), in squared entries.
+
+    With M the mean of the frames, right, up and back in columns, the closest level frame has the largest sum of
+    products of entries with M. At a given azimuth that sum is a + b cos(e) + c sin(e) of the elevation e, largest at
+    e = atan2(c, b): only the azimuth is searched, to 0.01 degrees.
+    """
+    right, up, back = geometry.look_at(torch.from_numpy(np.array(truth))).numpy().mean(axis=0).T
+    angles = np.deg2rad(np.arange(0, 360, 0.01))
+    c, s = np.cos(angles), np.sin(angles)
+    level = up[2] + c * back[0] + s * back[1]
+    height = back[2] - c * up[0] - s * up[1]
+    level = level.clip(min=0)  # beyond 90 degrees a frame would be upside down: the best is then at 90
+    best = int(np.argmax(c * right[1] - s * right[0] + np.hypot(level, height)))
+    elevation = np.arctan2(height[best], level[best])
+    return np.array([np.cos(elevation) * c[best], np.cos(elevation) * s[best], np.sin(elevation)])
+
+
+MEANS = {"vector": mean_vector, "rotation": mean_rotation}
+
+
+def view_regression(
+    index: pd.DataFrame,
+    features: NDArray[np.float32],
+    ridge: float = RIDGE,
+    splits: tuple[str, ...] = ("val", "test"),
+) -> Predictions:
+    """Linear regression from features (N, D) to view vectors, fitted on the split "val" (the row "VGG view").
+
+    This is SSV's setup: no more labels than unsupervised predictions are aligned by (see `calibrating`). `features` are
+    in the order of `index` (see viewnet.features); `ridge` is the weight of the squared coefficients against the sum of
+    squared errors, with features and view vectors centred on what is fitted on. It is solved in the space of the
+    images, which are far fewer than features. What is predicted for "val" was fitted on it. Raises ViewnetError for
+    features that do not fit the index and a `ridge` not above 0.
+    """
+    if features.ndim != 2 or len(features) != len(index):
+        raise ViewnetError(f"view regression: features are {features.shape} for {len(index)} images")
+    if not ridge > 0:
+        raise ViewnetError(f"ridge {ridge}: expected more than 0: features outnumber the images to fit on")
+    ids, fit = _rows(index, splits), (index["split"] == "val").to_numpy()
+    x, y = features[fit].astype(np.float64), true_vectors(_rows(index, ("val",)))
+    middle, mean = x.mean(axis=0), y.mean(axis=0)
+    x -= middle
+    dual = np.linalg.solve(x @ x.T + ridge * np.eye(len(x)), y - mean)
+    found = (features[index["split"].isin(splits).to_numpy()] - middle) @ (x.T @ dual) + mean
+    lengths = np.linalg.norm(found, axis=1, keepdims=True)
+    if (lengths < 1e-12).any():
+        raise ViewnetError("view regression: a prediction is the zero vector, which has no direction: use more images")
+    return Predictions(ids, (found / lengths)[:, None], np.zeros((len(ids), 1)))
+
+
+def calibrating(index: pd.DataFrame, count: int | None = None, seed: int = 0) -> NDArray[np.bool_]:
+    """Which rows (N,) of an index are left where of the split "val" only `count` images stay (None: all).
+
+    They are the ones that predictions would be aligned on (viewnet.alignment.calibration_rows), so that a baseline that
+    is fitted sees as many labels as an alignment does, and the same.
+    """
+    drawn = calibration_rows(oracle(index, ("val",)), count, seed)
+    keys = ["category", "model_id", "view"]
+    stays = pd.MultiIndex.from_frame(index[keys]).isin(pd.MultiIndex.from_frame(drawn.ids[keys]))
+    return stays | (index["split"] != "val").to_numpy()
 
 
 def best_constant(index: pd.DataFrame, splits: tuple[str, ...] = ("val", "test")) -> Predictions:

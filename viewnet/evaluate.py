@@ -76,7 +76,9 @@ def evaluate(
 
     acc10 acc15 acc30  share of geodesic errors strictly below
     median, flips      median error; share of errors over 150 degrees
-    intervals          95 % bootstrap intervals over objects of acc30 and median (None with a single object)
+    dva                mean of acc30 over the azimuth bins, of 30 degrees, that are not empty
+    confidence_index   share of those twelve bins with more than ten images: how far dva can be trusted
+    intervals          95 % bootstrap intervals over objects of acc30, median and dva (None with a single object)
     oracle             acc30 and median of the best hypothesis of each image: what perfect selection would reach
     heads              per hypothesis: how often it is selected, how often it is the best, and its acc30
     audit              acc30 and median by the three other definitions of the error (see `metrics`)
@@ -85,7 +87,10 @@ def evaluate(
     aligned = align(predictions, alignment, calibration, seed)
     test, errors = aligned.predictions, aligned.selected_errors
     rng = np.random.default_rng(seed)
-    intervals = metrics.bootstrap_intervals([errors], [test.objects], rng, draws)
+    azimuths = test.ids["azimuth"].to_numpy()
+    intervals = metrics.bootstrap_intervals(
+        [errors], [test.objects], rng, draws, statistics=("acc30", "median", "dva"), azimuths=[azimuths]
+    )
     best = aligned.errors.argmin(axis=1)
     level = metrics.geodesic_error(aligned.selected, test.truth)
     audit = {
@@ -97,6 +102,8 @@ def evaluate(
         "images": len(test),
         "objects": len(set(test.objects)),
         **metrics.summary(errors),
+        "dva": metrics.dva(errors, azimuths),
+        "confidence_index": metrics.confidence_index(azimuths),
         "intervals": {name: None if bounds is None else list(bounds) for name, bounds in intervals.items()},
         "oracle": _headline(aligned.errors.min(axis=1)),
         "heads": [

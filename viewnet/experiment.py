@@ -5,8 +5,9 @@ Notebooks and the command line pass plain values, as papermill gives them: names
 
 from __future__ import annotations
 
+import inspect
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,10 @@ from viewnet.config import (
     make_config,
 )
 from viewnet.errors import ViewnetError
+from viewnet.layouts import LAYOUTS
 from viewnet.predictions import Predictions
 from viewnet.runs import UNTRAINED, Run, ensure, transferred, untrained
-from viewnet.tables import LAYOUTS, Table
+from viewnet.tables import Table
 
 DEFAULT_PROFILE = "tiny"
 
@@ -39,10 +41,12 @@ class Design:
     variants: tuple[str, ...] = ()
     categories: tuple[str, ...] = SHAPENET_CATEGORIES
     profile: str = DEFAULT_PROFILE
+    photographs: bool = False  # scored on photographs: see viewnet.photo_experiment
 
 
 DESIGNS = {
-    **{name: Design(layout.variants, layout.categories) for name, layout in LAYOUTS.items()},
+    **{n: Design(layout.variants, layout.categories, photographs=layout.blocks) for n, layout in LAYOUTS.items()},
+    "alignment_study": Design(LAYOUTS["table3_pascal3d"].variants, photographs=True),
     "figure3_azimuth": Design(("viewnet",)),
     # Nothing is trained for it, so the default is the paper's size.
     "architecture": Design(categories=(), profile="paper"),
@@ -132,13 +136,14 @@ def experiment(
     viewpoints: str = "",
     output: str = "",
     workers: int = 0,
+    **photographs: Any,
 ) -> Experiment:
     """Check the parameters of the notebook `name`.
 
     profile     smoke, tiny, small or paper; "default": the environment variable VIEWNET_PROFILE, else the notebook's
-    categories  "car", "car,chair" or a list; "all": the table's
+    categories  "car", "car,chair" or a list; "all": the notebook's; "everything": all twelve of PASCAL3D+
     seeds       how many (3: seeds 0, 1, 2), or which ("0,2" or a list)
-    recipe      paper or matting; "default": the profile's
+    recipe      a name of config.RECIPES; "default": the profile's
     variant     the trained row that a figure shows; "": the notebook's
     data_root   a ShapeNetCore folder (v1 or v2); "": the built-in models
     splits      a folder of <synset>_{train,val,test}.txt lists for it; "": its own all.csv, else a seeded split
@@ -147,47 +152,108 @@ def experiment(
     output      where tables and figures go; "": paper_tables
     workers     trainings side by side; 0: what the machine has room for
 
+    Notebooks that score on photographs take some of these and others: see viewnet.photo_experiment.photo_experiment.
+
     What is not the plain default goes into a subfolder of `output` that says so ("smoke", "tiny-car"), so that no
     table replaces one of another kind. Raises ViewnetError naming the parameter and its valid values.
     """
     design = DESIGNS[known(name, DESIGNS, "notebook")]
-    if profile == "default":
-        profile = os.environ.get("VIEWNET_PROFILE", design.profile)
-    known(profile, PROFILES, "profile")
-    recipe = PROFILE_RECIPE[profile] if recipe == "default" else known(recipe, RECIPES, "recipe")
-    chosen = design.categories if categories == "all" else _names(categories, "categories")
-    for category in chosen:
-        known(category, CATEGORIES, "category")
+    given: dict[str, Any] = {"profile": profile, "categories": categories, "seeds": seeds, "recipe": recipe}
+    given |= {"output": output, "workers": workers}
+    if design.photographs:
+        from viewnet.photo_experiment import photo_experiment  # it builds on this module
+
+        others = {"variant": variant, "eval_root": eval_root, "viewpoints": viewpoints}
+        if unwanted := [other for other, value in others.items() if value]:
+            raise ViewnetError(f"{name} takes no {unwanted[0]}")
+        for other in photographs:
+            known(other, accepted(name), f"parameter of {name}")
+        return photo_experiment(name, **given, data_root=data_root, splits=splits, **photographs)
+    if photographs:
+        raise ViewnetError(f"{name} takes no {next(iter(photographs))}")
+    common = shared(design, PROFILE_RECIPE, **given)
     if variant:
         known(variant, (*VARIANTS, *UNTRAINED), "variant")
     variants = (variant,) if variant else design.variants
-    numbers = _seeds(seeds)
-    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
-        raise ViewnetError(f"workers {workers!r}: expected a whole number, 0 for what the machine has room for")
-    parts = [profile] if profile != design.profile else []
-    parts += [recipe] if recipe != PROFILE_RECIPE[profile] else []
+    parts = [*common.parts]
     parts += [variant] if variant and variants != design.variants else []
-    parts += chosen if chosen != design.categories else []
+    parts += common.columns
     parts += ["data_root"] if data_root else []
     parts += ["eval_root"] if eval_root else []
     parts += ["viewpoints"] if viewpoints else []
-    if parts not in ([], ["viewpoints"]) and parts[0] != profile:  # a list of viewpoints has no profile
-        parts.insert(0, profile)
     return Experiment(
         name=name,
-        profile=profile,
-        recipe=recipe,
+        **common.fields,
         variants=variants,
-        categories=chosen,
-        seeds=numbers,
-        data_root=_folder(data_root, "data_root"),
-        splits=_folder(splits, "splits"),
-        eval_root=_folder(eval_root, "eval_root"),
+        data_root=folder_named(data_root, "data_root"),
+        splits=folder_named(splits, "splits"),
+        eval_root=folder_named(eval_root, "eval_root"),
         viewpoints=Path(viewpoints).expanduser() if viewpoints else None,
-        output=Path(output).expanduser() if output else paths.tables(),
-        label="-".join(parts),
-        workers=workers or None,
+        label=label_of(common.fields["profile"], parts),
     )
+
+
+def accepted(name: str) -> set[str]:
+    """The parameters that `experiment` takes for a notebook."""
+    if DESIGNS[known(name, DESIGNS, "notebook")].photographs:
+        from viewnet.photo_experiment import photo_experiment
+
+        return set(inspect.signature(photo_experiment).parameters) - {"name"}
+    return set(inspect.signature(experiment).parameters) - {"name", "photographs"}
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What every experiment has, checked: fields of Experiment, and what of it belongs into its label."""
+
+    fields: dict[str, Any]
+    parts: list[str]  # profile and recipe, where they are not the default
+    columns: list[str]  # categories, where they are not the default
+
+
+def shared(
+    design: Design,
+    recipes: Mapping[str, str],
+    profile: str,
+    categories: str | Sequence[str],
+    seeds: int | str | Sequence[int],
+    recipe: str,
+    output: str,
+    workers: int,
+) -> Shared:
+    """Check what every experiment has; `recipes` gives each profile's own. Raises ViewnetError as `experiment` does."""
+    if profile == "default":
+        profile = os.environ.get("VIEWNET_PROFILE", design.profile)
+    known(profile, PROFILES, "profile")
+    recipe = known(recipes[profile] if recipe == "default" else recipe, RECIPES, "recipe")
+    if isinstance(categories, str) and categories in ("all", "everything"):
+        chosen = design.categories if categories == "all" else CATEGORIES
+    else:
+        chosen = _names(categories, "categories")
+    for category in chosen:
+        known(category, CATEGORIES, "category")
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
+        raise ViewnetError(f"workers {workers!r}: expected a whole number, 0 for what the machine has room for")
+    columns = ["everything"] if set(chosen) == set(CATEGORIES) else list(chosen)
+    return Shared(
+        {
+            "profile": profile,
+            "recipe": recipe,
+            "categories": chosen,
+            "seeds": _seeds(seeds),
+            "output": Path(output).expanduser() if output else paths.tables(),
+            "workers": workers or None,
+        },
+        ([profile] if profile != design.profile else []) + ([recipe] if recipe != recipes[profile] else []),
+        columns if chosen != design.categories else [],
+    )
+
+
+def label_of(profile: str, parts: Sequence[str]) -> str:
+    """The name of a folder for what is not the plain default: the profile comes first wherever there is anything."""
+    if list(parts) not in ([], ["viewpoints"]) and parts[0] != profile:  # a list of viewpoints has no profile
+        parts = [profile, *parts]
+    return "-".join(parts)
 
 
 def _names(value: Any, what: str) -> tuple[str, ...]:
@@ -221,7 +287,8 @@ def _seeds(value: Any) -> tuple[int, ...]:
     raise problem
 
 
-def _folder(value: str, what: str) -> str | None:
+def folder_named(value: str, what: str) -> str | None:
+    """The full path of a folder, None for ""; ViewnetError where there is none."""
     if not isinstance(value, str):
         raise ViewnetError(f"{what} {value!r}: expected a folder")
     if not value:

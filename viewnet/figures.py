@@ -1,4 +1,4 @@
-"""Figure 3: true against predicted azimuth, and what each head draws."""
+"""Figure 3: true against predicted azimuth, and what each head draws; and what alignment is worth on photographs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
@@ -28,6 +29,8 @@ STYLE: Any = {
 }
 COLUMN = 3.25  # inches: a column of the paper; the page is twice as wide and a gap
 INK = "#1f4e79"
+STYLES = {"none": "-", "procrustes": "-", "linear": "--", "per_angle": ":"}
+AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
 
 
 def azimuth_scatter(runs: Sequence[Run]) -> Figure:
@@ -106,6 +109,73 @@ def candidates(
         raise ViewnetError(f"figure 3: drawings of {len(sizes)} sizes cannot share a grid: show runs of one profile")
     inputs, drawings, errors, angles = (np.concatenate(column) for column in zip(*parts, strict=True))
     return candidate_grid(inputs, drawings, errors, angles, labels)
+
+
+def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = ("acc30", "median", "dva")) -> Figure:
+    """Scores over the number of calibration photographs, a row a metric and a column a category.
+
+    `scores` is viewnet.alignment_study.Study.scores: a line is the median over draws and seeds of a predictor (colour)
+    by an alignment (style), the shade from the lowest to the highest. What was fitted on the photographs is shown as it
+    is, without an alignment on top of that.
+    """
+    categories = list(dict.fromkeys(scores["category"]))
+    names = list(dict.fromkeys(scores["predictor"]))
+    fitted = set(scores.loc[scores["alignment"] == "none", "predictor"])
+    colours = {name: f"C{i}" for i, name in enumerate(names)}
+    with matplotlib.rc_context(STYLE):
+        size = (2.3 * len(categories) + 1.6, 1.7 * len(metrics))
+        figure = Figure(figsize=size, layout="constrained")
+        grid = figure.subplots(len(metrics), len(categories), squeeze=False, sharex=True, sharey="row")
+        for (name, kind), rows in scores.groupby(["predictor", "alignment"], sort=False):
+            if (name in fitted) != (kind == "none"):
+                continue
+            for i, metric in enumerate(metrics):
+                for j, category in enumerate(categories):
+                    found = rows[rows["category"] == category].groupby("images")[metric].agg(["median", "min", "max"])
+                    axes, images = grid[i, j], found.index.to_numpy(dtype=float)
+                    told = {"color": colours[name], "linestyle": STYLES[kind]}
+                    label = name if kind == "none" else f"{name}, {kind}"
+                    axes.plot(images, found["median"], linewidth=1, markersize=2, marker="o", label=label, **told)
+                    axes.fill_between(images, found["min"], found["max"], color=colours[name], alpha=0.1, linewidth=0)
+        for j, category in enumerate(categories):
+            grid[0, j].set_title(category)
+            grid[0, j].set_xscale("log", base=2)
+            grid[-1, j].xaxis.set_major_formatter("{x:.0f}")
+            grid[-1, j].set_xlabel("calibration photographs")
+        for i, metric in enumerate(metrics):
+            grid[i, 0].set_ylabel(AXES[metric])
+            grid[i, 0].set_ylim(bottom=0)
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=7)
+    return figure
+
+
+def collapse_curves(collapse: pd.DataFrame) -> Figure:
+    """What linear alignment does the more one-sided photographs are, a colour a category and a style a predictor.
+
+    `collapse` is viewnet.alignment_study.Study.collapse. Left: how far aligned predictions are spread, as a share of
+    the true viewpoints' spread. Middle and right: the accuracy and the DVA that it adds to rigid alignment, in points.
+    """
+    names = list(dict.fromkeys(collapse["predictor"]))
+    categories = list(dict.fromkeys(collapse["category"]))
+    styles = dict(zip(names, ["-", "--", ":", "-."] * len(names), strict=False))
+    shown = collapse.assign(
+        acc30=collapse["acc30_linear"] - collapse["acc30_rigid"], dva=collapse["dva_linear"] - collapse["dva_rigid"]
+    )
+    titles = {"spread_linear": "spread left", "acc30": "accuracy added, points", "dva": "DVA added, points"}
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(8.2, 2.5), layout="constrained")
+        for axes, (column, title) in zip(figure.subplots(1, 3), titles.items(), strict=True):
+            axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)
+            for (category, name), rows in shown.groupby(["category", "predictor"], sort=False):
+                means = rows.groupby("concentration")[["side", column]].mean()
+                told = {"color": f"C{categories.index(category)}", "linestyle": styles[name]}
+                axes.plot(means["side"], means[column], linewidth=1, markersize=2.5, marker="o",
+                          label=f"{category}, {name}", **told)  # fmt: skip
+            axes.set_title(title)
+            axes.set_xlabel("share of the commonest 30 degrees")
+        figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False, fontsize=7)
+    return figure
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:

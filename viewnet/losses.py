@@ -8,11 +8,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from viewnet.backbones import IMAGENET_MEAN, IMAGENET_STD, convolutions
 from viewnet.config import TrainConfig
-from viewnet.errors import ViewnetError
 from viewnet.model import Hypotheses
-
-IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 FEATURE_NETWORKS = {
     # Indices of torchvision's `features` whose *input* is compared, and their weights; 0 is the picture itself.
@@ -40,8 +38,8 @@ def pixel_loss(picture: Tensor, target: Tensor) -> Tensor:
 class PerceptualLoss(nn.Module):
     """Distance of ImageNet features (Johnson et al. 2016): each tap (MSE + L1) / 2, weighted, weights summing to 1.
 
-    `weights` is a file with torchvision's names (`features.*`), else torchvision's usual cache is used. Nothing is
-    downloaded: ViewnetError says where the file is expected.
+    `weights` is a file with torchvision's names (default: viewnet.backbones.weights_file). Nothing is downloaded:
+    ViewnetError says where the file is expected.
     """
 
     mean: Tensor
@@ -50,8 +48,8 @@ class PerceptualLoss(nn.Module):
     def __init__(self, network: str, weights: Path | None = None):
         super().__init__()
         self.taps = FEATURE_NETWORKS[network]
-        layers = _features(network, weights)[: max(index for index, _ in self.taps)]
-        self.layers = layers.eval().requires_grad_(False)
+        layers = convolutions(network, weights, "train without (perceptual=none)")
+        self.layers = layers[: max(index for index, _ in self.taps)].requires_grad_(False)
         for layer in self.layers.modules():
             if isinstance(layer, nn.ReLU):
                 layer.inplace = False  # a tap before a ReLU must survive it
@@ -76,29 +74,6 @@ class PerceptualLoss(nn.Module):
         for found, want, (_, weight) in zip(self.features(picture), wanted, self.taps, strict=True):
             total = total + weight * 0.5 * (F.mse_loss(found, want) + F.l1_loss(found, want))
         return total / sum(weight for _, weight in self.taps)
-
-
-def _features(network: str, weights: Path | None) -> nn.Sequential:
-    """The convolution layers of a torchvision network with ImageNet weights, from a file or the usual cache."""
-    from torchvision import models
-
-    known = {"vgg16": models.VGG16_Weights, "squeezenet": models.SqueezeNet1_1_Weights}[network].IMAGENET1K_V1
-    path = weights or Path(torch.hub.get_dir()) / "checkpoints" / known.url.rsplit("/", 1)[1]
-    if not path.is_file():
-        raise ViewnetError(
-            f"no {network} weights at {path}: download {known.url} to that place, name another file by "
-            f"VIEWNET_{network.upper()}_WEIGHTS, or train without (perceptual=none)"
-        )
-    with torch.device("meta"):  # drawing VGG16's random start would take a while
-        model = models.vgg16() if network == "vgg16" else models.squeezenet1_1()
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        state = {name.removeprefix("features."): value for name, value in state.items() if "features." in name}
-        model.features.load_state_dict(state, assign=True)
-    except Exception as error:
-        problem = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ViewnetError(f"{path} does not hold {network} weights ({problem}): download {known.url} anew") from error
-    return model.features
 
 
 def head_errors(pictures: Tensor, target: Tensor) -> Tensor:

@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from viewnet import geometry
+from viewnet.errors import ViewnetError
 from viewnet.predictions import Floats
 
 THRESHOLDS = (10, 15, 30)
@@ -116,12 +117,17 @@ def bootstrap_intervals(
     draws: int = 1000,
     level: float = 0.95,
     statistics: Sequence[str] = ("acc30", "median"),
+    azimuths: Sequence[Floats] = (),
 ) -> dict[str, tuple[float, float] | None]:
     """Percentile intervals of statistics, by resampling objects and not images: views of one object err together.
 
     `errors` and `objects` hold one array (N,) for each run (seed); the statistic is the mean over runs, and a draw
     takes the same objects in every run. None stands for an interval that does not exist: fewer than two objects.
+    The statistic "dva" needs the true `azimuths` (N,) of each run, degrees; bins that a draw leaves empty are left out
+    of its mean, as `dva` does.
     """
+    if "dva" in statistics and len(azimuths) != len(errors):
+        raise ViewnetError(f"bootstrap: dva of {len(errors)} runs needs their true azimuths, got {len(azimuths)}")
     names, owner = np.unique(np.concatenate([np.asarray(o, dtype=str) for o in objects]), return_inverse=True)
     if len(names) < 2:
         return dict.fromkeys(statistics)
@@ -129,16 +135,27 @@ def bootstrap_intervals(
     # Sorted once, so that every resampled array is sorted and its median found at once.
     order = [np.argsort(e, kind="stable") for e in errors]
     runs = [(np.asarray(e)[o], w[o]) for e, w, o in zip(errors, owners, order, strict=True)]
+    places = [(azimuth_bins(a), np.asarray(e) < 30, w) for a, e, w in zip(azimuths, errors, owners, strict=False)]
     values: dict[str, list[float]] = {name: [] for name in statistics}
     for _ in range(draws):
         times = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))
         samples = [np.repeat(e, times[w]) for e, w in runs]
         if all(len(sample) for sample in samples):
             for name in statistics:
-                values[name].append(float(np.mean([STATISTICS[name](sample) for sample in samples])))
+                found = [_weighted_dva(*place, times) for place in places] if name == "dva" else None
+                values[name].append(float(np.mean(found or [STATISTICS[name](sample) for sample in samples])))
     tail = 100 * (1 - level) / 2
     bounds = {name: np.percentile(v, [tail, 100 - tail]) for name, v in values.items()}
     return {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
+
+
+def _weighted_dva(
+    bins: NDArray[np.intp], right: NDArray[np.bool_], owner: NDArray[np.intp], times: NDArray[np.intp]
+) -> float:
+    """`dva` of images (N,) that each count as often as their owner was drawn."""
+    weights = times[owner].astype(np.float64)
+    total, hits = (np.bincount(bins, w, AZIMUTH_BINS) for w in (weights, weights * right))
+    return 100 * float((hits[total > 0] / total[total > 0]).mean())
 
 
 def _tensor(values: Floats) -> torch.Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import sys
 from collections.abc import Sequence
@@ -12,7 +11,7 @@ from typing import Any, NoReturn
 from viewnet import paths
 from viewnet.config import known
 from viewnet.errors import ViewnetError
-from viewnet.experiment import Experiment, experiment
+from viewnet.experiment import Experiment, accepted, experiment
 from viewnet.files import replacing
 
 PATIENCE = 600
@@ -54,8 +53,8 @@ def checked(path: Path, values: Sequence[tuple[str, str]]) -> tuple[dict[str, An
         if name in found:
             raise ViewnetError(f"parameter {name} is given twice")
         found[name] = _typed(name, text, declared[name]["inferred_type_name"])
-    accepted = inspect.signature(experiment).parameters
-    return found, experiment(path.stem, **{name: value for name, value in found.items() if name in accepted})
+    taken = accepted(path.stem)
+    return found, experiment(path.stem, **{name: value for name, value in found.items() if name in taken})
 
 
 def _typed(name: str, text: str, kind: str) -> Any:

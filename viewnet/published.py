@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pandas as pd
@@ -11,6 +12,10 @@ from viewnet.config import known
 from viewnet.errors import ViewnetError
 
 TABLES = ("table1_shapenet", "table2_ablation", "table3_pascal3d", "table4_dva", "table5_freiburg")
+DIGITS = {"acc30": 0, "median": 1, "dva": 0, "confidence_index": 2}
+"""After the point, as the paper prints each metric."""
+DASH = "--"
+"""What stands where nothing was printed or measured."""
 COLUMNS = ("row", "metric", "category", "value", "bold", "source")
 
 
@@ -42,3 +47,8 @@ def architecture(part: str) -> pd.DataFrame:
     known(part, ("encoder", "generator"), "part")
     frame = pd.read_csv(folder() / "architecture.csv", dtype=str, keep_default_na=False)
     return frame[frame["part"] == part].drop(columns="part").reset_index(drop=True)
+
+
+def text(value: float, metric: str) -> str:
+    """A number as the paper would print it, -- for NaN."""
+    return DASH if math.isnan(value) else f"{value:.{DIGITS[metric]}f}"

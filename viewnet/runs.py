@@ -4,6 +4,7 @@
                                    log.csv                a row a validation (viewnet.train)
                                    checkpoint.safetensors the kept weights
                                    predictions.parquet    of the validation and the test split
+                                   predictions-*.parquet  of photographs (see on_photographs)
                                    result.json            metrics and where they come from; written last
 
 The key is a hash of everything that decides the training: configuration, identity of the views, and the code of
@@ -37,13 +38,17 @@ TRAINING = (
     "volume_cpu.py",
     "networks.py",
     "losses.py",
+    "backbones.py",
     "model.py",
+    "scene.py",
     "step.py",
     "muon.py",
     "train.py",
     "geometry.py",
     "alignment.py",
     "data/pairs.py",
+    "data/backgrounds.py",
+    "data/scenes.py",
 )
 UNTRAINED_CODE = ("baselines.py", "geometry.py")
 PREDICTING = ("predict.py", "predictions.py")
@@ -132,7 +137,7 @@ def untrained(variant: str, config: RunConfig) -> RunConfig:
 def locate(config: RunConfig, identity: str) -> Path:
     """The folder of a run on the views of that identity, wherever the models they show lie on this machine."""
     code = TRAINING if config.variant not in UNTRAINED else UNTRAINED_CODE
-    placeless = replace(config, data=replace(config.data, root=None, splits=None))
+    placeless = replace(config, data=replace(config.data, root=None, splits=None, extra=None))
     return paths.runs() / config.variant / placeless.key(identity, provenance.code_identity(code))
 
 
@@ -279,6 +284,26 @@ def transferred(run: Run, views: Any, steps: Steps | None = None) -> Predictions
         )
     scored = Predictions(other.ids.assign(split="test"), other.hypotheses, other.logits, other.ups)
     return joined([validation, scored])
+
+
+def on_photographs(run: Run, store: Any, steps: Steps | None = None) -> Predictions:
+    """What a trained run says of the photographs of a store: its splits "val", to align on, and "test", to score.
+
+    Kept in the run's folder as `predictions-<store's identity>-<code's>.parquet`, and made anew where the store, the
+    code that predicts or the checkpoint is another. Raises ViewnetError for a run that was not trained.
+    """
+    if not run.trained:
+        raise ViewnetError(f"{name(run.config)} has no network to look at photographs: choose a trained variant")
+    path = run.folder / f"predictions-{store.identity}-{_codes()['predicting']}.parquet"
+    checkpoint = run.folder / "checkpoint.safetensors"
+    if path.is_file() and checkpoint.is_file() and path.stat().st_mtime_ns >= checkpoint.stat().st_mtime_ns:
+        return Predictions.from_parquet(path)
+    found = (steps or default_steps()).predict(run.folder, store, splits=("val", "test"))
+    found.to_parquet(path)
+    for stale in run.folder.glob(f"predictions-{store.identity}-*.parquet"):
+        if stale != path:
+            stale.unlink(missing_ok=True)
+    return found
 
 
 def _codes() -> dict[str, str]:

@@ -1,70 +1,82 @@
-"""Tables 1 and 2: what the paper prints and what the runs measure, side by side."""
+"""Tables 1, 2, 3 and the supplement's DVA table: what the paper prints and what is measured, side by side."""
 
 from __future__ import annotations
 
-import functools
-import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from viewnet import metrics, published
-from viewnet.config import SHAPENET_CATEGORIES, known
+from viewnet import latex, metrics, published
+from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.evaluate import Aligned, align
 from viewnet.files import write_json, write_text
+from viewnet.layouts import HEADLINE, LAYOUTS, Layout
 from viewnet.predictions import Predictions
+from viewnet.published import DASH, DIGITS, text
 from viewnet.runs import Run
 
-METRICS = {"acc30": r"Accuracy (\%) $\uparrow$", "median": r"Median error ($^\circ$) $\downarrow$"}
-DIGITS = {"acc30": 0, "median": 1}  # as printed
-DASH = "--"
-"""What stands where nothing was printed or measured."""
+NAMES = {"acc30": "acc@30, %", "median": "median, degrees", "dva": "DVA, %"}
 DRAWS = 1000
-
-
-@dataclass(frozen=True)
-class Layout:
-    """A table of the paper: its rows as (label, variant or None where this project has no such method)."""
-
-    title: str
-    rows: tuple[tuple[str, str | None], ...]
-    categories: tuple[str, ...] = SHAPENET_CATEGORIES
-
-    @property
-    def variants(self) -> tuple[str, ...]:
-        """The variants to have runs of."""
-        return tuple(variant for _, variant in self.rows if variant)
-
-
-LAYOUTS = {
-    "table1_shapenet": Layout(
-        "ShapeNet results of unsupervised methods",
-        (("MVC", None), ("Pointcloud", None), ("ViewNet", "viewnet"), ("ViewNet + cycle", "viewnet_cycle")),
-    ),
-    "table2_ablation": Layout(
-        "Ablation study",
-        (
-            ("ViewNet", "viewnet"),
-            ("Single-head", "single_head"),
-            ("Segmentation Target", "segmentation_target"),
-            ("No Shape Prior", "no_shape_prior"),
-            ("Encoder-Decoder", "encoder_decoder"),
-            ("HoloGAN-Decoder", "hologan_decoder"),
-            ("Constant", "constant"),
-            ("Best constant", "best_constant"),  # not in print: the printed constant points to the sky
-        ),
-    ),
-}
 
 
 def own_predictions(run: Run) -> Predictions:
     """The predictions a run is scored on unless told otherwise: of its own test split."""
     return run.predictions
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What a cell is made of: what one predictor says of one category, one seed of it.
+
+    row          the label of the table's row
+    alignment    how it is aligned (viewnet.alignment), on `calibration` of its "val" images (None: all)
+    key          names it in the table's files: a run's key, and the alignment where it is not the run's usual one
+    origin       where it comes from, as plain JSON types
+    """
+
+    row: str
+    category: str
+    seed: int
+    alignment: str
+    key: str
+    predictions: Predictions
+    origin: dict[str, Any]
+    calibration: int | None = None
+
+    def aligned(self) -> Aligned:
+        """Test predictions in the annotated frame. The calibration images are drawn from the same seed for all."""
+        return align(self.predictions, self.alignment, self.calibration)
+
+
+def entries(
+    name: str,
+    runs: Sequence[Run],
+    predictions: Callable[[Run], Predictions] = own_predictions,
+    calibration: int | None = None,
+) -> list[Entry]:
+    """Finished runs as entries of a table, one for each row that a run's variant fills.
+
+    `predictions` gives what a run is scored on. Raises ViewnetError for runs that have no place in the table.
+    """
+    layout, found = LAYOUTS[known(name, LAYOUTS, "table")], []
+    for run in runs:
+        config = run.config
+        known(config.variant, layout.variants, f"row of {name}")
+        said = predictions(run)
+        for label in layout.labels(config.variant):
+            alignment = "linear" if label.endswith("*") and run.trained else run.alignment
+            key = run.key if alignment == run.alignment else f"{run.key}/{alignment}"
+            origin = {name: run.result[name] for name in _ORIGIN} | {"alignment": alignment}
+            found.append(Entry(label, config.category, config.seed, alignment, key, said, origin, calibration))
+    return found
+
+
+_ORIGIN = ("variant", "category", "profile", "recipe", "seed", "views", "git", "training")
 
 
 @dataclass(frozen=True)
@@ -79,6 +91,8 @@ class Table:
     note: str  # what was measured on, in a line
     cells: pd.DataFrame
     provenance: dict[str, Any]
+    remarks: tuple[str, ...] = ()  # more lines to stand under it
+    labels: dict[str, str] = field(default_factory=dict)  # label -> the layout's, where a row is called otherwise
 
     @classmethod
     def build(
@@ -89,50 +103,64 @@ class Table:
         predictions: Callable[[Run], Predictions] = own_predictions,
         note: str = "",
     ) -> Table:
-        """From finished runs. Several runs of one row and category are seeds and are averaged.
+        """From finished runs. Raises ViewnetError as `entries` and `of` do."""
+        return cls.of(name, entries(name, runs, predictions), categories, note)
 
-        `predictions` gives what a run is scored on. Raises ViewnetError for runs that have no place in the table and
-        for two runs of the same row, category and seed.
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        found: Sequence[Entry],
+        categories: Sequence[str] | None = None,
+        note: str = "",
+        remarks: Sequence[str] = (),
+        called: dict[str, str] | None = None,
+    ) -> Table:
+        """From entries. Several of one row and category are seeds and are averaged; `called` renames rows.
+
+        Raises ViewnetError for entries that have no place in the table and for two of the same row, category and seed.
         """
         layout = LAYOUTS[known(name, LAYOUTS, "table")]
-        categories = tuple(categories or layout.categories)
-        for run in runs:
-            known(run.config.variant, layout.variants, f"row of {name}")
-            known(run.config.category, categories, f"column of {name}")
-        printed = published.load(name).set_index(["row", "metric", "category"])
+        categories, called = tuple(categories or layout.categories), called or {}
+        for entry in found:
+            known(entry.row, (label for label, variant in layout.rows if variant), f"row of {name}")
+            known(entry.category, categories, f"column of {name}")
+        printed = _published(layout, name).set_index(["row", "metric", "category"])
         cells: list[dict[str, Any]] = []
         for label, variant in layout.rows:
+            wanted = (layout.own[label],) if label in layout.own else layout.metrics
             for category in categories:
-                mine = [r for r in runs if r.config.variant == variant and r.config.category == category]
-                if len({r.config.seed for r in mine}) < len(mine):
+                mine = [e for e in found if e.row == label and e.category == category]
+                if len({e.seed for e in mine}) < len(mine):
                     raise ViewnetError(f"{name}: two runs of {label}, {category} have the same seed")
-                measured = _measure(mine, predictions) if mine else {}
-                for metric in METRICS:
-                    place = (label, metric, category)
+                measured = _measure(mine, wanted) if mine else {}
+                for metric in wanted:
+                    place = (layout.printed_as.get(label, label), metric, category)
                     cells.append(
                         {
-                            "row": label,
+                            "row": called.get(label, label),
                             "variant": variant or "",
                             "category": category,
                             "metric": metric,
                             "printed": printed.loc[place, "value"] if place in printed.index else "",
                             "bold": bool(printed.loc[place, "bold"]) if place in printed.index else False,
                             **(measured.get(metric) or _UNMEASURED),
-                            "runs": " ".join(r.key for r in mine),
+                            "runs": " ".join(e.key for e in mine),
                         }
                     )
-        return cls(name, note, pd.DataFrame(cells), {run.key: _origin(run) for run in runs})
-
-    def frame(self) -> pd.DataFrame:
-        """For reading: a line a row, columns (metric, category, "print" or "ours"), numbers as text, -- where none."""
-        cells = self.cells.assign(
-            print=self.cells["printed"].replace("", DASH),
-            ours=[_text(m, metric) for m, metric in zip(self.cells["measured"], self.cells["metric"], strict=True)],
+        return cls(
+            name,
+            note,
+            pd.DataFrame(cells),
+            {e.key: e.origin for e in found},
+            tuple(remarks),
+            {new: old for old, new in called.items()},
         )
-        wide = cells.pivot(index="row", columns=["metric", "category"], values=["print", "ours"])
-        wide = wide.reorder_levels([1, 2, 0], axis=1)
-        columns = [(m, c, k) for m in METRICS for c in self.categories for k in ("print", "ours")]
-        return wide.loc[list(self.rows), columns].rename_axis(index=None, columns=[None] * 3)
+
+    @property
+    def layout(self) -> Layout:
+        """What the table was asked to show."""
+        return LAYOUTS[self.name]
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -144,17 +172,35 @@ class Table:
         """Categories from left to right."""
         return tuple(dict.fromkeys(self.cells["category"]))
 
+    def frame(self) -> pd.DataFrame:
+        """For reading: a line a row, columns (metric, category, "print" or "ours"), numbers as text, -- where none.
+
+        Rows of a measure of their own have it in the first metric's columns.
+        """
+        layout = self.layout
+        cells = self.cells.assign(
+            print=self.cells["printed"].replace("", DASH),
+            ours=[text(m, metric) for m, metric in zip(self.cells["measured"], self.cells["metric"], strict=True)],
+            metric=self.cells["metric"].where(self.cells["metric"].isin(layout.metrics), layout.metrics[0]),
+        )
+        wide = cells.pivot(index="row", columns=["metric", "category"], values=["print", "ours"])
+        wide = wide.reorder_levels([1, 2, 0], axis=1)
+        columns = [(m, c, k) for m in layout.metrics for c in self.categories for k in ("print", "ours")]
+        return wide.loc[list(self.rows), columns].rename_axis(index=None, columns=[None] * 3)
+
     def differences(self, reference: str = "ViewNet") -> pd.DataFrame:
         """Accuracy of each row minus that of the row `reference`, in points: printed and measured, NaN where none."""
-        cells = self.cells[self.cells["metric"] == "acc30"]
+        cells = self.cells[self.cells["metric"] == self.layout.metrics[0]]
         values = cells.assign(print=pd.to_numeric(cells["printed"]), ours=cells["measured"].astype(float))
         wide = values.pivot(index="row", columns="category", values=["print", "ours"]).swaplevel(axis=1)
-        wide = wide.loc[list(self.rows), [(c, k) for c in self.categories for k in ("print", "ours")]]
+        rows = [row for row in self.rows if row in wide.index]
+        wide = wide.loc[rows, [(c, k) for c in self.categories for k in ("print", "ours")]]
         return (wide - wide.loc[reference]).drop(index=reference).round(1).rename_axis(index=None, columns=[None] * 2)
 
     def measurements(self) -> pd.DataFrame:
         """Our numbers in full: a line for each measured (row, category), with intervals and the number of seeds."""
-        measured = self.cells[self.cells["seeds"] > 0]
+        wanted = list(self.layout.metrics)
+        measured = self.cells[(self.cells["seeds"] > 0) & self.cells["metric"].isin(wanted)]
         lines = [
             f"{m:.1f} [{low:.1f}, {high:.1f}]"
             for m, low, high in zip(measured["measured"], measured["low"], measured["high"], strict=True)
@@ -162,50 +208,34 @@ class Table:
         wide = measured.assign(text=lines).pivot(index=["row", "category"], columns="metric", values="text")
         first = measured.drop_duplicates(["row", "category"]).set_index(["row", "category"])
         wide = wide.join(first[["seeds", "objects", "images"]]).loc[
-            first.index, [*METRICS, "seeds", "objects", "images"]
+            first.index, [*wanted, "seeds", "objects", "images"]
         ]
-        return wide.rename(columns={"acc30": "acc@30, % [95 %]", "median": "median, degrees [95 %]"})
+        return wide.rename(columns={metric: f"{NAMES[metric]} [95 %]" for metric in wanted})
 
     def checks(self) -> dict[str, bool]:
         """What must hold whatever was trained, and how long."""
-        cells, printed = self.cells, published.load(self.name)
+        cells, layout = self.cells, self.layout
+        printed, rows = _published(layout, self.name)["row"], [self.labels.get(row, row) for row in self.rows]
         measured = cells[cells["seeds"] > 0]
-        accuracy = measured[measured["metric"] == "acc30"]
-        median = measured[measured["metric"] == "median"]
-        return {
-            "every printed row is here": set(printed["row"]) <= set(self.rows),
+        shares = measured[measured["metric"].isin(("acc30", "dva"))]
+        found = {
+            "every printed row is here": set(printed) <= {layout.printed_as.get(row, row) for row in rows},
             "every row of ours is measured in every category": len(measured) == int((cells["variant"] != "").sum()),
             "nothing is measured elsewhere": bool((measured["variant"] != "").all()),
-            "accuracies lie between 0 and 100": bool(accuracy["measured"].between(0, 100).all()),
-            "medians lie between 0 and 180": bool(median["measured"].between(0, 180).all()),
-            "every number has runs behind it": all(
-                key in self.provenance for keys in measured["runs"] for key in keys.split()
-            ),
+            "accuracies lie between 0 and 100": bool(shares["measured"].between(0, 100).all()),
         }
+        if "median" in layout.metrics:
+            median = measured[measured["metric"] == "median"]
+            found["medians lie between 0 and 180"] = bool(median["measured"].between(0, 180).all())
+        if "confidence_index" in layout.own.values():
+            index = measured[measured["metric"] == "confidence_index"]
+            found["confidence indices lie between 0 and 1"] = bool(index["measured"].between(0, 1).all())
+        behind = (key in self.provenance for keys in measured["runs"] for key in keys.split())
+        return found | {"every number has runs behind it": all(behind)}
 
     def latex(self) -> str:
-        """A booktabs tabular to \\input: printed and measured values side by side, the best of each column bold."""
-        width = 2 * len(METRICS) * len(self.categories)
-        out = io.StringIO()
-        out.write(f"\\begin{{tabular}}{{l{'r' * width}}}\n\\toprule\n")
-        spans = [len(self.categories) * 2] * len(METRICS)
-        out.write(_header(list(METRICS.values()), spans))
-        out.write(_header(list(self.categories) * len(METRICS), [2] * (width // 2)))
-        out.write(" & ".join(["", *["print", "ours"] * (width // 2)]) + " \\\\\n\\midrule\n")
-        best = self._best()
-        for row in self.rows:
-            line = [escape(row)]
-            for metric in METRICS:
-                for category in self.categories:
-                    cell = self._cell(row, category, metric)
-                    line.append(_bold(cell["printed"] or DASH, bool(cell["bold"])))
-                    line.append(_bold(_text(cell["measured"], metric), (row, category, metric) in best))
-            out.write(" & ".join(line) + " \\\\\n")
-        out.write("\\bottomrule\n")
-        if self.note:
-            out.write(f"\\multicolumn{{{width + 1}}}{{l}}{{\\footnotesize ours: {escape(self.note)}}} \\\\\n")
-        out.write("\\end{tabular}\n")
-        return out.getvalue()
+        """A booktabs tabular to \\input: printed and measured values together, the best of each column bold."""
+        return latex.blocks(self) if self.layout.blocks else latex.side_by_side(self)
 
     def write(self, folder: Path) -> list[Path]:
         """`<name>.tex`, `<name>.csv` (every cell, with interval) and `<name>.json` (where each number comes from)."""
@@ -219,26 +249,29 @@ class Table:
         ]
         about = {
             "table": self.name,
-            "title": LAYOUTS[self.name].title,
+            "title": self.layout.title,
             "measured on": self.note,
+            **({"remarks": list(self.remarks)} if self.remarks else {}),
             "error": "geodesic angle between camera frames, degrees; accuracy: per cent strictly below 30",
             "interval": f"95 % percentile bootstrap over objects, {DRAWS} draws, of the mean over seeds",
         }
         write_json(files[2], about | {"cells": cells, "runs": self.provenance})
         return files
 
-    def _cell(self, row: str, category: str, metric: str) -> dict[str, Any]:
+    def cell(self, row: str, category: str, metric: str) -> dict[str, Any] | None:
+        """One line of `cells`; None where the row has no such metric."""
         cells = self.cells
         found = cells[(cells["row"] == row) & (cells["category"] == category) & (cells["metric"] == metric)]
-        return found.iloc[0].to_dict()
+        return None if found.empty else found.iloc[0].to_dict()
 
-    def _best(self) -> set[tuple[str, str, str]]:
-        """Measured cells that are the best of their column as it reads, ties included, where there is a choice."""
+    def best(self) -> set[tuple[str, str, str]]:
+        """(row, category, metric) of measured cells that are the best of their column as it reads, ties included, where
+        there is a choice."""
         best: set[tuple[str, str, str]] = set()
         for (category, metric), column in self.cells[self.cells["seeds"] > 0].groupby(["category", "metric"]):
             shown = column["measured"].astype(float).round(DIGITS[metric])
             if len(shown) > 1:
-                top = shown.max() if metric == "acc30" else shown.min()
+                top = shown.min() if metric == "median" else shown.max()
                 best |= {(row, category, metric) for row in column.loc[shown == top, "row"]}
         return best
 
@@ -253,13 +286,17 @@ def audit(runs: Sequence[Run], table: str, row: str) -> pd.DataFrame:
     lines = {}
     for run in runs:
         found = run.result["metrics"][run.alignment]
-        definitions = {"geodesic": {m: found[m] for m in METRICS}, **found["audit"]}
+        definitions = {"geodesic": {m: found[m] for m in HEADLINE}, **found["audit"]}
         for name, values in definitions.items():
-            lines[run.config.category, name] = {m: _text(values[m], m) for m in METRICS}
-        lines[run.config.category, "printed"] = {m: printed.get((run.config.category, m), DASH) for m in METRICS}
+            lines[run.config.category, name] = {m: text(values[m], m) for m in HEADLINE}
+        lines[run.config.category, "printed"] = {m: printed.get((run.config.category, m), DASH) for m in HEADLINE}
     frame = pd.DataFrame.from_dict(lines, orient="index")
     frame.index = pd.MultiIndex.from_tuples(frame.index, names=["category", "definition"])
     return frame
+
+
+def _published(layout: Layout, name: str) -> pd.DataFrame:
+    return published.load(layout.printed or name)
 
 
 _UNMEASURED: dict[str, Any] = {
@@ -273,58 +310,32 @@ _UNMEASURED: dict[str, Any] = {
 }
 
 
-def _measure(runs: Sequence[Run], predictions: Callable[[Run], Predictions]) -> dict[str, dict[str, Any]]:
+def _measure(found: Sequence[Entry], wanted: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Every metric of the seeds of one cell."""
-    scored = [_scored(run, predictions) for run in runs]
+    scored = [entry.aligned() for entry in found]
     errors = [aligned.selected_errors for aligned in scored]
     objects = [aligned.predictions.objects for aligned in scored]
-    intervals = metrics.bootstrap_intervals(errors, objects, np.random.default_rng(0), DRAWS, statistics=tuple(METRICS))
-    found = {}
-    for metric in METRICS:
-        values = [metrics.STATISTICS[metric](e) for e in errors]
-        low, high = intervals[metric] or (float("nan"), float("nan"))
-        found[metric] = {
+    azimuths = [aligned.predictions.ids["azimuth"].to_numpy() for aligned in scored]
+    statistics = [metric for metric in wanted if metric != "confidence_index"]
+    rng = np.random.default_rng(0)
+    intervals = metrics.bootstrap_intervals(errors, objects, rng, DRAWS, statistics=statistics, azimuths=azimuths)
+    measured = {}
+    for metric in wanted:
+        values = [_value(metric, e, a) for e, a in zip(errors, azimuths, strict=True)]
+        low, high = intervals.get(metric) or (float("nan"), float("nan"))
+        measured[metric] = {
             "measured": float(np.mean(values)),
             "sd": float(np.std(values, ddof=1)) if len(values) > 1 else float("nan"),
             "low": low,
             "high": high,
-            "seeds": len(runs),
+            "seeds": len(found),
             "images": len(errors[0]),
             "objects": len(set(objects[0])),
         }
-    return found
+    return measured
 
 
-def _scored(run: Run, predictions: Callable[[Run], Predictions]) -> Aligned:
-    return align(predictions(run), run.alignment)
-
-
-def _origin(run: Run) -> dict[str, Any]:
-    result = run.result
-    wanted = ("variant", "category", "profile", "recipe", "seed", "views", "git", "training")
-    return {name: result[name] for name in wanted} | {"alignment": run.alignment}
-
-
-def _header(labels: Sequence[str], spans: Sequence[int]) -> str:
-    cells = [f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label, span in zip(labels, spans, strict=True)]
-    ends = np.cumsum(spans) + 1
-    rules = [f"\\cmidrule(lr){{{end - span + 1}-{end}}}" for end, span in zip(ends, spans, strict=True)]
-    return " & ".join(["", *cells]) + " \\\\\n" + " ".join(rules) + "\n"
-
-
-def _text(value: float, metric: str) -> str:
-    return DASH if np.isnan(value) else f"{value:.{DIGITS[metric]}f}"
-
-
-def _bold(text: str, bold: bool) -> str:
-    return f"\\textbf{{{text}}}" if bold else text
-
-
-@functools.cache
-def _specials() -> dict[int, str]:
-    return str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"~": r"\textasciitilde{}", "\\": r"\textbackslash{}"})
-
-
-def escape(text: str) -> str:
-    """Plain text for LaTeX."""
-    return text.translate(_specials())
+def _value(metric: str, errors: np.ndarray, azimuths: np.ndarray) -> float:
+    if metric == "confidence_index":
+        return metrics.confidence_index(azimuths)
+    return metrics.dva(errors, azimuths) if metric == "dva" else metrics.STATISTICS[metric](errors)

@@ -1,0 +1,95 @@
+"""ImageNet networks: the convolutions of a torchvision classifier with its weights, from a file, never a download.
+
+Weights are looked for in the file that `VIEWNET_<NAME>_WEIGHTS` names, then in torchvision's own cache
+(`$TORCH_HOME/hub/checkpoints`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from viewnet.errors import ViewnetError
+
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+ALIASES = {"squeezenet": "squeezenet1_1"}
+"""Our short name -> torchvision's. A network's variable is called by the short name where there is one."""
+
+
+def variable(network: str) -> str:
+    """The environment variable that names a file of a network's weights."""
+    short = {full: alias for alias, full in ALIASES.items()}.get(network, network)
+    return f"VIEWNET_{short.upper()}_WEIGHTS"
+
+
+def weights_file(network: str) -> Path:
+    """Where a network's weights are expected. ViewnetError for a name that torchvision has no ImageNet weights of."""
+    if given := os.environ.get(variable(network)):
+        return Path(given).expanduser()
+    return Path(torch.hub.get_dir()) / "checkpoints" / _url(network).rsplit("/", 1)[1]
+
+
+def available(network: str) -> bool:
+    """Whether the weights are there. ViewnetError where a variable names a file and there is none."""
+    path = weights_file(network)
+    if not path.is_file() and os.environ.get(variable(network)):
+        raise ViewnetError(f"{variable(network)}: no such file: {path}")
+    return path.is_file()
+
+
+def convolutions(network: str, weights: Path | None = None, otherwise: str = "choose another network") -> nn.Sequential:
+    """The convolution layers of a torchvision classifier, in evaluation mode: up to what is pooled and classified.
+
+    `network` is a name of torchvision.models or of ALIASES; `weights` a file with torchvision's names, with or without
+    what follows the convolutions (default: `weights_file`). Raises ViewnetError for a name that is unknown or has no
+    such layers, for a file that is not there (`otherwise` ends its message: what else can be done) and for one that
+    holds something else.
+    """
+    url, path = _url(network), weights or weights_file(network)
+    if not path.is_file():
+        raise ViewnetError(
+            f"no {network} weights at {path}: download {url} to that place, name another file by "
+            f"{variable(network)}, or {otherwise}"
+        )
+    from torchvision import models
+
+    with torch.device("meta"):  # drawing VGG16's random start would take a while
+        layers = _trunk(models.get_model(_full(network), weights=None), network)
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        state = {name.removeprefix("features."): value for name, value in state.items()}
+        layers.load_state_dict({name: state[name] for name in layers.state_dict() if name in state}, assign=True)
+    except Exception as error:
+        problem = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ViewnetError(f"{path} does not hold {network} weights ({problem}): download {url} anew") from error
+    return layers.eval()
+
+
+def _full(network: str) -> str:
+    return ALIASES.get(network, network)
+
+
+def _url(network: str) -> str:
+    from torchvision import models
+
+    try:
+        found = models.get_model_weights(_full(network))
+    except ValueError:
+        names = ", ".join(models.list_models(module=models))
+        raise ViewnetError(f"unknown network {network!r}: choose one of {names}") from None
+    return str(next(iter(found)).url)
+
+
+def _trunk(model: nn.Module, network: str) -> nn.Sequential:
+    """`features` (VGG, SqueezeNet, AlexNet ...), or what comes before the pooling (ResNet and its kin)."""
+    features = getattr(model, "features", None)
+    if isinstance(features, nn.Sequential):
+        return features
+    children = dict(model.named_children())
+    if {"layer4", "avgpool", "fc"} <= set(children):
+        return nn.Sequential(OrderedDict((n, layer) for n, layer in children.items() if n not in ("avgpool", "fc")))
+    raise ViewnetError(f"network {network!r} has no plain convolution layers: choose vgg16, squeezenet1_1 or resnet18")

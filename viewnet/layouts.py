@@ -1,0 +1,100 @@
+"""The tables of the paper: their rows, columns and measures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from viewnet.config import SHAPENET_CATEGORIES
+
+HEADLINE = ("acc30", "median")
+"""The two measures of the paper's tables."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A table of the paper.
+
+    rows        (label, variant), the variant None where this project has no such method. A label that ends in a star
+                is of predictions aligned linearly.
+    categories  its columns unless others are asked for
+    metrics     what a row holds for a category
+    own         rows that hold something else
+    printed     the file of printed numbers, where it is not named like the table
+    printed_as  label -> row of that file, where they differ
+    blocks      whether metrics stand one below the other, and not side by side
+    """
+
+    title: str
+    rows: tuple[tuple[str, str | None], ...]
+    categories: tuple[str, ...] = SHAPENET_CATEGORIES
+    metrics: tuple[str, ...] = HEADLINE
+    own: dict[str, str] = field(default_factory=dict)
+    printed: str | None = None
+    printed_as: dict[str, str] = field(default_factory=dict)
+    blocks: bool = False
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """The variants to have predictions of."""
+        return tuple(dict.fromkeys(variant for _, variant in self.rows if variant))
+
+    def labels(self, variant: str) -> list[str]:
+        """The rows that a variant fills."""
+        return [label for label, mine in self.rows if mine == variant]
+
+
+_ON_PHOTOGRAPHS: tuple[tuple[str, str | None], ...] = (
+    ("ViewNet*", "viewnet"),
+    ("ViewNet", "viewnet"),
+    ("ViewNet + cycle*", "viewnet_cycle"),
+    ("ViewNet + cycle", "viewnet_cycle"),
+)
+
+LAYOUTS = {
+    "table1_shapenet": Layout(
+        "ShapeNet results of unsupervised methods",
+        (("MVC", None), ("Pointcloud", None), ("ViewNet", "viewnet"), ("ViewNet + cycle", "viewnet_cycle")),
+    ),
+    "table2_ablation": Layout(
+        "Ablation study",
+        (
+            ("ViewNet", "viewnet"),
+            ("Single-head", "single_head"),
+            ("Segmentation Target", "segmentation_target"),
+            ("No Shape Prior", "no_shape_prior"),
+            ("Encoder-Decoder", "encoder_decoder"),
+            ("HoloGAN-Decoder", "hologan_decoder"),
+            ("Constant", "constant"),
+            ("Best constant", "best_constant"),  # not in print: the printed constant points to the sky
+        ),
+    ),
+    "table3_pascal3d": Layout(
+        "PASCAL3D+ results",
+        (
+            ("Constant", "constant"),
+            ("Constant (rotation)", "constant_rotation"),  # not in print: the mean of frames and not of view vectors
+            ("VGG view*", "view_regression"),
+            ("SSV*", None),
+            *_ON_PHOTOGRAPHS,
+            ("Liao (withdrawn)", None),
+            ("Liao (corrected)", None),
+            ("Grabner", None),
+        ),
+        printed_as={"Liao (withdrawn)": "Liao"},
+        blocks=True,
+    ),
+    "table5_dva": Layout(
+        "Discretized viewpoint accuracy",
+        (
+            ("Confidence index", "photographs"),
+            ("Constant", "constant"),
+            ("Constant (rotation)", "constant_rotation"),
+            ("VGG view*", "view_regression"),
+            *_ON_PHOTOGRAPHS,
+        ),
+        metrics=("dva",),
+        own={"Confidence index": "confidence_index"},
+        printed="table4_dva",
+        blocks=True,
+    ),
+}
