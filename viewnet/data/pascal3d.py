@@ -177,7 +177,18 @@ def _annotation(
     flags = (bool(_number(item, name, 0.0)) for name in ("truncated", "occluded", "difficult"))
     tilt = 0.0 if coarse else _number(viewpoint, "theta", 0.0)
     return Annotation(
-        category, subset, split, image, number, picture, (x0, y0, x1, y1), azimuth % 360, elevation, tilt, coarse, *flags
+        category,
+        subset,
+        split,
+        image,
+        number,
+        picture,
+        (x0, y0, x1, y1),
+        azimuth % 360,
+        elevation,
+        tilt,
+        coarse,
+        *flags,
     )
 
 
