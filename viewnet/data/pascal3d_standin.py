@@ -21,6 +21,7 @@ import scipy.io
 from PIL import Image, ImageDraw, ImageFilter
 
 from viewnet import cad, published
+from viewnet.cad.writer import write_model
 from viewnet.config import CATEGORIES, known
 from viewnet.data import scenes
 from viewnet.data.backgrounds import list_pictures
@@ -190,7 +191,7 @@ def _draw_model(job: _Job) -> int:
 def _mesh(category: str, model: int, seed: int) -> Mesh:
     name = cad.model_id(category, model, seed + MODEL_SEED)
     with tempfile.TemporaryDirectory(prefix="viewnet-") as folder:
-        cad.write_model(cad.make_model(category, model, seed + MODEL_SEED), Path(folder) / name)
+        write_model(cad.make_model(category, model, seed + MODEL_SEED), Path(folder) / name)
         file = Path(folder) / name / "models" / "model_normalized.obj"
         return load_model(ModelFile(name, category, file, "v2", ""))
 
@@ -263,6 +264,7 @@ def _hide(picture: Image.Image, box: tuple[int, int, int, int], rng: np.random.G
     width, height = x1 - x0, y1 - y0
     share = rng.uniform(0.2, 0.45)
     where = int(rng.integers(4))
+    part: tuple[float, float, float, float]
     if where == 0:  # a post
         left = x0 + rng.uniform(0.1, 0.8) * width
         part = (left, 0, left + 0.4 * share * width, picture.height)

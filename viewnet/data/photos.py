@@ -306,6 +306,8 @@ def _decoded(photograph: Photograph, crop: Crop, upright: bool) -> tuple[np.ndar
             picture.load()
             turned = ImageOps.exif_transpose(picture) if upright else picture
             return cut(turned, photograph.box, crop), hashlib.sha256(content).digest()
+    except ViewnetError:
+        raise
     except FileNotFoundError:
         raise ViewnetError("no such picture") from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:

@@ -146,8 +146,10 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
             found += mine
             report.rejected += told.rejected
             report.mended += told.mended
+            report.others += told.others
         # Decided by what has been hashed already, and kept where a summary finds it.
         made_by["mended"] = pascal3d.tally(what for _, what in report.mended)
+        made_by["objects of other categories"] = report.others
         splits = {"train": "val", "val": "test"}
         return photos.photo_store(
             found, folder, crop, made_by, root, splits, report.rejected, workers=workers, progress=progress
