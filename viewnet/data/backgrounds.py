@@ -158,7 +158,9 @@ def _draw(size: int, count: int, seed: int, progress: bool) -> np.ndarray:
 def _cut_all(
     root: Path, classed: list[tuple[str, int]], size: int, count: int, seed: int, progress: bool
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[str, str]]]:
-    pictures, classes, rejected = [], [], []
+    pictures: list[np.ndarray] = []
+    classes: list[int] = []
+    rejected: list[tuple[str, str]] = []
     with bar(progress, total=min(count, len(classed)), desc="backgrounds", unit="picture") as shown:
         for path, number in _evenly(classed, seed):
             if len(pictures) == count:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from viewnet import cad, paths
-from viewnet.config import DataConfig
+from viewnet.config import CATEGORIES, DataConfig, PhotoConfig, known
+from viewnet.data import pascal3d, pascal3d_standin, photos
 from viewnet.data.shapenet import SHARES, ModelFile, find_models, take
 from viewnet.data.store import ViewStore, identity_of
 from viewnet.errors import ViewnetError
@@ -88,3 +94,110 @@ def built_in(category: str, models: int, seed: int = 0, progress: bool = True) -
         if not (root / "all.csv").is_file():
             cad.write_collection(root, [category], models, seed, progress=progress)
     return root
+
+
+def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
+    """Open the photographs of `config` (section 4.3) as a view store, cutting them where that has not been done.
+
+    Split "val" is what viewpoints are calibrated on, PASCAL3D+'s "train", and "test" what is scored, its "val". Every
+    object is a model of its own, with one view. `photos.summary` says what is used and what is left out.
+
+    Stores lie in `<paths.data()>/views/photos-<category>-<key>`, the key a hash of everything that decides the views;
+    looking for one reads annotations, but no picture. Raises ViewnetError for a root that is neither PASCAL3D+ nor a
+    folder with a list (photos.read_folder), settings that do not apply to it, a split without usable photographs, and
+    one photograph in both.
+    """
+    known(config.category, CATEGORIES, "category")
+    crop = photos.Crop(config.size, config.margin, config.square, config.pad)
+    root = None if config.root is None else Path(config.root)
+    made_by: dict[str, Any] = {"category": config.category, "crop": photos.described(crop)}
+    listed = root is not None and (root / photos.LIST).is_file() and not (root / "Annotations").is_dir()
+    if root is None:
+        made_by["stand-in"] = _stand_in(config)
+    elif listed:
+        if config.keep != "all" or config.coarse:
+            raise ViewnetError(f"{root}: its list has no flags to go by: use keep='all' and coarse=False, or PASCAL3D+")
+        made_by["listed"] = photos.folder_digest(root)
+    elif (root / "Annotations").is_dir():
+        made_by["pascal3d"] = _pascal3d_digest(root, config.category, config.subset)
+    else:
+        raise ViewnetError(
+            f"{root}: no photographs that can be read: expected PASCAL3D+ 1.1 (a folder with Annotations, Images and"
+            f" Image_sets) or a folder with images/ and {photos.LIST}"
+        )
+    if not listed:
+        made_by |= {"subset": config.subset, "keep": config.keep, "coarse": config.coarse}
+    folder = paths.data() / "views" / f"photos-{config.category}-{identity_of(made_by)[:12]}"
+    if folder.exists():
+        return ViewStore.open(folder)
+    with locked(folder):
+        if folder.exists():
+            return ViewStore.open(folder)
+        if listed and root is not None:
+            rows = photos.read_folder(root, config.category)
+            return photos.photo_store(
+                rows, folder, crop, made_by, root, upright=True, workers=workers, progress=progress
+            )
+        if root is None:
+            root = stand_in(config, workers, progress)
+        found, report = [], pascal3d.Report()
+        for split in pascal3d.SPLITS:
+            mine, told = pascal3d.read(root, config.category, config.subset, split, config.keep, config.coarse)
+            found += mine
+            report.rejected += told.rejected
+            report.mended += told.mended
+            report.others += told.others
+        # Decided by what has been hashed already, and kept where a summary finds it.
+        made_by["mended"] = pascal3d.tally(what for _, what in report.mended)
+        made_by["objects of other categories"] = report.others
+        splits = {"train": "val", "val": "test"}
+        return photos.photo_store(
+            found, folder, crop, made_by, root, splits, report.rejected, workers=workers, progress=progress
+        )
+
+
+def stand_in(config: PhotoConfig, workers: int | None = None, progress: bool = True) -> Path:
+    """The folder of the stand-in for PASCAL3D+ that `config` asks for, written if it is not there yet."""
+    root = paths.data() / "pascal3d-stand-in" / f"{config.category}-{identity_of(_stand_in(config))[:12]}"
+    with locked(root):
+        if not root.exists():
+            temporary = root.with_name(f".{root.name}.{os.getpid()}")
+            shutil.rmtree(temporary, ignore_errors=True)
+            try:
+                pascal3d_standin.write_stand_in(
+                    temporary,
+                    [config.category],
+                    config.models,
+                    config.count,
+                    config.subset,
+                    None if config.backgrounds is None else Path(config.backgrounds),
+                    config.seed,
+                    workers,
+                    progress,
+                )
+                temporary.rename(root)
+            except BaseException:
+                shutil.rmtree(temporary, ignore_errors=True)
+                raise
+    return root
+
+
+def _stand_in(config: PhotoConfig) -> dict[str, Any]:
+    backgrounds = None if config.backgrounds is None else Path(config.backgrounds)
+    return pascal3d_standin.describe(
+        config.category, config.subset, config.models, config.count, config.seed, backgrounds
+    )
+
+
+def _pascal3d_digest(root: Path, category: str, subset: str) -> str:
+    """What photographs depend on: lists, annotations and, as a cheap sign of a changed picture, its size."""
+    hashed = hashlib.sha256()
+    for part in pascal3d.parts(subset):
+        for split in pascal3d.SPLITS:
+            for image in pascal3d.listed(root, category, part, split):
+                record = pascal3d.annotation_file(root, category, part, image)
+                picture = pascal3d.picture_file(root, category, part, image)
+                content = hashlib.sha256(record.read_bytes()).hexdigest() if record.is_file() else ""
+                size = picture.stat().st_size if picture.is_file() else -1
+                hashed.update(json.dumps([part, split, image, content, picture.name, size]).encode())
+    return hashed.hexdigest()

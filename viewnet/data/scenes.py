@@ -16,17 +16,22 @@ from scipy.spatial import cKDTree
 VERSION = 1
 """Raise it when a change alters pictures: it is part of every set of backgrounds' identity."""
 
+# Pixels that the shorter side has at least while a scene is drawn.
+_SMALLEST = 32
+
 Rng = np.random.Generator
 Kind = Callable[[Rng, int, int], np.ndarray]
 
 
 def draw(rng: Rng, width: int, height: int) -> np.ndarray:
     """One picture (height, width, 3) uint8: a kind at random, then blurred, tinted and lit at random."""
-    fine = KINDS[int(rng.integers(len(KINDS)))](rng, 2 * width, 2 * height)
+    scale = max(2, -(-_SMALLEST // min(width, height)))
+    wide, high = scale * width, scale * height
+    fine = KINDS[int(rng.integers(len(KINDS)))](rng, wide, high)
     if rng.random() < 0.6:
-        grain = _fractal(rng, 2 * width, 2 * height, rng.uniform(0.4, 1.6))
+        grain = _fractal(rng, wide, high, rng.uniform(0.4, 1.6))
         fine = fine * (1 + rng.uniform(0.02, 0.2) * grain[..., None])
-    picture = _picture(fine).reduce(2)
+    picture = _picture(fine).reduce(scale)
     return _photographed(rng, picture)
 
 

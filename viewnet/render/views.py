@@ -7,13 +7,10 @@ import hashlib
 import itertools
 import json
 import logging
-import multiprocessing
-import os
 import shutil
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +21,7 @@ from viewnet.data.shapenet import ModelFile
 from viewnet.data.store import ViewStore, identity_of, write_store
 from viewnet.errors import ViewnetError
 from viewnet.files import locked
+from viewnet.processes import pool, processors
 from viewnet.progress import bar as progress_bar
 from viewnet.render import VERSION, Backend, choose_backend
 from viewnet.render.camera import DISTANCE, FOCAL, camera_frames
@@ -223,7 +221,7 @@ def _check_room(folder: Path, size: int, open_share: float) -> None:
 def _draw(jobs: list[Chunk], total: int, workers: int | None, progress: bool, views: int) -> None:
     left = sum(len(job.models) for job in jobs)
     if workers is None:
-        workers = 1 if left * views < _WORTH_PROCESSES else _processors()
+        workers = 1 if left * views < _WORTH_PROCESSES else processors()
     workers = min(workers, len(jobs))
     with progress_bar(progress, total=total, initial=total - left, desc="render", unit="model") as bar:
         try:
@@ -231,8 +229,8 @@ def _draw(jobs: list[Chunk], total: int, workers: int | None, progress: bool, vi
                 for job in jobs:
                     bar.update(draw_chunk(job))
                 return
-            with _one_thread_each(), _pool(workers) as pool:
-                for done in as_completed([pool.submit(draw_chunk, job) for job in jobs]):
+            with pool(workers) as crew:
+                for done in as_completed([crew.submit(draw_chunk, job) for job in jobs]):
                     bar.update(done.result())
         except BrokenProcessPool:
             raise ViewnetError(
@@ -245,36 +243,6 @@ def _draw(jobs: list[Chunk], total: int, workers: int | None, progress: bool, vi
             raise ViewnetError(
                 f"{error.filename}: the disk is full: make room and call again (what is drawn is kept)"
             ) from None
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    # Spawned, not forked: forking a process with threads (torch, BLAS) can hang, and other systems have nothing else.
-    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Child processes started inside use one thread each for linear algebra; they are one a processor already."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _assemble(
