@@ -27,7 +27,7 @@ from viewnet.predictions import Predictions
 from viewnet.runs import Run
 
 TABLE = "table3_pascal3d"
-KINDS = ("procrustes", "linear", "per_angle")
+KINDS = ("procrustes", "robust", "linear", "per_angle")
 MEASURES = (*HEADLINE, "dva")
 COUNTS = (16, 32, 64, 128, 256, 512)
 """Calibration photographs, as far as there are so many; all of them as well."""

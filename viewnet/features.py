@@ -26,7 +26,7 @@ SIZE = 128
 BATCH = 64
 GREY, CELLS, DIRECTIONS = 16, 8, 8
 PIXELS_SCALE = 64.0
-"""Of "pixels": so large that the ridge strength that suits convolution features suits them too."""
+"""Of "pixels": the power of two at which ridge 1000 leaves the least leave-one-out error on 300 photographs of cars."""
 
 Features = NDArray[np.float32]
 

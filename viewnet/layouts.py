@@ -15,7 +15,7 @@ class Layout:
     """A table of the paper.
 
     rows        (label, variant), the variant None where this project has no such method. A label that ends in a star
-                is of predictions aligned linearly.
+                is of predictions aligned linearly, one that ends in (robust) of such that are aligned robustly.
     categories  its columns unless others are asked for
     metrics     what a row holds for a category
     own         rows that hold something else
@@ -43,11 +43,18 @@ class Layout:
         return [label for label, mine in self.rows if mine == variant]
 
 
+def alignment_of(label: str) -> str | None:
+    """The alignment that a row's label names, where it names one."""
+    return "linear" if label.endswith("*") else "robust" if label.endswith("(robust)") else None
+
+
 _ON_PHOTOGRAPHS: tuple[tuple[str, str | None], ...] = (
     ("ViewNet*", "viewnet"),
     ("ViewNet", "viewnet"),
+    ("ViewNet (robust)", "viewnet"),  # not in print, as the next one
     ("ViewNet + cycle*", "viewnet_cycle"),
     ("ViewNet + cycle", "viewnet_cycle"),
+    ("ViewNet + cycle (robust)", "viewnet_cycle"),
 )
 
 LAYOUTS = {

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from viewnet import baselines, features, provenance, runs
-from viewnet.config import VARIANTS, PhotoConfig, RunConfig, known, make_config
+from viewnet.config import RECIPES, VARIANTS, PhotoConfig, RunConfig, known, make_config
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.experiment import DESIGNS, Experiment, folder_named, label_of, shared
@@ -93,7 +93,7 @@ class PhotoExperiment(Experiment):
 
     def stores(self, progress: bool = True) -> dict[str, ViewStore]:
         """Category -> its photographs, cut and put into a view store where that was not done yet."""
-        from viewnet.data.prepare import photo_views as views  # type: ignore[attr-defined]
+        from viewnet.data.prepare import photo_views as views
 
         return {c: views(self.photo_config(c), self.workers, progress) for c in self.categories}
 
@@ -107,7 +107,7 @@ class PhotoExperiment(Experiment):
 
     def remarks(self, stores: dict[str, ViewStore]) -> list[str]:
         """What stands under the table: how the untrained rows are fitted, and the photographs left out."""
-        from viewnet.data.photos import summary  # type: ignore[import-not-found]
+        from viewnet.data.photos import summary
 
         fitted = "all" if self.calibration is None else str(self.calibration)
         lines = [
@@ -233,6 +233,7 @@ def photo_experiment(
         # ViewNet sees them at half that; a backbone at all of it.
         size=features.SIZE,
         margin=wide,
+        square=RECIPES[common.fields["recipe"]]["model"].get("crop") != "stretched",
     )
     if chosen == "smoke":
         photographs = replace(photographs, models=SMOKE_MODELS, count=SMOKE_COUNT)

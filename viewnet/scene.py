@@ -1,8 +1,9 @@
 """What tells a photograph from a view of a CAD model, given to views in training: something behind the object, a box
 that is a little off, things before it, exposure, blur and noise (section 4.3).
 
-Scenery is pictures (K, 3, B, B) uint8, B twice the side of what is seen (viewnet.data.backgrounds). Only what the networks see is changed, never the
-target: the model reconstructs the object alone. Every random number comes from the generator given.
+Scenery is pictures (K, 3, B, B) uint8, B twice the side of what is seen (viewnet.data.backgrounds). Only what the
+networks see is changed, never the target: the model reconstructs the object alone. Every random number comes from the
+generator given.
 """
 
 from __future__ import annotations

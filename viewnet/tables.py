@@ -15,7 +15,7 @@ from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.evaluate import Aligned, align
 from viewnet.files import write_json, write_text
-from viewnet.layouts import HEADLINE, LAYOUTS, Layout
+from viewnet.layouts import HEADLINE, LAYOUTS, Layout, alignment_of
 from viewnet.predictions import Predictions
 from viewnet.published import DASH, DIGITS, text
 from viewnet.runs import Run
@@ -69,7 +69,7 @@ def entries(
         known(config.variant, layout.variants, f"row of {name}")
         said = predictions(run)
         for label in layout.labels(config.variant):
-            alignment = "linear" if label.endswith("*") and run.trained else run.alignment
+            alignment = (alignment_of(label) if run.trained else None) or run.alignment
             key = run.key if alignment == run.alignment else f"{run.key}/{alignment}"
             origin = {name: run.result[name] for name in _ORIGIN} | {"alignment": alignment}
             found.append(Entry(label, config.category, config.seed, alignment, key, said, origin, calibration))
