@@ -71,7 +71,7 @@ class PhotoConfig:
     square: bool = True  # whether the object keeps its shape, or its box is stretched to a square
     pad: tuple[int, int, int] = (0, 0, 0)  # colour of what lies beyond the photograph's edges
     models: int = 60  # the stand-in: CAD models a split
-    count: int = 600  # the stand-in: photographs a split
+    count: int = 400  # the stand-in: photographs a split
     backgrounds: str | None = None  # the stand-in: a folder of pictures; None: drawn ones
     seed: int = 0  # the stand-in's
 
@@ -308,8 +308,8 @@ PROFILES: dict[str, Changes] = {
     "paper": {"data": {"models": 0}},
 }
 
-FITTED: dict[tuple[str, str], Changes] = {("tiny", "photos"): {"train": {"epochs": 8}}}
-"""What a profile and a recipe change only together: twice the views a model are half as many epochs."""
+FITTED: dict[tuple[str, str], Changes] = {("tiny", "photos"): {"train": {"epochs": 6}}}
+"""What a profile and a recipe change only together: twice the views a model are half as many epochs, or less."""
 
 PROFILE_RECIPE = {"smoke": "matting", "tiny": "matting", "small": "matting", "paper": "paper"}
 """The recipe a profile uses unless another is named."""

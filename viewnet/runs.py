@@ -47,8 +47,6 @@ TRAINING = (
     "geometry.py",
     "alignment.py",
     "data/pairs.py",
-    "data/backgrounds.py",
-    "data/scenes.py",
 )
 UNTRAINED_CODE = ("baselines.py", "geometry.py")
 PREDICTING = ("predict.py", "predictions.py")
@@ -134,11 +132,22 @@ def untrained(variant: str, config: RunConfig) -> RunConfig:
     return replace(config, variant=variant, seed=0, model=ModelConfig(), train=TrainConfig())
 
 
-def locate(config: RunConfig, identity: str) -> Path:
-    """The folder of a run on the views of that identity, wherever the models they show lie on this machine."""
+def locate(config: RunConfig, identity: str, scenery: str = "") -> Path:
+    """The folder of a run on views, and before backgrounds, of these identities, wherever their files lie."""
     code = TRAINING if config.variant not in UNTRAINED else UNTRAINED_CODE
-    placeless = replace(config, data=replace(config.data, root=None, splits=None, extra=None))
-    return paths.runs() / config.variant / placeless.key(identity, provenance.code_identity(code))
+    placeless = replace(config, data=replace(config.data, root=None, splits=None, extra=None, backgrounds=None))
+    identities = [identity, scenery] if scenery else [identity]
+    return paths.runs() / config.variant / placeless.key(*identities, provenance.code_identity(code))
+
+
+def _scenery(config: RunConfig, progress: bool) -> str:
+    """What is behind the views that a run is trained on: its identity, "" for nothing. Made where it is not there."""
+    if config.data.backgrounds is None:
+        return ""
+    from viewnet import scene
+
+    found = scene.wanted(config.data, config.model.input_size, progress)
+    return "" if found is None else found.identity
 
 
 def ensure(
@@ -160,10 +169,10 @@ def ensure(
     for config in wanted:
         if config.data not in stores:
             stores[config.data] = steps.views(config.data, workers=workers, progress=progress)
-    folders = {config: locate(config, stores[config.data].identity) for config in wanted}
+    folders = {config: locate(config, stores[config.data].identity, _scenery(config, progress)) for config in wanted}
     missing = [config for config in wanted if not is_complete(folders[config])]
     # What takes longest is begun first and what is soonest done last, so that no core waits long at the end.
-    missing.sort(key=lambda config: (config.model.decoder != "hologan", config.model.heads == 1))
+    missing.sort(key=lambda c: (c.model.decoder != "hologan", not c.train.cycle, c.model.heads == 1))
     jobs = [Job(config, folders[config], Path(stores[config.data].folder)) for config in missing]
     if failures := run_all(jobs, steps, workers, progress):
         raise ViewnetError(f"{len(failures)} of {len(wanted)} runs failed: {'; '.join(failures)}")

@@ -16,15 +16,24 @@ from viewnet.config import DataConfig, TrainConfig
 from viewnet.data import backgrounds
 from viewnet.data.pairs import CROP_MARGIN
 
+COUNT = 1000
+"""Pictures at most; many windows are seen of each."""
+
 
 def load(config: DataConfig, size: int, device: torch.device) -> Tensor | None:
     """The backgrounds that a configuration asks for, for inputs of `size` pixels a side, or None where it wants none.
 
     (K, 3, 2 size, 2 size) uint8: windows of a quarter of a picture are seen.
     """
+    found = wanted(config, size, progress=False)
+    return None if found is None else torch.from_numpy(found.pictures).to(device)
+
+
+def wanted(config: DataConfig, size: int, progress: bool = True) -> backgrounds.Backgrounds | None:
+    """The same with what decided them, made where they are not there yet."""
     if config.backgrounds is None:
         return None
-    return torch.from_numpy(backgrounds.load(config.backgrounds, 2 * size).pictures).to(device)
+    return backgrounds.load(config.backgrounds, 2 * size, COUNT, progress=progress)
 
 
 def behind(scenery: Tensor, count: int, size: int, generator: torch.Generator, device: torch.device) -> Tensor:

@@ -103,11 +103,13 @@ _known: tuple[weakref.ref[Tensor], int, Tensor] | None = None
 def _occupied(volume: Tensor, voxels: Tensor, shape: tuple[int, ...]) -> Tensor:
     """Which cells of `voxels` (B, P, 4) hold anything, (B, P); remembered for the volume drawn last."""
     global _known
-    if _known is not None and _known[0]() is volume and _known[1] == volume._version:
+    # Tensors made under inference_mode do not count their changes.
+    version = -1 if volume.is_inference() else volume._version
+    if version >= 0 and _known is not None and _known[0]() is volume and _known[1] == version:
         return _known[2]
     cells = torch.zeros(voxels.shape[:2], dtype=torch.uint8)
     _run("occupied", voxels, shape, cells)
-    _known = weakref.ref(volume), volume._version, cells
+    _known = weakref.ref(volume), version, cells
     return cells
 
 
