@@ -71,7 +71,7 @@ class PhotoConfig:
     square: bool = True  # whether the object keeps its shape, or its box is stretched to a square
     pad: tuple[int, int, int] = (0, 0, 0)  # colour of what lies beyond the photograph's edges
     models: int = 60  # the stand-in: CAD models a split
-    count: int = 400  # the stand-in: photographs a split
+    count: int = 600  # the stand-in: photographs a split
     backgrounds: str | None = None  # the stand-in: a folder of pictures; None: drawn ones
     seed: int = 0  # the stand-in's
 
