@@ -98,6 +98,19 @@ def test_a_long_object_keeps_its_aspect_and_is_centred():
     assert (torch.arange(64.0)[rows].mean() - 31.5).abs() < 1
 
 
+def test_a_stretched_crop_is_filled_both_ways():
+    crop = tight_crop(picture_of(slice(10, 14), slice(2, 22)), 64, stretch=True, margin=0.0)[0, 3]
+    assert (crop[4:-4, 4:-4] > 0.9).all()
+    framed = tight_crop(picture_of(slice(10, 14), slice(2, 22)), 64, stretch=True, margin=0.5)[0, 3] > 0.5
+    assert framed.any(0).sum() == pytest.approx(32, abs=2) and framed.any(1).sum() == pytest.approx(32, abs=8)
+
+
+def test_photographs_are_left_whole():
+    photograph = torch.rand(2, 4, 16, 16)
+    photograph[:, 3] = 1
+    assert torch.allclose(tight_crop(photograph, 16), photograph, atol=1e-5)
+
+
 def test_a_crop_may_reach_beyond_the_picture():
     crop = tight_crop(picture_of(slice(0, 30), slice(0, 4)), 30, margin=0.0)[0]
     assert crop[3].mean(0).argmax() in range(12, 18)  # centred, with nothing on either side

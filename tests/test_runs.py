@@ -75,12 +75,15 @@ def test_the_result_tells_where_it_comes_from():
 def test_the_key_follows_config_views_and_code(monkeypatch):
     base = runs.locate(config(), "views")
     assert base == runs.locate(config(), "views")
-    moved = replace(config(), data=replace(config().data, root="elsewhere", splits="lists", extra="more"))
+    moved = replace(
+        config(), data=replace(config().data, root="elsewhere", splits="lists", extra="more", backgrounds="there")
+    )
     assert base == runs.locate(moved, "views")  # the views' identity knows the models, not their place
     others = [runs.locate(config(1), "views"), runs.locate(config(), "other")]
+    others += [runs.locate(config(), "views", "one scenery"), runs.locate(config(), "views", "another")]
     monkeypatch.setattr(provenance, "code_identity", lambda modules: "edited")
     others.append(runs.locate(config(), "views"))
-    assert len({base, *others}) == 4
+    assert len({base, *others}) == 6
     assert all((provenance.PACKAGE / module).is_file() for module in runs.PREDICTING + runs.EVALUATING)
 
 

@@ -438,6 +438,26 @@ def test_a_real_collection_is_read_the_same_way(config: DataConfig, models: list
     assert more.index["model_id"].nunique() == 8 and more.rejected["model_id"].tolist() == ["bad"]
 
 
+def test_a_second_collection_joins_the_training_models(
+    config: DataConfig, models: list[ModelFile], tmp_path: Path
+) -> None:
+    root = str(tmp_path / "cad")
+    alone = view_store(config, progress=False)
+    # Seven training models of ten; seven more, each once, are half.
+    store = view_store(DataConfig(**{**config.__dict__, "extra": root, "extra_share": 0.5}), progress=False)
+    names = store.index[store.index["model_id"].str.startswith("extra")]
+    assert names["model_id"].nunique() == 7 and set(names["split"]) == {"train"}
+    others = store.index[~store.index["model_id"].str.startswith("extra")].reset_index(drop=True)
+    assert others.equals(alone.index) and store.folder != alone.folder
+    # At three quarters each comes three times, every time from other viewpoints.
+    more = view_store(DataConfig(**{**config.__dict__, "extra": root, "extra_share": 0.75}), progress=False)
+    names = more.index[more.index["model_id"].str.startswith("extra")]
+    assert names["model_id"].nunique() == 21 and names["azimuth"].nunique() == len(names)
+    for share in (0.0, 1.0):
+        with pytest.raises(ViewnetError, match=f"extra_share {share}"):
+            view_store(DataConfig(**{**config.__dict__, "extra": root, "extra_share": share}), progress=False)
+
+
 @pytest.mark.parametrize(("models", "message"), [(0, "built-in models have no end"), (-1, "models -1")])
 def test_numbers_of_models_that_make_no_sense(config: DataConfig, models: int, message: str) -> None:
     with pytest.raises(ViewnetError, match=message):

@@ -13,15 +13,17 @@ import sys
 import types
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from boxes import box_store
+from PIL import Image
 from safetensors import safe_open
 from safetensors.torch import load_file
 
 from viewnet import train as training
 from viewnet.config import RunConfig, make_config
-from viewnet.data.pairs import load_views
+from viewnet.data.pairs import viewed
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.predict import candidates, load_model, predict
@@ -177,10 +179,10 @@ def test_choosing_without_labels_reads_none(store, tmp_path, monkeypatch):
     honest = trained(store, tmp_path / "honest", select_by="reconstruction")
 
     def mislabelled(*arguments):
-        views = load_views(*arguments)
+        views = viewed(*arguments)
         return dataclasses.replace(views, truth=0.05 * views.truth.flip(0))
 
-    monkeypatch.setattr(training, "load_views", mislabelled)
+    monkeypatch.setattr(training, "viewed", mislabelled)
     other = trained(store, tmp_path / "other", select_by="reconstruction")
     assert same(weights(honest), weights(other))
     without = [{k: v for k, v in row.items() if k != "val_accuracy"} for row in log(honest)]
@@ -301,6 +303,31 @@ def test_predictions_are_in_the_store_s_order_and_repeatable(store, run):
     again = predict(load_model(run)[0], store)
     assert (found.hypotheses == again.hypotheses).all()
     assert (found.logits == again.logits).all()
+
+
+def test_views_are_predicted_before_backgrounds_as_in_training_and_photographs_as_they_are(
+    store, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("VIEWNET_DATA", str(tmp_path / "data"))
+    (tmp_path / "pictures").mkdir()
+    for number, colour in enumerate(((250, 0, 0), (0, 250, 250))):
+        Image.new("RGB", (70, 70), colour).save(tmp_path / "pictures" / f"{number}.png")
+    behind = {"recipe": "photos", "backgrounds": str(tmp_path / "pictures"), "views": 4}
+    folder, again = (trained(store, tmp_path / name, **behind) for name in ("one", "two"))
+    assert same(weights(folder), weights(again))  # what is behind is a function of seed and step
+    assert math.isfinite(float(log(folder)[-1]["sightings"]))
+    assert not same(weights(folder), weights(trained(store, tmp_path / "plain", recipe="photos", backgrounds=None)))
+    first = predict(folder, store, ("test",))
+    assert np.array_equal(first.hypotheses, predict(folder, store, ("test",)).hypotheses)
+    network, _ = load_model(folder)
+    assert not np.allclose(first.hypotheses, predict(network, store, ("test",)).hypotheses)  # a network alone has none
+    inputs, drawings, errors, heads = candidates(folder, store, [0, 1])
+    assert inputs.shape[0] == drawings.shape[0] == len(errors) == len(heads) == 2
+    opaque = np.array(store.images)
+    opaque[..., 3] = 255
+    photographs = dataclasses.replace(store, images=opaque)
+    seen = predict(folder, photographs, ("test",)).hypotheses
+    assert np.allclose(seen, predict(network, photographs, ("test",)).hypotheses)
 
 
 def test_a_loaded_model_is_the_one_that_was_kept(run):

@@ -293,3 +293,14 @@ def test_a_mirrored_renderer_would_be_noticed(grid):
     assert np.abs(predicted @ turn - truth).max() < 1e-6
     rotated = predicted @ fit_rotation(predicted, truth).T  # and no rotation does
     assert np.linalg.norm(rotated - truth, axis=1).mean() > 0.3
+
+
+def test_volumes_of_inference_mode_are_drawn_anew_each_time():
+    rng = np.random.default_rng(0)
+    shape, frames = random_volume(1, (8, 8, 8), rng), random_frames(2, rng)
+    wanted = volume.render(shape, frames, FOCAL, 8, sparse=True)
+    with torch.inference_mode():
+        inferred = shape.clone()
+        assert torch.equal(volume.render(inferred, frames, FOCAL, 8, sparse=True), wanted)
+        inferred.mul_(0)
+        assert not volume.render(inferred, frames, FOCAL, 8, sparse=True).any()
