@@ -69,7 +69,7 @@ def test_defaults_train_over_backgrounds_and_make_a_stand_in(folders):
         (variant, category) for variant in ("viewnet", "viewnet_cycle") for category in SHAPENET_CATEGORIES
     ]
     assert all(c.data.backgrounds == "drawn" and c.data.root is None for c in asked.configs)
-    assert asked.photo_config("chair") == PhotoConfig("chair", size=32)
+    assert asked.photo_config("chair") == PhotoConfig("chair", size=32, square=False)
     assert asked.note.startswith("a stand-in for photographs; trained on built-in models, profile tiny, recipe photos")
     assert experiment("table5_dva").configs == asked.configs
     assert experiment("alignment_study").configs == asked.configs
@@ -211,7 +211,7 @@ def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path
     assert table.cell("VGG view* (pixels)", "car", "acc30")["printed"] == "56"
     assert table.cell("Liao (withdrawn)", "car", "acc30")["printed"] == "93"
     assert table.cell("SSV*", "car", "acc30")["seeds"] == 0
-    assert "car: 80 used, 1 left out" in table.remarks
+    assert "80 used, 1 left out" in table.remarks
     assert any("30 calibration photographs" in line for line in table.remarks)
     files = table.write(tmp_path / "written")
     assert "left out" in files[0].read_text()

@@ -114,7 +114,7 @@ class PhotoExperiment(Experiment):
             f"aligned, and untrained rows fitted, on {fitted} calibration photographs",
             f"view regression: ridge {self.ridge:g} from {features.describe(self.chosen)}",
         ]
-        return lines + [f"{category}: {summary(store)}" for category, store in stores.items()]
+        return lines + [summary(store) for store in stores.values()]
 
     @property
     def chosen(self) -> str:
