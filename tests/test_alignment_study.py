@@ -45,7 +45,7 @@ def test_every_draw_is_the_alignment_of_that_many_photographs(index):
     said = noisy(index)
     rows = pd.DataFrame(scored(predictor(said), (16, 32, 5000), draws=2))
     assert set(rows["images"]) == {16, 32, 600}
-    assert len(rows) == 3 * (2 * 2 + 1)
+    assert len(rows) == 4 * (2 * 2 + 1)
     one = rows[(rows["images"] == 32) & (rows["draw"] == 1) & (rows["alignment"] == "linear")].iloc[0]
     aligned = align(said, "linear", 32, seed=1)
     assert one["median"] == np.median(aligned.selected_errors)
@@ -64,7 +64,7 @@ def test_what_is_fitted_is_fitted_anew_for_each_number_and_draw(index):
 
     rows = pd.DataFrame(scored(Predictor("Constant", "car", 0, said, True), (16,), draws=2))
     assert asked[1:] == [(16, 0), (16, 1), (600, 0)]
-    assert set(rows["alignment"]) == {"none", "procrustes", "linear", "per_angle"}
+    assert set(rows["alignment"]) == {"none", "procrustes", "robust", "linear", "per_angle"}
     assert rows.groupby(["images", "draw"])["median"].nunique().min() >= 1
     assert rows[rows["images"] == 16].groupby("draw")["median"].first().nunique() == 2
 
@@ -121,7 +121,7 @@ def test_the_study_reads_as_tables(found, tmp_path):
     assert all(found.checks().values()), found.checks()
     table = found.by_count()
     assert list(table.columns) == [16, 64, 600]
-    assert len(table) == 3 + 3 + 4
+    assert len(table) == 4 + 4 + 5
     values = found.scores.query("predictor == 'ViewNet' and alignment == 'linear' and images == 16")["acc30"]
     assert table.loc[("car", "ViewNet", "linear"), 16] == (
         f"{values.median():.1f} [{values.min():.1f}, {values.max():.1f}]"
@@ -155,7 +155,7 @@ def test_figures_show_every_predictor_and_category(found, tmp_path):
     assert figure.axes[0].get_title() == "car"
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "ViewNet, linear" in labels and "Constant" in labels and "Constant, linear" not in labels
-    assert len(figure.axes[0].lines) == 3 + 3 + 1
+    assert len(figure.axes[0].lines) == 4 + 4 + 1
     assert list(figure.axes[0].lines[0].get_xdata()) == [16, 64, 600]
     collapse = figures.collapse_curves(found.collapse)
     assert [axes.get_title() for axes in collapse.axes] == [

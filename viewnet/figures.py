@@ -29,7 +29,7 @@ STYLE: Any = {
 }
 COLUMN = 3.25  # inches: a column of the paper; the page is twice as wide and a gap
 INK = "#1f4e79"
-STYLES = {"none": "-", "procrustes": "-", "linear": "--", "per_angle": ":"}
+STYLES = {"none": "-", "procrustes": "-", "robust": "-.", "linear": "--", "per_angle": ":"}
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
 
 
