@@ -427,7 +427,9 @@ def test_shapes_become_the_objects_own_as_training_goes_on(monkeypatch, progress
     asked = []
     model = ViewNet(SMOKE.model)
     plain = model.imagine
-    monkeypatch.setattr(model, "imagine", lambda views, coarse, own, behind: asked.append(own) or plain(views, coarse, own))
+    monkeypatch.setattr(
+        model, "imagine", lambda views, coarse, own, behind: asked.append(own) or plain(views, coarse, own)
+    )
     config = dataclasses.replace(SMOKE.train, shared_shape=0.2)
     views = pictures(4)
     step_loss(model, (views, views, views), config, None, progress, torch.Generator().manual_seed(0))
