@@ -82,28 +82,19 @@ class Procrustes:
 
 
 @dataclass(frozen=True)
-class Robust:
+class Robust(Procrustes):
     """The rotation of the world by the least sum of distances, and not of their squares (the L1 mean).
 
     Where a share of the predictions is off by half a turn and the viewpoints are few-sided, squares are least for a
     rotation that tilts the world to go between the two; distances are least for the one that most agree on.
     """
 
-    rotation: Floats  # (3, 3), determinant +1
     kind: ClassVar[str] = "robust"
 
     @classmethod
     def fit(cls, predicted: Floats, truth: Floats) -> Robust:
         """`fit_robust` of (N, 3) and (N, 3)."""
         return cls(fit_robust(predicted, truth))
-
-    def apply(self, vectors: Floats) -> Floats:
-        """Rotated vectors (..., 3)."""
-        return np.asarray(vectors, dtype=np.float64) @ self.rotation.T
-
-    def to_dict(self) -> dict[str, Any]:
-        """The matrix row by row."""
-        return {"kind": self.kind, "rotation": self.rotation.tolist()}
 
 
 @dataclass(frozen=True)

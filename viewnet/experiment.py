@@ -94,8 +94,13 @@ class Experiment:
         data = "built-in models" if self.data_root is None else "a CAD collection"
         if self.eval_root is not None:
             data += ", scored on another collection"
+        return f"{data}, {self._made}"
+
+    @property
+    def _made(self) -> str:
+        """How, and from how many seeds: the end of a note."""
         seeds = "1 seed" if len(self.seeds) == 1 else f"mean of {len(self.seeds)} seeds"
-        return f"{data}, profile {self.profile}, recipe {self.recipe}, {seeds}"
+        return f"profile {self.profile}, recipe {self.recipe}, {seeds}"
 
     def run(self, progress: bool = True) -> list[Run]:
         """Every run of the experiment, whatever is missing trained first (viewnet.runs.ensure)."""

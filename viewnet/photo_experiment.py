@@ -88,8 +88,7 @@ class PhotoExperiment(Experiment):
             shown = "photographs of another collection"
         data = "built-in models" if self.data_root is None else "a CAD collection"
         data += " and a second one" if self.extra_cad else ""
-        seeds = "1 seed" if len(self.seeds) == 1 else f"mean of {len(self.seeds)} seeds"
-        return f"{shown}; trained on {data}, profile {self.profile}, recipe {self.recipe}, {seeds}"
+        return f"{shown}; trained on {data}, {self._made}"
 
     def stores(self, progress: bool = True) -> dict[str, ViewStore]:
         """Category -> its photographs, cut and put into a view store where that was not done yet."""
