@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from viewnet import volume
+from viewnet import distributed, volume
 from viewnet.config import ModelConfig
 from viewnet.geometry import look_at
 from viewnet.networks import Encoder, Generator, HoloGANDecoder, gaussian_prior
@@ -114,7 +114,7 @@ class ViewNet(nn.Module):
         """
         code = self.appearance(self.see(pictures, behind))
         if own < 1:
-            code = torch.lerp(code.mean(0, keepdim=True), code, own)
+            code = torch.lerp(distributed.mean(code.mean(0, keepdim=True)), code, own)
         colour = None
         if self.config.colour_prior:
             colour = pictures[:, :3].sum((2, 3)) / pictures[:, 3].sum((1, 2))[:, None].clamp(min=1)

@@ -33,6 +33,8 @@ log = logging.getLogger(__name__)
 
 SCHEMA = 1
 TRAINING = (
+    "chance.py",
+    "distributed.py",
     "_volume_kernels.py",
     "volume.py",
     "volume_cpu.py",

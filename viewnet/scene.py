@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from viewnet.chance import Chance, rand, randint, randn
 from viewnet.config import DataConfig, TrainConfig
 from viewnet.data import backgrounds
 from viewnet.data.pairs import CROP_MARGIN
@@ -36,13 +37,13 @@ def wanted(config: DataConfig, size: int, progress: bool = True) -> backgrounds.
     return backgrounds.load(config.backgrounds, 2 * size, COUNT, progress=progress)
 
 
-def behind(scenery: Tensor, count: int, size: int, generator: torch.Generator, device: torch.device) -> Tensor:
+def behind(scenery: Tensor, count: int, size: int, generator: Chance, device: torch.device) -> Tensor:
     """`count` random windows (count, 3, size, size) in [0, 1] of the scenery, half of them as in a mirror."""
     room = scenery.shape[-1] - size + 1
-    chosen = torch.randint(len(scenery), (count,), generator=generator).tolist()
-    places = torch.randint(room, (count, 2), generator=generator).tolist()
+    chosen = randint(len(scenery), count, generator=generator).tolist()
+    places = randint(room, count, 2, generator=generator).tolist()
     windows = [scenery[k, :, y : y + size, x : x + size] for k, (y, x) in zip(chosen, places, strict=True)]
-    mirrored = (torch.rand(count, 1, 1, 1, generator=generator) < 0.5).to(device)
+    mirrored = (rand(count, 1, 1, 1, generator=generator) < 0.5).to(device)
     pictures = torch.stack(windows).to(device).float() / 255
     return torch.where(mirrored, pictures.flip(-1), pictures)
 
@@ -53,7 +54,7 @@ def over(pictures: Tensor, scene: Tensor) -> Tensor:
     return torch.cat([pictures[:, :3] + scene * (1 - alpha), torch.ones_like(alpha)], 1)
 
 
-def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: torch.Generator) -> Tensor:
+def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: Chance) -> Tensor:
     """Crops of views (N, 4, S, S), RGB times alpha and alpha, as if cut from photographs: (N, 4, S, S) with alpha 1.
 
     Crops have CROP_MARGIN about the object, photographs' boxes none. In this order: the box is off by up to `box_error`
@@ -71,7 +72,7 @@ def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: t
     return torch.cat([pictures, torch.ones_like(crops[:, 3:])], 1)
 
 
-def expose(pictures: Tensor, strength: float, generator: torch.Generator) -> Tensor:
+def expose(pictures: Tensor, strength: float, generator: Chance) -> Tensor:
     """Pictures (N, 3, S, S) in [0, 1] in another light, contrast and gamma, some grey, blurred and noisy."""
     count, device = len(pictures), pictures.device
     each = (count, 1, 1, 1)
@@ -79,21 +80,21 @@ def expose(pictures: Tensor, strength: float, generator: torch.Generator) -> Ten
     light = (strength * _uniform(-0.15, 0.15, each, generator)).to(device)
     mean = pictures.mean((1, 2, 3), keepdim=True)
     pictures = ((pictures - mean) * contrast + mean + light).clamp(0, 1) ** gamma
-    grey = (torch.rand(each, generator=generator) < 0.15 * strength).to(device)
+    grey = (rand(*each, generator=generator) < 0.15 * strength).to(device)
     pictures = torch.where(grey, pictures.mean(1, keepdim=True), pictures)
     blurred = F.avg_pool2d(F.pad(pictures, (1, 1, 1, 1), mode="replicate"), 3, 1)
     pictures = torch.lerp(pictures, blurred, _uniform(0, min(1.0, strength), each, generator).to(device))
     deviation = (strength * _uniform(0, 0.05, each, generator)).to(device)
-    noise = torch.randn(pictures.shape, generator=generator).to(device)
+    noise = randn(*pictures.shape, generator=generator).to(device)
     return (pictures + deviation * noise).clamp(0, 1)
 
 
-def _shifted(crops: Tensor, config: TrainConfig, generator: torch.Generator) -> Tensor:
+def _shifted(crops: Tensor, config: TrainConfig, generator: Chance) -> Tensor:
     """Crops (N, 4, S, S) larger or smaller, moved and tilted; what comes in from outside is empty."""
     count = len(crops)
-    scale = (1 + config.box_error * _uniform(-1, 1, (2, count), generator)) / (1 + 2 * CROP_MARGIN)
+    scale = (1 + config.box_error * _uniform(-1, 1, (2, count), generator, dim=1)) / (1 + 2 * CROP_MARGIN)
     shift = config.box_error * _uniform(-1, 1, (count, 2), generator)
-    angle = torch.deg2rad(config.tilt * _uniform(-1, 1, count, generator))
+    angle = torch.deg2rad(config.tilt * _uniform(-1, 1, (count,), generator))
     rows = [
         torch.stack([scale[0] * angle.cos(), -scale[0] * angle.sin(), shift[:, 0]], 1),
         torch.stack([scale[1] * angle.sin(), scale[1] * angle.cos(), shift[:, 1]], 1),
@@ -102,14 +103,14 @@ def _shifted(crops: Tensor, config: TrainConfig, generator: torch.Generator) -> 
     return F.grid_sample(crops, grid, align_corners=False)
 
 
-def _patch(count: int, size: int, share: float, generator: torch.Generator) -> Tensor:
+def _patch(count: int, size: int, share: float, generator: Chance) -> Tensor:
     """A rectangle of 10 to 40 % of the side somewhere in a `share` of the pictures: (count, 1, size, size) bool."""
-    half = size * _uniform(0.05, 0.2, (2, count, 1), generator)
-    centre = size * torch.rand(2, count, 1, generator=generator)
-    there = torch.rand(count, generator=generator) < share
+    half = size * _uniform(0.05, 0.2, (2, count, 1), generator, dim=1)
+    centre = size * rand(2, count, 1, generator=generator, dim=1)
+    there = rand(count, generator=generator) < share
     columns, rows = ((torch.arange(size) - centre).abs() < half).unbind(0)
     return (there[:, None, None] & columns[:, None, :] & rows[:, :, None])[:, None]
 
 
-def _uniform(low: float, high: float, shape: int | tuple[int, ...], generator: torch.Generator) -> Tensor:
-    return low + (high - low) * torch.rand(shape, generator=generator)
+def _uniform(low: float, high: float, shape: tuple[int, ...], generator: Chance, dim: int = 0) -> Tensor:
+    return low + (high - low) * rand(*shape, generator=generator, dim=dim)

@@ -9,7 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from viewnet import scene
+from viewnet import distributed, scene
+from viewnet.chance import Chance, rand, repeated
 from viewnet.config import TrainConfig
 from viewnet.data.pairs import resize, tight_crop
 from viewnet.geometry import azimuth_elevation, look_at, view_vector
@@ -86,17 +87,17 @@ class Search:
 
     views: int
     noise: float
-    generator: torch.Generator
+    generator: Chance
 
     def grid(self, count: int, limits: tuple[float, float]) -> Tensor:
         """View vectors (count, views, 3): azimuths evenly spaced but for chance, elevations uniform within limits."""
-        places = torch.arange(self.views) + torch.rand(count, self.views, generator=self.generator)
-        elevation = torch.rand(count, self.views, generator=self.generator) * (limits[1] - limits[0]) + limits[0]
+        places = torch.arange(self.views) + rand(count, self.views, generator=self.generator)
+        elevation = rand(count, self.views, generator=self.generator) * (limits[1] - limits[0]) + limits[0]
         return view_vector(360 / self.views * places, elevation)
 
     def perturb(self, errors: Tensor) -> Tensor:
         """Errors (N, T) with Gumbel noise, so that the least is drawn from their Boltzmann distribution."""
-        chance = torch.rand(errors.shape, generator=self.generator).clamp(1e-9, 1 - 1e-7).to(errors.device)
+        chance = rand(*errors.shape, generator=self.generator).clamp(1e-9, 1 - 1e-7).to(errors.device)
         return errors + self.noise * errors.std(1, keepdim=True) * chance.log().neg().log()
 
 
@@ -118,7 +119,8 @@ def _choose(
         return best, better[rows, best], best, errors
     score = errors
     if stage.trust and heads > 1:
-        score = errors - stage.trust * errors.std(1, keepdim=True).mean() * hypotheses.logits.log_softmax(1)
+        spread = distributed.mean(errors.std(1, keepdim=True).mean())
+        score = errors - stage.trust * spread * hypotheses.logits.log_softmax(1)
     if stage.search:
         grid = stage.search.grid(len(target), limits).to(vectors)
         _, found = compare(model, shape, code, grid[:, :, None], None, target, config)
@@ -130,7 +132,7 @@ def _choose(
     if config.balance:
         shares = model.viewpoint.shares
         counts = torch.bincount(_part(view, limits, shares.shape[1]), minlength=shares.numel())
-        shares.lerp_((counts / len(view)).view_as(shares), 0.02)
+        shares.lerp_(distributed.mean(counts / len(view)).view_as(shares), 0.02)
     closest = (vectors - view[:, None]).square().sum(-1).argmin(1)
     best = torch.where(winner < heads, winner, closest)
     # Were the selection taught what it had a say in, it would confirm itself.
@@ -213,11 +215,11 @@ def _neighbours(vectors: Tensor, angle: float) -> Tensor:
     return view_vector(azimuth[..., None] + step[:, 0], higher)
 
 
-def backgrounds(config: TrainConfig, count: int, generator: torch.Generator, device: torch.device) -> Tensor:
+def backgrounds(config: TrainConfig, count: int, generator: Chance, device: torch.device) -> Tensor:
     """Colours (count, 3) behind target and reconstruction: black as printed, or one random colour a sample."""
     if config.background == "black":
         return torch.zeros(count, 3, device=device)
-    return torch.rand(count, 3, generator=generator).to(device)
+    return rand(count, 3, generator=generator).to(device)
 
 
 def half_precision(device: torch.device, config: TrainConfig) -> bool:
@@ -231,12 +233,12 @@ def autocast(device: torch.device, config: TrainConfig) -> torch.autocast:
     return torch.autocast(device.type, torch.bfloat16, enabled=half_precision(device, config))
 
 
-def augment(pictures: Tensor, generator: torch.Generator) -> Tensor:
+def augment(pictures: Tensor, generator: Chance) -> Tensor:
     """Random crops of 80 to 100 % of the area and rotations within 3 degrees of pictures (N, C, S, S)."""
     count = len(pictures)
-    scale = (0.8 + 0.2 * torch.rand(count, generator=generator)).sqrt()
-    shift = (2 * torch.rand(count, 2, generator=generator) - 1) * (1 - scale)[:, None]
-    angle = torch.deg2rad(6 * torch.rand(count, generator=generator) - 3)
+    scale = (0.8 + 0.2 * rand(count, generator=generator)).sqrt()
+    shift = (2 * rand(count, 2, generator=generator) - 1) * (1 - scale)[:, None]
+    angle = torch.deg2rad(6 * rand(count, generator=generator) - 3)
     rows = [
         torch.stack([scale * angle.cos(), -scale * angle.sin(), shift[:, 0]], 1),
         torch.stack([scale * angle.sin(), scale * angle.cos(), shift[:, 1]], 1),
@@ -245,15 +247,15 @@ def augment(pictures: Tensor, generator: torch.Generator) -> Tensor:
     return F.grid_sample(pictures, grid, align_corners=False)
 
 
-def jitter(pictures: Tensor, strength: float, generator: torch.Generator) -> Tensor:
+def jitter(pictures: Tensor, strength: float, generator: Chance) -> Tensor:
     """Pictures (N, 4, S, S), RGB times alpha and alpha, in other colours: what a viewpoint hardly depends on.
 
     Red, green and blue change places; then each, and all together, are multiplied by up to exp(strength) or its
     reciprocal, and what exceeds 1 is cut off.
     """
     count, alpha = len(pictures), pictures[:, 3:]
-    order = torch.rand(count, 3, generator=generator).argsort(1).to(pictures.device)
-    chance = 2 * torch.rand(count, 4, generator=generator) - 1
+    order = rand(count, 3, generator=generator).argsort(1).to(pictures.device)
+    chance = 2 * rand(count, 4, generator=generator) - 1
     gain = torch.exp(strength * (chance[:, :3] + chance[:, 3:])).to(pictures)[:, :, None, None]
     colours = pictures.gather(1, order[:, :, None, None].expand(-1, -1, *alpha.shape[2:]))
     return torch.cat([torch.minimum(gain * colours, alpha), alpha], 1)
@@ -265,7 +267,7 @@ def step_loss(
     config: TrainConfig,
     perceptual: PerceptualLoss | None,
     progress: float,
-    generator: torch.Generator,
+    generator: Chance,
     scenery: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """The terms of one step's loss, weighted; their sum is minimised. `progress` is the share of training done.
@@ -277,11 +279,12 @@ def step_loss(
     seen = augment(seen, generator) if config.augment else seen
     seen = jitter(seen, config.jitter, generator) if config.jitter else seen
     if config.mirror:
-        mirrored = (torch.rand(len(target), 1, 1, 1, generator=generator) < 0.5).to(device)
+        mirrored = (rand(len(target), 1, 1, 1, generator=generator) < 0.5).to(device)
         seen, target = (torch.where(mirrored, pictures.flip(-1), pictures) for pictures in (seen, target))
     behind = None
     if scenery is not None:
-        seen = scene.photograph(seen.repeat(config.sightings, 1, 1, 1), scenery, config, generator)
+        several = repeated(generator, config.sightings)
+        seen = scene.photograph(seen.repeat(config.sightings, 1, 1, 1), scenery, config, several)
         behind = scene.behind(scenery, len(appearance), appearance.shape[-1], generator, device)
     stage = _stage(model, config, progress, generator)
     found = reconstruct(model, appearance, target, seen, config, stage, behind)
@@ -294,7 +297,7 @@ def step_loss(
     if perceptual is not None:
         terms["perceptual"] = perceptual(picture.expand(-1, 3, -1, -1), wanted.expand(-1, 3, -1, -1))
     # Relative to how much of the picture the objects fill, or thin ones would count for less than other terms.
-    filled = target[:, 3].mean().clamp(min=0.01)
+    filled = distributed.mean(target[:, 3].mean()).clamp(min=0.01)
     if config.pixel_weight:
         terms["pixels"] = config.pixel_weight * pixel_loss(picture, wanted) / filled
     if config.mask_weight:
@@ -315,7 +318,7 @@ def step_loss(
     return terms
 
 
-def _stage(model: ViewNet, config: TrainConfig, progress: float, generator: torch.Generator) -> Stage:
+def _stage(model: ViewNet, config: TrainConfig, progress: float, generator: Chance) -> Stage:
     """What is at work when the share `progress` of training is done."""
     # The HoloGAN decoder's layers paint one size only.
     coarse = progress < config.coarse and model.config.decoder != "hologan"
@@ -360,14 +363,14 @@ def _cycle(
     model: ViewNet,
     found: Reconstruction,
     config: TrainConfig,
-    generator: torch.Generator,
+    generator: Chance,
     scenery: Tensor | None,
 ) -> Tensor:
     """Section 3.4: new views of the same objects at random viewpoints, and what the viewpoint network says of them."""
     count = len(found.appearance)
     low, high = config.cycle_elevation
-    azimuth = 360 * torch.rand(count, generator=generator)
-    elevation = low + (high - low) * torch.rand(count, generator=generator)
+    azimuth = 360 * rand(count, generator=generator)
+    elevation = low + (high - low) * rand(count, generator=generator)
     truth = view_vector(azimuth, elevation).to(found.appearance.device)
     with torch.no_grad(), autocast(truth.device, config):
         novel = model.draw(found.shape, found.appearance, look_at(truth), model.config.input_size)

@@ -3,6 +3,8 @@
 step        reconstruct target views from another view's appearance and the best of M viewpoint hypotheses
 validation  reconstruction error without labels, and accuracy with them; either may pick the kept weights
 files       log.csv (a row a validation), state.pt (to resume), checkpoint.safetensors (the best weights; last)
+
+Under torchrun all processes train one run (viewnet.distributed); the first one validates and writes.
 """
 
 from __future__ import annotations
@@ -19,8 +21,9 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from viewnet import scene, volume_cpu
+from viewnet import distributed, scene, volume_cpu
 from viewnet.alignment import fit_rotation
+from viewnet.chance import Shared
 from viewnet.config import RunConfig, TrainConfig
 from viewnet.data.pairs import Views, draw_pairs, step_generator, viewed
 from viewnet.data.store import ViewStore
@@ -74,10 +77,11 @@ def train(
 ) -> None:
     """Trains one run in `folder`, from where it was if it was begun before.
 
-    Raises ViewnetError for data that cannot be trained on, missing perceptual weights, or a loss that is not finite
-    (the last good state is kept).
+    Raises ViewnetError for data that cannot be trained on, missing perceptual weights, a batch that the processes
+    cannot share, or a loss that is not finite (the last good state is kept).
     """
     # ---- set up
+    distributed.start()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if threads:
         torch.set_num_threads(threads)
@@ -93,8 +97,16 @@ def train(
             f"batch_size {settings.batch_size} with targets_per_object {settings.targets_per_object} is one object a "
             "step: batch normalisation needs two or more"
         )
-    folder.mkdir(parents=True, exist_ok=True)
-    if (folder / "checkpoint.safetensors").exists():
+    objects, processes = settings.batch_size // settings.targets_per_object, distributed.size()
+    if objects % processes:
+        raise ViewnetError(
+            f"batch_size {settings.batch_size} with targets_per_object {settings.targets_per_object} is {objects} "
+            f"objects a step, which {processes} processes cannot share: choose a multiple"
+        )
+    writes = distributed.rank() == 0
+    if writes:
+        folder.mkdir(parents=True, exist_ok=True)
+    if distributed.first((folder / "checkpoint.safetensors").exists):
         return
     volume_cpu.warm_up()
     size = max(config.model.input_size, config.model.render_size)
@@ -106,17 +118,17 @@ def train(
     perceptual = None
     if settings.perceptual != "none":
         perceptual = PerceptualLoss(settings.perceptual, Path(weights) if weights else None).to(device)
+    distributed.together(model)
     optimisers = make_optimisers(model, settings)
     steps = max(1, len(training.objects) // settings.batch_size)  # an epoch: as many targets as there are views
-    objects = settings.batch_size // settings.targets_per_object
     total = settings.epochs * steps
 
     # ---- go on where it was
     log: list[dict[str, Any]] = []
     best: dict[str, Any] = {"score": -math.inf, "epoch": -1, "weights": None}
     first, spent = 0, 0.0
-    if (folder / "state.pt").exists():
-        state = torch.load(folder / "state.pt", map_location=device, weights_only=True)
+    state = distributed.first(lambda: _state(folder))
+    if state is not None:
         model.load_state_dict(state["model"])
         for optimiser, saved in zip(optimisers, state["optimisers"], strict=True):
             optimiser.load_state_dict(saved)
@@ -124,9 +136,9 @@ def train(
 
     # ---- epochs
     begun = time.perf_counter()
-    shown = bar(progress, total=total, initial=first * steps, desc=_title(config), unit="step")
+    shown = bar(progress and writes, total=total, initial=first * steps, desc=_title(config), unit="step")
     model.train()
-    board = _board(folder)
+    board = _board(folder) if writes else None
     for epoch in range(first, settings.epochs):
         if log and log[-1]["epoch"] - 1 - best["epoch"] >= settings.patience:
             break
@@ -137,32 +149,35 @@ def train(
                 for group in optimiser.param_groups:
                     group["lr"] = group["initial_lr"] * _schedule(settings, done)
             appearance_rows, target_rows = draw_pairs(training, objects, settings.targets_per_object, config.seed, step)
+            appearance_rows, target_rows = distributed.share(appearance_rows), distributed.share(target_rows)
             batch = (
                 training.pictures(appearance_rows, config.model.input_size, device),
                 training.pictures(target_rows, config.model.input_size, device),
                 training.seen(target_rows, config.model.input_size, device),
             )
-            chance = step_generator(config.seed, step)
+            chance = Shared(step_generator(config.seed, step), distributed.rank(), processes)
             terms = step_loss(model, batch, settings, perceptual, done, chance, scenery)
-            loss = torch.stack(list(terms.values())).sum()
-            if not torch.isfinite(loss):
-                names = ", ".join(f"{name} {value.item():.3g}" for name, value in terms.items())
+            values = torch.stack(list(terms.values()))
+            told = dict(zip(terms, distributed.mean(values.detach()).tolist(), strict=True))
+            if not math.isfinite(sum(told.values())):
+                names = ", ".join(f"{name} {value:.3g}" for name, value in told.items())
                 raise ViewnetError(
                     f"{folder}: the loss is not finite at step {step} ({names}): lower the learning rate"
                 )
             model.zero_grad(set_to_none=True)
-            loss.backward()
+            values.sum().backward()
+            distributed.average_gradients(model.parameters())
             for optimiser in optimisers:
                 optimiser.step()
-            for name, value in terms.items():
-                sums[name] = sums.get(name, 0.0) + value.item()
+            for name, value in told.items():
+                sums[name] = sums.get(name, 0.0) + value
             shown.update()
         last = epoch + 1 == settings.epochs
         if (epoch + 1) % settings.validate_every and not last:
             continue
 
         # ---- validation: labels are used for the choice only where the recipe says so (section 4.1)
-        found = validate(model, validation, settings, device, scenery)
+        found = distributed.first(lambda: validate(model, validation, settings, device, scenery))
         score = found["accuracy"] if settings.select_by == "accuracy" else -found["reconstruction"]
         if score > best["score"] or best["weights"] is None:
             kept = {
@@ -179,6 +194,8 @@ def train(
             | means
         )
         shown.set_postfix(loss=f"{log[-1]['loss']:.4f}", acc=f"{found['accuracy']:.0f}%", refresh=False)
+        if not writes:
+            continue
         _write_log(folder / "log.csv", log)
         if board is not None:
             for name, value in log[-1].items():
@@ -191,6 +208,17 @@ def train(
     shown.close()
 
     # ---- keep the best
+    distributed.first(lambda: _keep(config, best, folder))
+
+
+def _state(folder: Path) -> dict[str, Any] | None:
+    """What a run that was begun has got to."""
+    if not (folder / "state.pt").exists():
+        return None
+    return torch.load(folder / "state.pt", map_location="cpu", weights_only=True)
+
+
+def _keep(config: RunConfig, best: dict[str, Any], folder: Path) -> None:
     metadata = {"config": json.dumps(config.to_dict()), "epoch": str(best["epoch"] + 1), "score": repr(best["score"])}
     with replacing(folder / "checkpoint.safetensors") as temporary:
         save_file(best["weights"], temporary, metadata=metadata)
