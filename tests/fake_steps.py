@@ -28,7 +28,7 @@ class FakeStore:
     identity: str
 
 
-def views(config: DataConfig, workers: int | None = None, progress: bool = True) -> FakeStore:
+def views(config: DataConfig, workers=None, progress=True, executor=None) -> FakeStore:
     folder = Path(os.environ["VIEWNET_DATA"]) / "views" / f"{config.category}-{config.seed}"
     if config.root is not None:
         folder = folder.with_name(f"{folder.name}-other")

@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import sys
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+from viewnet.cluster import VARIABLE
+from viewnet.config import CATEGORIES, PROFILES, RECIPES, VARIANTS, make_config
 from viewnet.errors import ViewnetError
+
+TRAINING = """examples:
+  viewnet train car chair                                         on this machine: GPUs, or cores without any
+  viewnet train car --profile paper --data-root /data/ShapeNetCore.v1 --seed 1
+  viewnet train car -s epochs=3 -s muon=0.01                      any setting of viewnet.config
+  torchrun --nproc-per-node 4 -m viewnet train car --profile paper          one run over four GPUs
+  torchrun --nnodes 2 --nproc-per-node 4 --rdzv-backend c10d --rdzv-endpoint HOST:29500 -m viewnet train car
+  viewnet train car chair boat --cluster tcp://HOST:8786          many runs on a Dask cluster
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -16,8 +31,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options.run(options)
     except ViewnetError as error:
+        if os.environ.get("WORLD_SIZE", "1") != "1":
+            _fail_together(f"viewnet: {error}")
         print(f"viewnet: {error}", file=sys.stderr)
         return 2
+    except Exception:
+        if os.environ.get("WORLD_SIZE", "1") != "1":
+            _fail_together(traceback.format_exc())
+        raise
     except KeyboardInterrupt:
         print("viewnet: interrupted: the same command goes on where it was", file=sys.stderr)
         return 130
@@ -41,7 +62,26 @@ def _parser() -> argparse.ArgumentParser:
     notebook.add_argument("-o", "--output", type=Path, help="the executed copy (default: runs/notebooks/NAME.ipynb)")
     notebook.add_argument("--parameters", action="store_true", help="list the parameters and stop")
     notebook.add_argument("--refresh", action="store_true", help="run with the defaults and keep the outputs in place")
+    _add_cluster(notebook)
     notebook.set_defaults(run=_notebook)
+    train = commands.add_parser(
+        "train",
+        help="train categories, one run each",
+        description="Train what is missing, and print where each run lies and how it scores on its test views.",
+        epilog=TRAINING,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    train.add_argument("categories", nargs="+", metavar="CATEGORY", help=f"of {', '.join(CATEGORIES)}")
+    train.add_argument("--variant", default="viewnet", help=f"{', '.join(VARIANTS)} (default: viewnet)")
+    train.add_argument("--profile", default="tiny", help=f"{', '.join(PROFILES)} (default: tiny)")
+    train.add_argument("--recipe", help=f"{', '.join(RECIPES)} (default: the profile's)")
+    train.add_argument("--seed", type=int, default=0)
+    train.add_argument("-s", "--set", action="append", default=[], metavar="NAME=VALUE", help="another value, as JSON")
+    train.add_argument("--workers", type=int, help="runs side by side (default: what the machine has room for)")
+    train.add_argument("--data-root", metavar="FOLDER", help="ShapeNetCore, v1 or v2 (default: the built-in models)")
+    train.add_argument("--splits", metavar="FOLDER", help="lists <synset>_train.txt, _val.txt and _test.txt for it")
+    _add_cluster(train)
+    train.set_defaults(run=_train)
     audit = commands.add_parser(
         "audit",
         help="hold the printed numbers of constants against a list of viewpoints",
@@ -58,6 +98,58 @@ def _parser() -> argparse.ArgumentParser:
     audit.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="where every number goes, as CSV files")
     audit.set_defaults(run=_audit)
     return parser
+
+
+def _add_cluster(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help=f"a Dask scheduler that renders and trains: tcp://HOST:PORT or scheduler-file:PATH (default: ${VARIABLE})",
+    )
+
+
+def _train(options: argparse.Namespace) -> None:
+    from viewnet import distributed, experiment, runs
+
+    distributed.start()
+    given = dict(_setting(text) for text in options.set)
+    root, splits = (experiment.folder_named(getattr(options, name) or "", name) for name in ("data_root", "splits"))
+    configs = [
+        make_config(options.variant, name, options.profile, options.recipe, options.seed, root, splits, **given)
+        for name in options.categories
+    ]
+    _choose_cluster(options)
+    found = runs.ensure(configs, options.workers)
+    if distributed.rank() == 0:
+        for run in found:
+            score = run.result["metrics"][run.alignment]
+            print(f"{runs.name(run.config)}: {run.folder}")
+            print(f"  test: within 30 degrees {score['acc30']:.1f} %, median {score['median']:.1f} degrees")
+    distributed.stop()
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    """NAME=VALUE; what is no JSON is text."""
+    name, found, value = text.partition("=")
+    if not found:
+        raise ViewnetError(f"-s {text}: expected NAME=VALUE, such as epochs=3")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
+
+
+def _choose_cluster(options: argparse.Namespace) -> None:
+    """For this process and the kernels that it starts."""
+    if options.cluster:
+        os.environ[VARIABLE] = options.cluster
+
+
+def _fail_together(message: str) -> None:
+    from viewnet import distributed
+
+    if distributed.size() > 1:
+        distributed.fail(message)
 
 
 def _audit(options: argparse.Namespace) -> None:
@@ -85,6 +177,7 @@ def _notebook(options: argparse.Namespace) -> None:
             raise ViewnetError("--refresh takes neither -p nor --output: set VIEWNET_PROFILE for another profile")
         print(notebook.refresh(options.name))
         return
+    _choose_cluster(options)
     print(notebook.run(options.name, [(name, value) for name, value in options.values], options.output))
 
 

@@ -192,7 +192,7 @@ class _Gather(torch.autograd.Function):
         return places
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:  # type: ignore[override]
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
         # Each process minimises its own loss, and all depend on this value.
         total = gradient.contiguous().clone()
         dist.all_reduce(total)

@@ -13,10 +13,12 @@ The key is a hash of everything that decides the training: configuration, identi
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import logging
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -66,7 +68,7 @@ UNTRAINED: dict[str, Callable[[pd.DataFrame], Predictions]] = {
 class Steps:
     """The functions a run is made of; spawned processes must be able to import them."""
 
-    views: Callable[..., Any]  # (DataConfig, workers=, progress=) -> ViewStore
+    views: Callable[..., Any]  # (DataConfig, workers=, progress=, executor=) -> ViewStore
     open: Callable[[Path], Any]  # folder of a view store -> ViewStore
     train: Callable[..., None]  # (RunConfig, ViewStore, folder, threads=, progress=), resumable
     predict: Callable[..., Predictions]  # (folder of the run, ViewStore, splits=)
@@ -153,32 +155,56 @@ def _scenery(config: RunConfig, progress: bool) -> str:
 
 
 def ensure(
-    configs: Sequence[RunConfig], workers: int | None = None, progress: bool = True, steps: Steps | None = None
+    configs: Sequence[RunConfig],
+    workers: int | None = None,
+    progress: bool = True,
+    steps: Steps | None = None,
+    executor: Executor | None = None,
 ) -> list[Run]:
     """The runs of `configs`, in their order, whatever is missing trained first.
 
     Up to `workers` are trained side by side in processes of their own, each with its share of the cores (default: as
     many as there are GPUs, or cores without any). Runs that another process is training are waited for. A failed run
     leaves the others to end; then ViewnetError names each failed run and why.
+
+    With an `executor`, or a cluster in VIEWNET_CLUSTER (viewnet.cluster), views are rendered and runs trained there;
+    its workers see the same files. Under torchrun every process calls this, and trains each run together with the
+    others; there the first failure ends all.
     """
-    from viewnet.workers import run_all
+    from viewnet import cluster, distributed
+    from viewnet.workers import make_together, run_all
 
     if workers is not None and workers < 1:
         raise ViewnetError(f"workers {workers}: expected 1 or more")
     steps = steps or default_steps()
+    distributed.start()
+    with contextlib.nullcontext(executor) if executor or not cluster.named() else cluster.executor() as executor:
+        if executor is not None and distributed.size() > 1:
+            raise ViewnetError("torchrun and a cluster at once: take torchrun for one run, a cluster for many")
+        folders, jobs = distributed.first(lambda: _planned(configs, workers, progress, steps, executor))
+        if distributed.size() > 1:
+            make_together(jobs, steps, progress)
+        elif failures := run_all(jobs, steps, workers, progress, executor):
+            raise ViewnetError(f"{len(failures)} of {len(folders)} runs failed: {'; '.join(failures)}")
+    return [Run(config, folders[config]) for config in configs]
+
+
+def _planned(
+    configs: Sequence[RunConfig], workers: int | None, progress: bool, steps: Steps, executor: Executor | None
+) -> tuple[dict[RunConfig, Path], list[Job]]:
+    """Each configuration's folder, and the runs that are not finished; their views are made."""
     wanted = list(dict.fromkeys(configs))
     stores: dict[DataConfig, Any] = {}
     for config in wanted:
         if config.data not in stores:
-            stores[config.data] = steps.views(config.data, workers=workers, progress=progress)
+            stores[config.data] = steps.views(config.data, workers=workers, progress=progress, executor=executor)
     folders = {config: locate(config, stores[config.data].identity, _scenery(config, progress)) for config in wanted}
     missing = [config for config in wanted if not is_complete(folders[config])]
     # What takes longest is begun first and what is soonest done last, so that no core waits long at the end.
     missing.sort(key=lambda c: (c.model.decoder != "hologan", not c.train.cycle, c.model.heads == 1))
-    jobs = [Job(config, folders[config], Path(stores[config.data].folder)) for config in missing]
-    if failures := run_all(jobs, steps, workers, progress):
-        raise ViewnetError(f"{len(failures)} of {len(wanted)} runs failed: {'; '.join(failures)}")
-    return [Run(config, folders[config]) for config in configs]
+    # Another machine's process has another working directory.
+    jobs = [Job(c, folders[c].absolute(), Path(stores[c.data].folder).absolute()) for c in missing]
+    return folders, jobs
 
 
 @dataclass(frozen=True)
@@ -244,6 +270,8 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
 def _train(
     config: RunConfig, views: Any, folder: Path, steps: Steps, threads: int | None, progress: bool
 ) -> dict[str, Any]:
+    from viewnet import distributed
+
     resumed = (folder / "log.csv").is_file()
     started, begun = datetime.datetime.now(datetime.UTC), time.perf_counter()
     steps.train(config, views, folder, threads=threads, progress=progress)
@@ -259,6 +287,7 @@ def _train(
         "resumed": resumed,
         "seeds": {"run": config.seed, "data": config.data.seed, "evaluation": 0},
         "hardware": provenance.hardware(threads),
+        "processes": distributed.size(),
         "git": provenance.commit(),
         "versions": provenance.versions(),
     }

@@ -1,127 +1,248 @@
-"""Several runs side by side: worker processes, their progress and their failures."""
+"""Several runs side by side: on worker processes of this machine, on any executor, or each by all of a torchrun."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import multiprocessing
 import os
+import queue
 import threading
+import time
 import traceback
-from collections import deque
-from collections.abc import Sequence
-from multiprocessing.connection import Connection, wait
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from dataclasses import replace
+from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
-from viewnet import provenance, runs
+from viewnet import distributed, provenance, runs
 from viewnet.errors import ViewnetError
 from viewnet.progress import bar as progress_bar
 
+T = TypeVar("T")
+
 POLL = 1.0  # seconds between looks at the logs
+TRIES = 3
+"""So often a run is begun on an executor whose workers die."""
 
 
-def run_all(jobs: Sequence[runs.Job], steps: runs.Steps, workers: int | None, progress: bool) -> list[str]:
+def run_all(
+    jobs: Sequence[runs.Job],
+    steps: runs.Steps,
+    workers: int | None,
+    progress: bool,
+    executor: Executor | None = None,
+) -> list[str]:
     """Make every job; the failures' messages, in the order of the jobs.
 
-    With one worker, or one job, everything happens in this process. Otherwise in spawned ones, each with
-    cores // workers threads and, where there are GPUs, one of them in turn.
+    Without an executor: with one worker, or one job, everything happens in this process, otherwise in a LocalPool.
+    What dies there has mostly run out of memory and would do so again, so it is left to the next call. On an executor,
+    whose workers come and go, a run whose worker died is begun up to `TRIES` times and goes on from its last state.
     """
-    gpus = torch.cuda.device_count()
-    workers = min(workers or gpus or provenance.cores(), len(jobs))
+    if executor is not None:
+        return _collect(executor, jobs, steps, None, progress, TRIES)
+    workers = min(workers or torch.cuda.device_count() or provenance.cores(), len(jobs))
     if workers <= 1:
-        return [failure for job in jobs if (failure := _attempt(job, steps, provenance.cores(), progress))]
+        return [failure for job in jobs if (failure := attempt(job, steps, provenance.cores(), progress))]
+    with LocalPool(workers) as pool:
+        try:
+            return _collect(pool, jobs, steps, pool.threads, progress, tries=1)
+        except BaseException:
+            pool.terminate_workers()
+            raise
+
+
+def make_together(jobs: Sequence[runs.Job], steps: runs.Steps, progress: bool) -> None:
+    """Make one job after another, each trained by all processes of a torchrun; what fails ends all.
+
+    The first process does everything else: it holds the run's lock, predicts and evaluates.
+    """
+    threads = max(1, provenance.cores() // distributed.local_size())
+
+    def train(*arguments: Any, **options: Any) -> None:
+        distributed.first(lambda: True)
+        steps.train(*arguments, **options)
+
+    for job in jobs:
+        if distributed.rank() == 0:
+            runs.make(job, replace(steps, train=train), threads, progress)
+            distributed.first(lambda: False)
+        else:
+            while distributed.first(lambda: False):  # as the first process says
+                steps.train(job.config, steps.open(job.views), job.folder, threads=threads, progress=False)
+
+
+def _collect(
+    executor: Executor, jobs: Sequence[runs.Job], steps: runs.Steps, threads: int | None, progress: bool, tries: int
+) -> list[str]:
+    """What went wrong in jobs on an executor; see `run_all`."""
     failures: dict[int, str] = {}
-    queue = deque(enumerate(jobs))
-    crew = [_Worker(steps, max(1, provenance.cores() // workers), _gpu(i, gpus)) for i in range(workers)]
+    begun, tried = time.time(), Counter(range(len(jobs)))
+    left = {executor.submit(attempt, job, steps, threads): number for number, job in enumerate(jobs)}
     bar = progress_bar(progress, total=len(jobs), unit="run")
     try:
-        while queue or any(worker.busy for worker in crew):
-            for worker in crew:
-                if queue and not worker.busy:
-                    worker.begin(*queue.popleft())
-            for worker in _ready(crew):
-                number, failure = worker.end()
+        while left:
+            for future in wait(left, POLL, FIRST_COMPLETED).done:
+                number = left.pop(future)
+                failure = _outcome(future, jobs[number])
+                if isinstance(failure, BrokenExecutor) and tried[number] < tries:
+                    tried[number] += 1
+                    with contextlib.suppress(RuntimeError):  # one that is broken for good takes no more
+                        left[executor.submit(attempt, jobs[number], steps, threads)] = number
+                        continue
                 if failure:
-                    failures[number] = failure
+                    failures[number] = str(failure)
                 bar.update()
-            bar.set_postfix_str("; ".join(_latest(worker.job) for worker in crew if worker.job), refresh=True)
+            shown = [_latest(jobs[number]) for future, number in left.items() if _going(future, jobs[number], begun)]
+            bar.set_postfix_str("; ".join(shown), refresh=True)
     finally:
-        for worker in crew:
-            worker.stop()
+        for future in left:
+            future.cancel()
         bar.close()
     return [failures[number] for number in sorted(failures)]
 
 
-class _Worker:
-    """A spawned process that makes one job after another, and is replaced if it dies."""
+def _outcome(future: Future[str | None], job: runs.Job) -> str | BrokenExecutor | None:
+    """What went wrong in a job: a BrokenExecutor where its worker died."""
+    try:
+        return future.result()
+    except BrokenExecutor as error:
+        what = str(error) if isinstance(error, WorkerDied) else f"its worker died ({_first_line(error)})"
+        return WorkerDied(f"{runs.name(job.config)}: {what}: run again to go on where it was")
+    except Exception as error:
+        return f"{runs.name(job.config)}: {type(error).__name__}: {_first_line(error)}"
 
-    def __init__(self, steps: runs.Steps, threads: int, gpu: str | None):
-        self.setup = (steps, threads, gpu)
-        self.number, self.job = -1, None  # type: tuple[int, runs.Job | None]
+
+def _going(future: Future[Any], job: runs.Job, begun: float) -> bool:
+    """Whether a job is being made; some executors do not tell."""
+    try:
+        return future.running() or (job.folder / "log.csv").stat().st_mtime >= begun
+    except OSError:
+        return False
+
+
+class WorkerDied(BrokenExecutor):
+    """A worker process ended in the middle of a job."""
+
+
+class LocalPool(Executor):
+    """Spawned processes of this machine, each with `threads` threads and, where there are GPUs, one of them in turn.
+
+    `workers`: as many as there are GPUs, or cores without any. A process that dies fails its job with WorkerDied and is
+    replaced. Functions, arguments and results must be picklable.
+    """
+
+    def __init__(self, workers: int | None = None):
+        gpus = torch.cuda.device_count()
+        workers = workers or gpus or provenance.cores()
+        self.threads = max(1, provenance.cores() // workers)
+        self._tasks: queue.SimpleQueue[_Task | None] = queue.SimpleQueue()
+        self._crew = [_Worker(self._tasks, _gpu(i, gpus)) for i in range(workers)]
+        self._closed = threading.Event()
+
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        if self._closed.is_set():
+            raise RuntimeError("the pool is shut down")
+        future: Future[T] = Future()
+        self._tasks.put((future, (fn, args, kwargs)))
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._closed.set()
+        if cancel_futures:
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    if task := self._tasks.get_nowait():
+                        task[0].cancel()
+        for _ in self._crew:
+            self._tasks.put(None)
+        if wait:
+            for worker in self._crew:
+                worker.join()
+
+    def terminate_workers(self) -> None:
+        """End all processes, whatever they are at."""
+        self.shutdown(wait=False, cancel_futures=True)
+        for worker in self._crew:
+            worker.terminate()
+
+
+_Task = tuple[Future[Any], tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]]
+
+
+class _Worker(threading.Thread):
+    """Has a spawned process do one task after another, and another process when that has died."""
+
+    def __init__(self, tasks: queue.SimpleQueue[_Task | None], gpu: str | None):
+        super().__init__(daemon=True)
+        self.tasks, self.gpu = tasks, gpu
         self.process: SpawnProcess | None = None
         self.connection: Connection | None = None
+        self.start()
 
-    @property
-    def busy(self) -> bool:
-        return self.job is not None
+    def run(self) -> None:
+        while (task := self.tasks.get()) is not None:
+            future, call = task
+            if not future.set_running_or_notify_cancel():
+                continue
+            try:
+                future.set_result(self._do(call))
+            except BaseException as error:
+                future.set_exception(error)
+        if self.process is not None:
+            assert self.connection is not None
+            self.connection.close()  # an idle process takes the hint
+            self.process.join()
 
-    def begin(self, number: int, job: runs.Job) -> None:
+    def _do(self, call: Any) -> Any:
         if self.process is None or not self.process.is_alive():
             context = multiprocessing.get_context("spawn")
             self.connection, theirs = context.Pipe()
-            self.process = context.Process(target=_serve, args=(theirs, *self.setup), daemon=False)
+            self.process = context.Process(target=_serve, args=(theirs, self.gpu), daemon=False)
             # Pages of 2 MiB for what is large, which volumes are: a step is faster by some per cent. Read at its start.
             os.environ.setdefault("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")
             self.process.start()
             theirs.close()  # so that the process's end is noticed
         assert self.connection is not None
-        self.number, self.job = number, job
-        self.connection.send(job)
-
-    def end(self) -> tuple[int, str | None]:
-        """The finished job's number and what went wrong."""
-        assert self.connection is not None and self.process is not None and self.job is not None
+        self.connection.send(call)
         try:
-            failure = self.connection.recv()
+            result, error = self.connection.recv()
         except (EOFError, ConnectionError):
             self.process.join()
-            failure = f"{runs.name(self.job.config)}: its process was ended ({_ending(self.process.exitcode)})"
-            failure += ": run again to go on where it was"
-            self.process = None
-        number, self.job = self.number, None
-        return number, failure
+            raise WorkerDied(f"its process was ended ({_ending(self.process.exitcode)})") from None
+        if error is not None:
+            raise error
+        return result
 
-    def stop(self) -> None:
+    def terminate(self) -> None:
         if self.process is not None:
-            assert self.connection is not None
-            if self.busy:
-                self.process.terminate()
-            self.connection.close()  # an idle worker takes the hint
-            self.process.join()
+            self.process.terminate()
 
 
-def _ready(crew: Sequence[_Worker]) -> list[_Worker]:
-    """Busy workers that have something to say, after at most `POLL` seconds."""
-    waiting = {worker.connection: worker for worker in crew if worker.busy}
-    return [waiting[connection] for connection in wait(list(waiting), timeout=POLL)]  # type: ignore[index,arg-type]
-
-
-def _serve(connection: Connection, steps: runs.Steps, threads: int, gpu: str | None) -> None:
+def _serve(connection: Connection, gpu: str | None) -> None:
     """The life of a worker process."""
     threading.Thread(target=_follow_parent, daemon=True).start()
     if gpu is not None:
         os.environ["CUDA_VISIBLE_DEVICES"] = gpu  # heeded as long as CUDA has not been touched
     while True:
         try:
-            job = connection.recv()
+            function, arguments, options = connection.recv()
+            answer: tuple[Any, Exception | None] = (function(*arguments, **options), None)
         except (EOFError, KeyboardInterrupt):
             return
+        except Exception as error:
+            answer = (None, error)
         try:
-            connection.send(_attempt(job, steps, threads, progress=False))
+            connection.send(answer)
         except (KeyboardInterrupt, BrokenPipeError):
             return
+        except Exception as error:  # what cannot be pickled
+            connection.send((None, RuntimeError(f"{type(error).__name__}: {error}")))
 
 
 def _follow_parent() -> None:
@@ -132,8 +253,19 @@ def _follow_parent() -> None:
         os._exit(1)
 
 
-def _attempt(job: runs.Job, steps: runs.Steps, threads: int, progress: bool) -> str | None:
-    """Make a job; what went wrong in one line, the whole story in error.log."""
+_busy = threading.Lock()
+
+
+def attempt(job: runs.Job, steps: runs.Steps, threads: int | None, progress: bool = False) -> str | None:
+    """Make a job; what went wrong in one line, the whole story in error.log.
+
+    A process makes one at a time, however many threads an executor gives it: seeds and thread counts are its own.
+    """
+    with _busy:
+        return _attempt(job, steps, threads, progress)
+
+
+def _attempt(job: runs.Job, steps: runs.Steps, threads: int | None, progress: bool) -> str | None:
     before = torch.get_num_threads()
     try:
         runs.make(job, steps, threads, progress)
@@ -143,11 +275,14 @@ def _attempt(job: runs.Job, steps: runs.Steps, threads: int, progress: bool) -> 
         job.folder.mkdir(parents=True, exist_ok=True)
         report = job.folder / "error.log"
         report.write_text(traceback.format_exc(), encoding="utf-8")
-        first = (str(error).strip().splitlines() or [""])[0]
-        return f"{runs.name(job.config)}: {type(error).__name__}: {first} (see {report})"
+        return f"{runs.name(job.config)}: {type(error).__name__}: {_first_line(error)} (see {report})"
     finally:
         torch.set_num_threads(before)
     return None
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [""])[0]
 
 
 def _latest(job: runs.Job) -> str:

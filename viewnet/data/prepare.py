@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,12 @@ from viewnet.render import choose_backend
 from viewnet.render.views import describe, digest, render_views
 
 
-def view_store(config: DataConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
+def view_store(
+    config: DataConfig, workers: int | None = None, progress: bool = True, executor: Executor | None = None
+) -> ViewStore:
     """Open the views of `config` (section 4.2), making the CAD collection and drawing the views where they are missing.
 
+    Views are drawn in `workers` processes of this machine, or on an executor whose workers see the same files.
     Stores lie in `<paths.data()>/views/<category>-<key>`, the key a hash of everything that decides the views. Raises
     ViewnetError for a collection that cannot be used (see find_models) and values out of range (see render_views).
     """
@@ -66,6 +70,7 @@ def view_store(config: DataConfig, workers: int | None = None, progress: bool = 
         backend=backend,
         workers=workers,
         progress=progress,
+        executor=executor,
     )
 
 

@@ -9,8 +9,8 @@ import json
 import logging
 import shutil
 from collections.abc import Sequence
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, Executor, as_completed
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,7 @@ def render_views(
     backend: Backend = "auto",
     workers: int | None = None,
     progress: bool = True,
+    executor: Executor | None = None,
 ) -> ViewStore:
     """Draw `views` views of every model into the view store `folder` (section 4.2) and open it.
 
@@ -56,7 +57,8 @@ def render_views(
     store appears when it is whole; a killed call started again goes on from what is done and ends with the same
     bytes; of two calls at once one draws and the other waits. A store that is there already is opened if it was made
     from the same. Models that cannot be used are named with the reason in `rejected.csv`. `workers`: processes, None
-    for one a processor; 1 draws in this process.
+    for one a processor; 1 draws in this process. With an `executor` they are its workers', which must see `folder` and
+    the models under the same names.
 
     Raises ViewnetError for values out of range, a folder that holds something else, no model that can be used, and too
     little room on the disk.
@@ -87,7 +89,7 @@ def render_views(
             )
             for rows, file in todo
         ]
-        _draw(jobs, len(models), workers, progress, views)
+        _draw(jobs, len(models), workers, progress, views, executor)
         store = _assemble(folder, models, [file for _, file in chunks], azimuth, elevation, made_by)
         shutil.rmtree(partial, ignore_errors=True)
         return store
@@ -218,21 +220,28 @@ def _check_room(folder: Path, size: int, open_share: float) -> None:
         )
 
 
-def _draw(jobs: list[Chunk], total: int, workers: int | None, progress: bool, views: int) -> None:
+def _draw(
+    jobs: list[Chunk], total: int, workers: int | None, progress: bool, views: int, executor: Executor | None
+) -> None:
     left = sum(len(job.models) for job in jobs)
     if workers is None:
         workers = 1 if left * views < _WORTH_PROCESSES else processors()
     workers = min(workers, len(jobs))
     with progress_bar(progress, total=total, initial=total - left, desc="render", unit="model") as bar:
         try:
-            if workers <= 1:
+            if executor is None and workers <= 1:
                 for job in jobs:
                     bar.update(draw_chunk(job))
                 return
-            with pool(workers) as crew:
-                for done in as_completed([crew.submit(draw_chunk, job) for job in jobs]):
-                    bar.update(done.result())
-        except BrokenProcessPool:
+            with pool(workers) if executor is None else nullcontext(executor) as crew:
+                drawing = [crew.submit(draw_chunk, job) for job in jobs]
+                try:
+                    for done in as_completed(drawing):
+                        bar.update(done.result())
+                finally:
+                    for waiting in drawing:
+                        waiting.cancel()
+        except BrokenExecutor:
             raise ViewnetError(
                 "a rendering process died: call again with fewer workers if memory ran out (what is drawn is kept);"
                 " a script must start its work under `if __name__ == '__main__':`"
