@@ -20,8 +20,8 @@ def rotate(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int)
 
     Rotation and perspective of section 3.3 by one spatial transformer, since resampling twice would blur.
     """
-    flips = torch.diag(torch.tensor([1.0, -1.0, -1.0], device=frames.device))  # rows go down, slices away
-    theta = torch.cat([flips, torch.zeros(3, 1, device=frames.device)], 1).expand(len(frames), -1, -1)
+    # Rows go down and slices away from the camera.
+    theta = frames.new_tensor([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0]]).expand(len(frames), -1, -1)
     grid = F.affine_grid(theta, [len(frames), 4, steps, size, size], align_corners=False)
     depth = grid[..., 2:]
     grid = torch.cat([grid[..., :2] * (1 - focal * depth), depth], -1)

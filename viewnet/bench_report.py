@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from viewnet import figures
 from viewnet.bench import COLUMNS, Row
@@ -20,7 +21,7 @@ from viewnet.published import DASH
 
 COLOURS = {"textbook": "#d55e00", "viewnet": "#0072b2"}  # told apart by colour-blind readers, and by their markers
 MARKERS = {"textbook": "s", "viewnet": "o"}
-TIME, MEMORY = "#0072b2", "#e69f00"
+RATIOS = {"time": "#009e73", "memory": "#e69f00"}
 NOT_MEASURED = "not measured"
 
 # ---- text
@@ -52,7 +53,7 @@ def _cells(row: Row) -> tuple[str, ...]:
         "" if row["size"] is None else str(row["size"]),
         row["device"],
         *((_seconds(row["textbook_s"]), _seconds(row["viewnet_s"])) if measured else ("", NOT_MEASURED)),
-        _number(row["speedup"]),
+        _spread(row["speedup"], row["speedup_low"], row["speedup_high"]),
         _bytes(row["textbook_bytes"]),
         _bytes(row["viewnet_bytes"]),
         _number(row["memory_ratio"]),
@@ -103,6 +104,10 @@ def _number(value: float | None) -> str:
     if value is None:
         return ""
     return f"{value:.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2g}"
+
+
+def _spread(median: float | None, low: float | None, high: float | None) -> str:
+    return _number(median) + (f" ({_number(low)}-{_number(high)})" if low != high else "")
 
 
 def _both(time: float | None, memory: float | None) -> str:
@@ -163,15 +168,20 @@ def figure(result: dict[str, Any]) -> Figure:
     rows = [row for row in result["rows"] if row["speedup"] is not None]
     shown = [row for row in rows if row["memory_ratio"] is not None or row["size"] == _largest(rows, row)]
     with matplotlib.rc_context(figures.STYLE):
-        picture = Figure(figsize=(2 * figures.COLUMN + 1.5, max(2.6, 0.3 * len(shown) + 0.9)), layout="constrained")
-        left, middle, right = picture.subplots(1, 3, width_ratios=(1.5, 1, 1))
+        picture = Figure(figsize=(2.4 * figures.COLUMN, max(2.6, 0.33 * len(shown) + 0.7)), layout="constrained")
+        left, middle, right = picture.subplots(1, 3, width_ratios=(1.3, 1, 1))
         _bars(left, shown)
         grown = [row for row in rows if row["work"] == BOTH and row["volume"] == "object"]
         _curves(middle, grown, "s", 1.0, "seconds")
         _curves(right, grown, "bytes", 2.0**-20, "MiB")
         middle.legend(frameon=False, fontsize=7, loc="upper left")
-        for axes, title in ((middle, "time, forward + backward"), (right, "memory, forward + backward")):
-            axes.set_title(title, fontsize=8)
+        for axes, title in (
+            (left, "textbook / viewnet"),
+            (middle, "time: renderer,\nforward + backward, object"),
+            (right, "memory: renderer,\nforward + backward, object"),
+        ):
+            axes.set_title(title, fontsize=7)
+        for axes in (middle, right):
             axes.set_xlabel("voxels along a side")
     return picture
 
@@ -183,40 +193,47 @@ def _largest(rows: list[Row], row: Row) -> int:
 def _bars(axes: Axes, rows: list[Row]) -> None:
     """A pair of bars a row: how many times the textbook version's time and memory are the package's."""
     for place, row in enumerate(rows):
-        values = ((row["speedup"], TIME, -0.2, "time"), (row["memory_ratio"], MEMORY, 0.2, "memory"))
-        for value, colour, shift, label in values:
+        ends = {"time": (row["speedup_low"], row["speedup_high"]), "memory": (row["memory_ratio"],) * 2}
+        for (name, colour), shift in zip(RATIOS.items(), (-0.2, 0.2), strict=True):
+            value = row["speedup" if name == "time" else "memory_ratio"]
             if value is None:
                 continue
-            axes.barh(place + shift, value, 0.38, color=colour, label=label if not place else None)
-            axes.annotate(f"{_number(value)}x", (value, place + shift), (2, 0), textcoords="offset points",
-                          va="center", fontsize=6)  # fmt: skip
-        low, high = row["speedup_low"], row["speedup_high"]
-        axes.plot([low, high], [place - 0.2] * 2, color="0.2", linewidth=0.8)
-    axes.axvline(1, color="0.6", linewidth=0.6, zorder=0)
-    labels = [f"{row['work']}\n{row['volume']}, {row['size']}³" for row in rows]
+            axes.barh(place + shift, value - 1, 0.38, left=1, color=colour)
+            axes.plot(ends[name], [place + shift] * 2, color="0.2", linewidth=0.8)
+            axes.annotate(_number(value), (max(value, *ends[name], 1), place + shift), (2, 0),
+                          textcoords="offset points", va="center", fontsize=6)  # fmt: skip
+    axes.axvline(1, color="0.2", linewidth=0.6)
+    labels = [f"{row['work']}\n{row['volume']}, ${row['size']}^3$" for row in rows]
     axes.set_yticks(range(len(rows)), labels, fontsize=6)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
     axes.invert_yaxis()
     axes.set_xscale("log")
-    axes.margins(x=0.15)
-    axes.set_xlabel("textbook / viewnet")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlim(right=1.6 * axes.get_xlim()[1])  # room for the numbers
+    axes.set_xlabel("times as much (thin lines: least to most)")
+    handles = [Patch(color=colour, label=name) for name, colour in RATIOS.items()]
+    axes.legend(handles=handles, frameon=False, fontsize=7, loc="lower right")
 
 
 def _curves(axes: Axes, rows: list[Row], column: str, scale: float, label: str) -> None:
     """Both contestants over the side, and what grows with its third power, for the eye."""
+    rows = [row for row in rows if all(row[f"{name}_{column}"] for name in CONTESTANTS)]
+    if not rows:
+        axes.text(0.5, 0.5, NOT_MEASURED, ha="center", transform=axes.transAxes, color="0.4")
+        axes.set(xticks=[], yticks=[])
+        return
+    sizes = [row["size"] for row in rows]
     for name in CONTESTANTS:
-        points = [(row["size"], scale * row[f"{name}_{column}"]) for row in rows if row[f"{name}_{column}"]]
-        if not points:
-            continue
-        sizes, values = zip(*points, strict=True)
-        axes.plot(sizes, values, marker=MARKERS[name], markersize=3, linewidth=1, color=COLOURS[name], label=name)
+        values = [scale * row[f"{name}_{column}"] for row in rows]
+        axes.plot(sizes, values, marker=MARKERS[name], markersize=3.5, linewidth=1, color=COLOURS[name], label=name)
         if column == "s":
             low, high = ([row[f"{name}_{end}"] for row in rows] for end in ("low", "high"))
             axes.fill_between(sizes, low, high, color=COLOURS[name], alpha=0.2, linewidth=0)
         cubes = [values[-1] * (size / sizes[-1]) ** 3 for size in sizes]
-        axes.plot(sizes, cubes, color="0.7", linewidth=0.8, linestyle=":", zorder=0,
+        axes.plot(sizes, cubes, color="0.6", linewidth=0.8, linestyle=":", zorder=0,
                   label="third power" if name == CONTESTANTS[-1] else None)  # fmt: skip
     axes.set_xscale("log", base=2)
     axes.set_yscale("log")
     axes.set_ylabel(label)
-    ticks = sorted({row["size"] for row in rows})
-    axes.set_xticks(ticks, [str(size) for size in ticks])
+    axes.set_xticks(sizes, [str(size) for size in sizes])
