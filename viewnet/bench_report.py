@@ -11,6 +11,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from viewnet import figures
 from viewnet.bench import COLUMNS, Row
@@ -73,7 +74,7 @@ def notes(result: dict[str, Any]) -> list[str]:
     rates = {name: f"{value / 1e9:.3g}" for name, value in result["rates"].items()}
     commit = (git["commit"] or "none")[:12] + (" with changes" if git["dirty"] else "")
     found = [
-        f"{machine['gpu'] or machine['processor']}, {machine['threads']} processor threads; "
+        f"{machine['gpu'] or machine['processor']}, processor threads: {machine['threads']}; "
         f"PyTorch {result['versions']['torch']}; commit {commit}",
         f"renderer: {settings['volumes']} volumes, {settings['views']} pictures of each; training step: "
         f"{settings['batch']} targets, pixel loss; medians of {settings['repeat']} measurements in turn",
@@ -131,12 +132,12 @@ def write(result: dict[str, Any], folder: Path) -> list[Path]:
 
 
 def as_latex(result: dict[str, Any]) -> str:
-    """A booktabs tabular to \\input, with what it was measured on below it."""
+    """A booktabs tabular to \\input, as wide as a landscape page, with what it was measured on below it."""
     spans = (("", 3), ("time", 3), ("memory", 3), ("growth", 3), (r"$\times$ floor", 2))
     first = " & ".join(f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label, span in spans)
     names = ["work", "volume", "size", *["textbook", "ours", "ratio"] * 2, "expected", *["textbook", "ours"] * 2]
     lines = [
-        "{\\footnotesize\\setlength{\\tabcolsep}{3pt}",
+        "{\\scriptsize\\setlength{\\tabcolsep}{2.5pt}",
         f"\\begin{{tabular}}{{ll{'r' * (len(names) - 2)}}}",
         "\\toprule",
         first + " \\\\",
@@ -209,7 +210,9 @@ def _bars(axes: Axes, rows: list[Row]) -> None:
     axes.spines["left"].set_visible(False)
     axes.invert_yaxis()
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlim(right=1.6 * axes.get_xlim()[1])  # room for the numbers
     axes.set_xlabel("times as much (thin lines: least to most)")
     handles = [Patch(color=colour, label=name) for name, colour in RATIOS.items()]
