@@ -97,6 +97,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     audit.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="where every number goes, as CSV files")
     audit.set_defaults(run=_audit)
+    bench = commands.add_parser(
+        "bench",
+        help="measure renderer and training step against a textbook version",
+        description="Time and memory of the volume renderer and of the training step, beside those of a plain "
+        "textbook version, measured in turn; on the GPU where there is one. See benchmarks/README.md.",
+    )
+    bench.add_argument("--sizes", type=int, nargs="+", metavar="N", help="voxels along a side (default: 32 64 128)")
+    bench.add_argument("--batch", type=int, metavar="N", help="targets of a training step (default: 16; 64 on a GPU)")
+    bench.add_argument("--repeat", type=int, metavar="N", help="measurements of each (default: 5)")
+    bench.add_argument("--threads", type=int, metavar="N", help="of the processor (default: its cores)")
+    bench.add_argument("--accuracy", action="store_true", help="train on built-in cars too, which takes minutes")
+    bench.add_argument("--quick", action="store_true", help="all small, in seconds: whether it works, no measurement")
+    bench.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER", help="where the files go (default: paper_tables/benchmarks)"
+    )
+    bench.set_defaults(run=_bench)
     return parser
 
 
@@ -150,6 +166,22 @@ def _fail_together(message: str) -> None:
 
     if distributed.size() > 1:
         distributed.fail(message)
+
+
+def _bench(options: argparse.Namespace) -> None:
+    from viewnet import bench, bench_report, paths
+
+    settings = bench.Settings.default(
+        sizes=None if options.sizes is None else tuple(options.sizes),
+        batch=options.batch,
+        repeat=options.repeat,
+        threads=options.threads,
+        accuracy=options.accuracy,
+        quick=options.quick,
+    )
+    found = bench.measure(settings)
+    print(bench_report.as_text(found))
+    print(*bench_report.write(found, options.output or paths.tables() / "benchmarks"), sep="\n")
 
 
 def _audit(options: argparse.Namespace) -> None:

@@ -20,11 +20,7 @@ PATIENCE = 600
 
 def folder() -> Path:
     """Where the notebooks are: under the project's root, else in the checkout this package lies in."""
-    places = [base / "notebooks" for base in (paths.root(), Path(__file__).resolve().parent.parent)]
-    for place in places:
-        if place.is_dir():
-            return place
-    raise ViewnetError(f"{places[0]}: no such folder: set VIEWNET_ROOT to a checkout of the project")
+    return paths.part("notebooks")
 
 
 def find(name: str) -> Path:

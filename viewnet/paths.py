@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from viewnet.errors import ViewnetError
+
 
 def root() -> Path:
     """The folder everything is relative to: `VIEWNET_ROOT`, else the checkout, else the working directory."""
@@ -27,3 +29,15 @@ def runs() -> Path:
 def tables() -> Path:
     """Tables and figures: `VIEWNET_TABLES`, else `<root>/paper_tables`."""
     return Path(os.environ["VIEWNET_TABLES"]) if "VIEWNET_TABLES" in os.environ else root() / "paper_tables"
+
+
+def part(*names: str) -> Path:
+    """A folder of the project beside the package: under `root`, else in the checkout this package lies in.
+
+    Raises ViewnetError where there is none: a package that was installed comes without these folders.
+    """
+    places = [base.joinpath(*names) for base in (root(), Path(__file__).resolve().parent.parent)]
+    for place in places:
+        if place.is_dir():
+            return place
+    raise ViewnetError(f"{places[0]}: no such folder: set VIEWNET_ROOT to a checkout of the project")

@@ -21,11 +21,7 @@ COLUMNS = ("row", "metric", "category", "value", "bold", "source")
 
 def folder() -> Path:
     """Where the files are: under the project's root, else in the checkout this package lies in."""
-    places = [base / "paper_tables" / "published" for base in (paths.root(), Path(__file__).resolve().parent.parent)]
-    for place in places:
-        if place.is_dir():
-            return place
-    raise ViewnetError(f"{places[0]}: no such folder: set VIEWNET_ROOT to a checkout of the project")
+    return paths.part("paper_tables", "published")
 
 
 def load(table: str) -> pd.DataFrame:
