@@ -12,7 +12,7 @@ from viewnet.config import ModelConfig, make_config
 from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation
 from viewnet.model import ViewNet, ViewpointNetwork
-from viewnet.networks import AdaIN, Doubling, Encoder, Generator, gaussian_prior, parameters
+from viewnet.networks import AdaIN, Doubling, Encoder, Generator, Opening, gaussian_prior, parameters
 from viewnet.volume import joined
 
 SMALL = make_config(profile="smoke").model
@@ -100,7 +100,7 @@ def test_spread_heads_start_facing_different_sides():
 def test_adain_starts_as_instance_normalisation_for_the_average_appearance():
     torch.manual_seed(0)
     layer, x = AdaIN(6, 5), 3 + 2 * torch.randn(2, 6, 4, 4, 4)
-    assert torch.allclose(layer(x, torch.zeros(2, 5)), F.instance_norm(x), atol=1e-6)
+    assert torch.allclose(layer(x, torch.zeros(2, 5)), F.relu(F.instance_norm(x)), atol=1e-6)
 
 
 def test_adain_applies_one_affine_map_to_all_of_a_channel():
@@ -109,8 +109,16 @@ def test_adain_applies_one_affine_map_to_all_of_a_channel():
     layer, x, appearance = AdaIN(6, 5), torch.randn(2, 6, 4, 4, 4), torch.randn(2, 5)
     plain, styled = F.instance_norm(x).flatten(2), layer(x, appearance).flatten(2)
     scale, shift = layer.affine(appearance).chunk(2, dim=1)
-    assert torch.allclose(styled, scale[..., None] * plain + shift[..., None], atol=1e-5)
+    assert torch.allclose(styled, F.relu(scale[..., None] * plain + shift[..., None]), atol=1e-5)
     assert not torch.allclose(styled[0], styled[1], atol=0.1)
+
+
+def test_the_opening_is_the_transposed_convolution_it_stands_for():
+    torch.manual_seed(0)
+    layer, x = Opening(5, 3), torch.randn(2, 5, 1, 1, 1)
+    for weight in (layer.weight, layer.weight.contiguous(memory_format=torch.channels_last_3d)):
+        layer.weight.data = weight.data
+        assert torch.allclose(layer(x), F.conv_transpose3d(x, layer.weight), atol=1e-6)
 
 
 def test_doubling_is_the_transposed_convolution_it_stands_for():

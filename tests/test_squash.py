@@ -6,7 +6,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from viewnet import _volume_kernels, volume, volume_cpu
+from viewnet import _volume_kernels, kernels, volume, volume_cpu
 from viewnet.geometry import look_at, view_vector
 from viewnet.networks import gaussian_prior
 
@@ -14,7 +14,7 @@ from viewnet.networks import gaussian_prior
 @pytest.fixture(params=[True, False], ids=["compiled", "plain"])
 def squash(request, monkeypatch):
     if not request.param:
-        monkeypatch.setattr(volume_cpu, "available", lambda: False)
+        monkeypatch.setattr(kernels, "available", lambda: False)
     return volume.squash
 
 

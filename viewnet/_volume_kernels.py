@@ -4,12 +4,11 @@
 Along a ray the position in the volume is linear in the step k, so the steps inside are an interval, found in advance.
 """
 
-import types
-
 import numpy as np
 from numba import njit, prange
 
-FLAGS = {"fastmath": {"contract", "arcp", "nsz", "reassoc"}, "cache": True, "error_model": "numpy"}
+from viewnet._kernel_parts import FLAGS, compiled, narrowed, sigmoid, widened
+
 OPAQUE = np.float32(
     1e-5
 )  # a ray that so little light passes has stopped: what lies behind cannot change a pixel visibly
@@ -19,25 +18,25 @@ ZERO = np.float32(0.0)
 
 
 @njit(inline="always", **FLAGS)
-def _clip(low, high, start, step, limit):
-    """The steps k of [low, high) with 0 <= start + k step < limit."""
+def _clip(low, high, start, step, bottom, top):
+    """The steps k of [low, high) with bottom <= start + k step < top."""
     if abs(step) < 1e-9:
-        return (low, high) if 0 <= start < limit else (low, low)
-    a, b = -start / step, (limit - start) / step
+        return (low, high) if bottom <= start < top else (low, low)
+    a, b = (bottom - start) / step, (top - start) / step
     if a > b:
         a, b = b, a
     low, high = max(low, int(np.ceil(a))), min(high, int(np.floor(b)) + 1)
     # Rounding may put an end just outside; the caller reads memory there, so it is checked exactly.
-    while low < high and not 0 <= start + np.float32(low) * step < limit:
+    while low < high and not bottom <= start + np.float32(low) * step < top:
         low += 1
-    while low < high and not 0 <= start + np.float32(high - 1) * step < limit:
+    while low < high and not bottom <= start + np.float32(high - 1) * step < top:
         high -= 1
     return low, high
 
 
 @njit(inline="always", **FLAGS)
-def _ray(frame, focal, steps, shape, px, py):
-    """Position (u, v, w) in padded voxels at step 0, its change a step, and the interval of steps inside the volume."""
+def _ray(frame, focal, steps, shape, box, px, py):
+    """Position (u, v, w) in padded voxels at step 0, its change a step, and the interval of steps inside `box` (6,)."""
     z0, dz = ONE - ONE / np.float32(steps), np.float32(-2.0) / np.float32(steps)
     s0, ds = ONE - focal * z0, -focal * dz
     nz, ny, nx = shape
@@ -48,43 +47,60 @@ def _ray(frame, focal, steps, shape, px, py):
     u, du = (a * s0 + frame[0, 2] * z0 + ONE) * hx + HALF, (a * ds + frame[0, 2] * dz) * hx
     v, dv = (b * s0 + frame[1, 2] * z0 + ONE) * hy + HALF, (b * ds + frame[1, 2] * dz) * hy
     w, dw = (c * s0 + frame[2, 2] * z0 + ONE) * hz + HALF, (c * ds + frame[2, 2] * dz) * hz
-    low, high = _clip(0, steps, u, du, np.float32(nx + 1))
-    low, high = _clip(low, high, v, dv, np.float32(ny + 1))
-    low, high = _clip(low, high, w, dw, np.float32(nz + 1))
+    low, high = _clip(0, steps, u, du, box[0], box[1])
+    if low < high:
+        low, high = _clip(low, high, v, dv, box[2], box[3])
+    if low < high:
+        low, high = _clip(low, high, w, dw, box[4], box[5])
     return u, v, w, du, dv, dw, low, high
 
 
-def _forward(voxels, cells, shape, frames, focal, steps, picture):
-    """Fills `picture` (N, size, size, 4); cells that `cells` (B, P) says are empty are passed over."""
+def _forward(voxels, cells, boxes, shape, frames, focal, steps, picture):
+    """Fills `picture` (N, size, size, 4); cells that `cells` (B, P) says are empty are passed over.
+
+    Rays are walked inside `boxes` (B, 6) only: from where to where in u, v and w.
+    """
     share = len(frames) // len(voxels)
     for n in prange(len(frames)):
-        _draw(voxels[n // share], cells[n // share], shape, frames[n], focal, steps, picture[n])
+        _draw(voxels[n // share], cells[n // share], boxes[n // share], shape, frames[n], focal, steps, picture[n])
 
 
-def _occupied(voxels, shape, cells):
-    """Marks in `cells` (B, P) every cell, named by its lowest corner, that has a corner with occupancy."""
+def _occupied(voxels, shape, cells, boxes):
+    """Marks in `cells` (B, P) every cell, named by its lowest corner, that has a corner with occupancy.
+
+    `boxes` (B, 6) get the smallest box around them: from where to where in u, v and w; all 0 around nothing.
+    """
     row, plane = shape[2] + 2, (shape[1] + 2) * (shape[2] + 2)
     for b in prange(len(voxels)):
+        u_low, u_high, v_low, v_high, w_low, w_high = shape[2], 0, shape[1], 0, shape[0], 0
         for w in range(shape[0]):
             for v in range(shape[1]):
                 at = (w + 1) * plane + (v + 1) * row + 1
-                for p in range(at, at + shape[2]):
+                for u in range(shape[2]):
+                    p = at + u
                     if voxels[b, p, 3] != 0:
                         for dw in (0, plane):
                             for dv in (0, row):
                                 cells[b, p - dw - dv] = 1
                                 cells[b, p - dw - dv - 1] = 1
+                        u_low, u_high = min(u_low, u), max(u_high, u + 2)
+                        v_low, v_high = min(v_low, v), max(v_high, v + 2)
+                        w_low, w_high = min(w_low, w), max(w_high, w + 2)
+        boxes[b] = 0
+        if u_high:
+            boxes[b, 0], boxes[b, 1], boxes[b, 2] = u_low, u_high, v_low
+            boxes[b, 3], boxes[b, 4], boxes[b, 5] = v_high, w_low, w_high
 
 
 @njit(nogil=True, **FLAGS)
-def _draw(voxels, cells, shape, frame, focal, steps, picture):
+def _draw(voxels, cells, box, shape, frame, focal, steps, picture):
     size = picture.shape[0]
     row, plane = shape[2] + 2, (shape[1] + 2) * (shape[2] + 2)
     for i in range(size):
         py = ONE - np.float32(2 * i + 1) / np.float32(size)
         for j in range(size):
             px = np.float32(2 * j + 1) / np.float32(size) - ONE
-            u_start, v_start, w_start, du, dv, dw, low, high = _ray(frame, focal, steps, shape, px, py)
+            u_start, v_start, w_start, du, dv, dw, low, high = _ray(frame, focal, steps, shape, box, px, py)
             red = green = blue = mask = ZERO
             light = ONE
             for k in range(low, high):
@@ -135,21 +151,21 @@ def _draw(voxels, cells, shape, frame, focal, steps, picture):
             picture[i, j, 3] = mask
 
 
-def _backward(voxels, cells, shape, frames, focal, steps, grad, grad_voxels, grad_frames, grad_focal):
+def _backward(voxels, cells, boxes, shape, frames, focal, steps, grad, grad_voxels, grad_frames, grad_focal):
     """For `grad` (N, size, size, 4): adds to `grad_voxels` (B, P, 4), `grad_focal` (B,); fills `grad_frames` (N, 3, 3).
 
-    Cells that `cells` (B, P) leaves out get no gradient.
+    Cells that `cells` (B, P) leaves out, and what is outside `boxes` (B, 6), get no gradient.
     """
     share = len(frames) // len(voxels)
     for b in prange(len(voxels)):
         for n in range(b * share, (b + 1) * share):
             grad_focal[b] += _draw_backward(
-                voxels[b], cells[b], shape, frames[n], focal, steps, grad[n], grad_voxels[b], grad_frames[n]
+                voxels[b], cells[b], boxes[b], shape, frames[n], focal, steps, grad[n], grad_voxels[b], grad_frames[n]
             )
 
 
 @njit(nogil=True, **FLAGS)
-def _draw_backward(voxels, cells, shape, frame, focal, steps, grad, grad_voxels, grad_frame):
+def _draw_backward(voxels, cells, box, shape, frame, focal, steps, grad, grad_voxels, grad_frame):
     size = grad.shape[0]
     row, plane = shape[2] + 2, (shape[1] + 2) * (shape[2] + 2)
     hx, hy, hz = np.float32(shape[2]) * HALF, np.float32(shape[1]) * HALF, np.float32(shape[0]) * HALF
@@ -166,7 +182,7 @@ def _draw_backward(voxels, cells, shape, frame, focal, steps, grad, grad_voxels,
             if g0 == 0 and g1 == 0 and g2 == 0 and g3 == 0:
                 continue
             px = np.float32(2 * j + 1) / np.float32(size) - ONE
-            u_start, v_start, w_start, du, dv, dw, low, high = _ray(frame, focal, steps, shape, px, py)
+            u_start, v_start, w_start, du, dv, dw, low, high = _ray(frame, focal, steps, shape, box, px, py)
             light = ONE
             visits = 0
             for k in range(low, high):
@@ -261,53 +277,86 @@ def _draw_backward(voxels, cells, shape, frame, focal, steps, grad, grad_voxels,
     return total_focal
 
 
-def _squash(blocks, prior, voxels):
-    """Fills `voxels` (B, P, 4) from sigmoids `blocks` (B, z, y, x, s, s, s, 4) and `prior` (nz, ny, nx)."""
+def _squash(blocks, colour, prior, voxels):
+    """Fills `voxels` (B, P, 4) from logits `blocks` (B, z, y, x, s, s, s, 4), `colour` (B, 4), `prior` (nz, ny, nx)."""
     side = blocks.shape[4]
+    run = blocks.shape[3] * side**3 * 4
     row = blocks.shape[3] * side + 2
     plane = (blocks.shape[2] * side + 2) * row
     for b in prange(len(blocks)):
         voxels[b] = 0
-        for z, y, x in np.ndindex(blocks.shape[1], blocks.shape[2], blocks.shape[3]):
-            for dz, dy, dx in np.ndindex(side, side, side):
-                w, v, u = z * side + dz, y * side + dy, x * side + dx
-                p = (w + 1) * plane + (v + 1) * row + u + 1
-                for c in range(3):
-                    voxels[b, p, c] = blocks[b, z, y, x, dz, dy, dx, c]
-                occupancy = 2 * blocks[b, z, y, x, dz, dy, dx, 3] - ONE + prior[w, v, u]
-                voxels[b, p, 3] = min(max(occupancy, ZERO), ONE)
+        added = np.empty(run, np.float32)
+        for t in range(run):
+            added[t] = colour[b, t % 4]
+        values = np.empty(run, np.float32)
+        for z, y in np.ndindex(blocks.shape[1], blocks.shape[2]):
+            line = blocks[b, z, y].reshape(run)
+            for t in range(run):
+                values[t] = sigmoid(widened(line[t]) + added[t])
+            t = 0
+            for x in range(blocks.shape[3]):
+                for dz, dy in np.ndindex(side, side):
+                    w, v = z * side + dz, y * side + dy
+                    for u in range(x * side, (x + 1) * side):
+                        p = (w + 1) * plane + (v + 1) * row + u + 1
+                        occupancy = 2 * values[t + 3] - ONE + prior[w, v, u]
+                        voxels[b, p, 0] = values[t]
+                        voxels[b, p, 1] = values[t + 1]
+                        voxels[b, p, 2] = values[t + 2]
+                        voxels[b, p, 3] = min(max(occupancy, ZERO), ONE)
+                        t += 4
 
 
-def _squash_backward(blocks, prior, grad_voxels, grad):
-    """Fills `grad` (B, z, y, x, s, s, s, 4), the gradient before the sigmoid; voxels outside [0, 1] are let back in."""
+def _squash_backward(blocks, colour, prior, grad_voxels, grad):
+    """Fills `grad` (B, z, y, x, s, s, s, 4), the gradient of `blocks`; voxels outside [0, 1] are let back in."""
     side = blocks.shape[4]
+    run = blocks.shape[3] * side**3 * 4
     row = blocks.shape[3] * side + 2
     plane = (blocks.shape[2] * side + 2) * row
     for b in prange(len(blocks)):
-        for z, y, x in np.ndindex(blocks.shape[1], blocks.shape[2], blocks.shape[3]):
-            for dz, dy, dx in np.ndindex(side, side, side):
-                w, v, u = z * side + dz, y * side + dy, x * side + dx
-                p = (w + 1) * plane + (v + 1) * row + u + 1
-                for c in range(3):
-                    value = blocks[b, z, y, x, dz, dy, dx, c]
-                    grad[b, z, y, x, dz, dy, dx, c] = value * (ONE - value) * grad_voxels[b, p, c]
-                value, change = blocks[b, z, y, x, dz, dy, dx, 3], grad_voxels[b, p, 3]
-                occupancy = 2 * value - ONE + prior[w, v, u]
-                if (occupancy < 0 and change > 0) or (occupancy > 1 and change < 0):
-                    change = ZERO
-                grad[b, z, y, x, dz, dy, dx, 3] = 2 * value * (ONE - value) * change
+        added = np.empty(run, np.float32)
+        for t in range(run):
+            added[t] = colour[b, t % 4]
+        values, change = np.empty(run, np.float32), np.empty(run, np.float32)
+        for z, y in np.ndindex(blocks.shape[1], blocks.shape[2]):
+            line, result = blocks[b, z, y].reshape(run), grad[b, z, y].reshape(run)
+            for t in range(run):
+                values[t] = sigmoid(widened(line[t]) + added[t])
+            t = 0
+            for x in range(blocks.shape[3]):
+                for dz, dy in np.ndindex(side, side):
+                    w, v = z * side + dz, y * side + dy
+                    for u in range(x * side, (x + 1) * side):
+                        p = (w + 1) * plane + (v + 1) * row + u + 1
+                        change[t] = grad_voxels[b, p, 0]
+                        change[t + 1] = grad_voxels[b, p, 1]
+                        change[t + 2] = grad_voxels[b, p, 2]
+                        back = 2 * grad_voxels[b, p, 3]
+                        occupancy = 2 * values[t + 3] - ONE + prior[w, v, u]
+                        if (occupancy < 0 and back > 0) or (occupancy > 1 and back < 0):
+                            back = ZERO
+                        change[t + 3] = back
+                        t += 4
+            for t in range(run):
+                result[t] = narrowed(values[t] * (ONE - values[t]) * change[t], result[t])
 
 
-def _compiled(kernel):
-    """The kernel for one thread and, under True, for several.
+def _halve(voxels, shape, halves):
+    """Fills `halves` (B, P', 4) with the means of every eight voxels; its frame stays as it is."""
+    row, plane = shape[2] + 2, (shape[1] + 2) * (shape[2] + 2)
+    small_row = shape[2] // 2 + 2
+    small_plane = (shape[1] // 2 + 2) * small_row
+    for b in prange(len(voxels)):
+        for w, v in np.ndindex(shape[0] // 2, shape[1] // 2):
+            for u in range(shape[2] // 2):
+                p = (2 * w + 1) * plane + (2 * v + 1) * row + 2 * u + 1
+                at = (w + 1) * small_plane + (v + 1) * small_row + u + 1
+                for c in range(4):
+                    near = voxels[b, p, c] + voxels[b, p + 1, c] + voxels[b, p + row, c] + voxels[b, p + row + 1, c]
+                    q = p + plane
+                    far = voxels[b, q, c] + voxels[b, q + 1, c] + voxels[b, q + row, c] + voxels[b, q + row + 1, c]
+                    halves[b, at, c] = (near + far) * np.float32(0.125)
 
-    On one thread the threaded version would still wake a pool, whose threads spin on cores that other runs need. It has
-    a name of its own, as Numba's cache tells versions apart by name and types, not by options.
-    """
-    threaded = types.FunctionType(kernel.__code__, kernel.__globals__, kernel.__name__ + "_threaded")
-    threaded.__qualname__ = threaded.__name__
-    return {False: njit(nogil=True, **FLAGS)(kernel), True: njit(parallel=True, nogil=True, **FLAGS)(threaded)}
 
-
-forward, occupied, backward = _compiled(_forward), _compiled(_occupied), _compiled(_backward)
-squash, squash_backward = _compiled(_squash), _compiled(_squash_backward)
+forward, occupied, backward = compiled(_forward), compiled(_occupied), compiled(_backward)
+squash, squash_backward, halve = compiled(_squash), compiled(_squash_backward), compiled(_halve)

@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from viewnet import layers_cpu
 from viewnet.config import ModelConfig
 from viewnet.errors import ViewnetError
 from viewnet.volume import joined, ray_points
@@ -55,11 +56,34 @@ class Encoder(nn.Sequential):
         self.to(memory_format=torch.channels_last)
 
     def forward(self, pictures: Tensor) -> Tensor:
-        return super().forward(pictures.contiguous(memory_format=torch.channels_last))
+        x = pictures.contiguous(memory_format=torch.channels_last)
+        for layer in self:
+            if isinstance(layer, nn.BatchNorm2d):
+                x = _normalised(layer, x)
+            elif not isinstance(layer, nn.ReLU):
+                x = layer(x)
+        return x
+
+
+def _normalised(layer: nn.BatchNorm2d, x: Tensor) -> Tensor:
+    """Batch normalisation and the ReLU after it."""
+    if not (layer.training and layers_cpu.usable(x)):
+        return F.relu(layer(x), inplace=True)
+    flat = x.movedim(1, -1).flatten(0, -2)[None]
+    out, mean, variance = layers_cpu.norm_relu(flat, layer.weight[None], layer.bias[None], layer.eps)
+    with torch.no_grad():
+        count = flat.shape[1]
+        layer.num_batches_tracked += 1
+        layer.running_mean.lerp_(mean[0], layer.momentum)
+        layer.running_var.lerp_(variance[0] * (count / (count - 1)), layer.momentum)
+    return out.view(x.movedim(1, -1).shape).movedim(-1, 1)
 
 
 class AdaIN(nn.Module):
-    """Adaptive instance normalisation: features normalised a channel, then scaled and shifted by the appearance."""
+    """Adaptive instance normalisation: features normalised a channel, then scaled and shifted by the appearance.
+
+    With the ReLU that follows it everywhere.
+    """
 
     def __init__(self, channels: int, appearance: int):
         super().__init__()
@@ -69,9 +93,13 @@ class AdaIN(nn.Module):
             self.affine.bias[:channels] = 1  # starts as plain instance normalisation
 
     def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
-        scale, shift = self.affine(appearance).to(x.dtype).chunk(2, dim=1)
+        scale, shift = self.affine(appearance).chunk(2, dim=1)
+        if layers_cpu.usable(x):
+            last = x.movedim(1, -1)
+            out, _, _ = layers_cpu.norm_relu(last.flatten(1, -2), scale, shift)
+            return out.view(last.shape).movedim(-1, 1)
         shape = (*scale.shape, *[1] * (x.dim() - 2))
-        return torch.addcmul(shift.view(shape), F.instance_norm(x), scale.view(shape))
+        return F.relu(torch.addcmul(shift.to(x.dtype).view(shape), F.instance_norm(x), scale.to(x.dtype).view(shape)))
 
 
 class Stage(nn.Module):
@@ -82,9 +110,11 @@ class Stage(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, appearance: int | None, dims: int = 3):
         super().__init__()
-        padding = 0 if stride == 1 and kernel == 4 else 1
-        transposed = nn.ConvTranspose3d if dims == 3 else nn.ConvTranspose2d
-        self.convolution = transposed(inputs, outputs, kernel, stride, padding, bias=False)
+        if stride == 1 and kernel == 4:
+            self.convolution: nn.Module = Opening(inputs, outputs)
+        else:
+            transposed = nn.ConvTranspose3d if dims == 3 else nn.ConvTranspose2d
+            self.convolution = transposed(inputs, outputs, kernel, stride, 1, bias=False)
         self.conditioned = appearance is not None
         if appearance is not None:
             self.norm: nn.Module = AdaIN(outputs, appearance)
@@ -93,7 +123,24 @@ class Stage(nn.Module):
 
     def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
         x = self.convolution(x)
-        return F.relu(self.norm(x, appearance) if self.conditioned else self.norm(x), inplace=True)
+        if len(x) < len(appearance):
+            x = x.expand(len(appearance), *x.shape[1:])
+        return self.norm(x, appearance) if self.conditioned else F.relu(self.norm(x), inplace=True)
+
+
+class Opening(nn.ConvTranspose3d):
+    """Transposed convolution of kernel 4 on a single voxel, as the matrix product it is: (N, C, 1, 1, 1) to 4^3 voxels.
+
+    In float32: it is the largest of all weights by far, and to convert it takes longer than the product.
+    """
+
+    def __init__(self, inputs: int, outputs: int):
+        super().__init__(inputs, outputs, 4, bias=False)
+
+    def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
+        with torch.autocast(x.device.type, enabled=False):
+            flat = x.flatten(1).float() @ self.weight.permute(0, 2, 3, 4, 1).flatten(1)
+        return flat.view(len(x), 4, 4, 4, self.out_channels).movedim(-1, 1)
 
 
 class Doubling(nn.ConvTranspose3d):
@@ -153,7 +200,8 @@ class Generator(nn.Module):
 
     def blocks(self, appearance: Tensor, coarse: bool = False) -> Tensor:
         """The logits as viewnet.volume.squash takes them; with `coarse` at half the resolution where there is one."""
-        x = self.code.expand(len(appearance), -1, -1, -1, -1) if self.adain else appearance[:, :, None, None, None]
+        # What the first layer makes of the code is the same for all objects.
+        x = self.code if self.adain else appearance[:, :, None, None, None]
         for stage in self.stages:
             x = stage(x.contiguous(memory_format=torch.channels_last_3d), appearance)
         if isinstance(self.last, Doubling):
@@ -195,7 +243,7 @@ class HoloGANDecoder(nn.Module):
 
     def features(self, appearance: Tensor) -> Tensor:
         """Feature volumes (N, C, s, s, s), before any rotation."""
-        x = F.relu(self.enter(self.code.expand(len(appearance), -1, -1, -1, -1), appearance))
+        x = self.enter(self.code.expand(len(appearance), -1, -1, -1, -1), appearance)
         for stage in self.stages:
             x = stage(x, appearance)
         return x

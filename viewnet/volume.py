@@ -23,7 +23,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from viewnet import volume_cpu
+from viewnet import kernels, volume_cpu
 
 
 def ray_points(size: int, steps: int, focal: Tensor) -> Tensor:
@@ -37,6 +37,8 @@ def ray_points(size: int, steps: int, focal: Tensor) -> Tensor:
 
 def halved(volume: Tensor) -> Tensor:
     """Volumes (B, 4, Z, Y, X) at half the resolution, averaged: a pooling that keeps the order in memory."""
+    if not torch.is_grad_enabled() and volume.device.type == "cpu" and volume.shape[1] == 4 and kernels.available():
+        return volume_cpu.halved(volume.float())
     for axis in (2, 3, 4):
         even, odd = volume.unflatten(axis, (-1, 2)).unbind(axis + 1)
         volume = even + odd
@@ -55,7 +57,7 @@ def squash(blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tenso
     pulls them back in: a plain clamp gives those that were once emptied none, so that thin parts, once lost, never come
     back.
     """
-    if blocks.device.type == "cpu" and volume_cpu.available():
+    if blocks.device.type == "cpu" and kernels.available():
         return volume_cpu.squash(blocks, colour, prior)
     logits = joined(blocks).float()
     if colour is not None:
@@ -107,6 +109,6 @@ def render(
     steps = size if steps is None else steps
     if len(frames) % len(volume):
         raise ValueError(f"{len(frames)} frames cannot be shared out evenly over {len(volume)} volumes")
-    if volume.device.type == "cpu" and volume_cpu.available():
+    if volume.device.type == "cpu" and kernels.available():
         return volume_cpu.render(volume.float(), frames.float(), focal.float(), size, steps, sparse)
     return render_reference(volume.float(), frames.float(), focal.float(), size, steps)

@@ -8,30 +8,19 @@ the same bits whatever the number of threads.
 
 from __future__ import annotations
 
-import functools
-import warnings
+import math
 import weakref
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-
-@functools.cache
-def available() -> bool:
-    """Whether the compiled path can be used; says once why not."""
-    try:
-        import numba  # noqa: F401
-    except ImportError as error:
-        warnings.warn(f"numba is not usable ({error}): volumes are drawn by the slower PyTorch path", stacklevel=2)
-        return False
-    return True
+from viewnet import kernels
 
 
 def warm_up() -> None:
     """Loads the kernels."""
-    if not available():
+    if not kernels.available():
         return
     blocks = torch.zeros(1, 2, 2, 2, 1, 1, 1, 4).requires_grad_()
     render(squash(blocks, None, None), torch.eye(3)[None], torch.zeros(()), 2, 2, sparse=False).sum().backward()
@@ -50,28 +39,36 @@ def squash(blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tenso
     return _Squash.apply(blocks, colour, prior)
 
 
+def halved(volume: Tensor) -> Tensor:
+    """As viewnet.volume.halved, of volumes with four channels and without gradient."""
+    shape = tuple(volume.shape[2:])
+    small = tuple(side // 2 for side in shape)
+    halves = torch.zeros(len(volume), math.prod(side + 2 for side in small), 4)
+    kernels.run("_volume_kernels", "halve", _framed(volume.detach()), shape, halves)
+    return _inside(halves, small)
+
+
 class _Squash(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
         count, *sides = blocks.shape[:4]
         nz, ny, nx = (side * blocks.shape[4] for side in sides)
-        values = torch.empty(blocks.shape).copy_(blocks)
+        blocks = blocks.contiguous()
+        added = torch.zeros(count, 4)
         if colour is not None:
-            values += torch.nn.functional.pad(colour.float(), (0, 1)).view(-1, *[1] * 6, 4)
-        values.sigmoid_()
+            added[:, :3] = colour
         offset = torch.zeros(nz, ny, nx) if prior is None else prior.contiguous()
         voxels = torch.empty(count, (nz + 2) * (ny + 2) * (nx + 2), 4)
-        _run("squash", values, offset, voxels)
-        ctx.save_for_backward(values, offset)
-        ctx.dtype = blocks.dtype
+        kernels.run("_volume_kernels", "squash", blocks, added, offset, voxels)
+        ctx.save_for_backward(blocks, added, offset)
         return _inside(voxels, (nz, ny, nx))
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
-        values, offset = ctx.saved_tensors
-        grad = torch.empty_like(values)
-        _run("squash_backward", values, offset, _framed(grads[0]), grad)
-        return grad.to(ctx.dtype), None, None
+        blocks, added, offset = ctx.saved_tensors
+        grad = torch.empty_like(blocks)
+        kernels.run("_volume_kernels", "squash_backward", blocks, added, offset, _framed(grads[0]), grad)
+        return grad, None, None
 
 
 class _Render(torch.autograd.Function):
@@ -80,40 +77,48 @@ class _Render(torch.autograd.Function):
         voxels, frames = _framed(volume.detach(), empty=True), frames.detach().contiguous()
         picture = torch.empty(len(frames), size, size, 4)
         shape = tuple(volume.shape[2:])
-        cells = _occupied(volume, voxels, shape)
-        _run("forward", voxels, cells, shape, frames, focal, steps, picture)
-        ctx.save_for_backward(voxels, cells if sparse else torch.ones_like(cells), frames, focal)
+        cells, boxes = _occupied(volume, voxels, shape)
+        kernels.run("_volume_kernels", "forward", voxels, cells, boxes, shape, frames, focal, steps, picture)
+        if not sparse:
+            whole = [float(end) for side in reversed(shape) for end in (0, side + 1)]
+            cells, boxes = torch.ones_like(cells), torch.tensor(whole).expand_as(boxes).contiguous()
+        ctx.save_for_backward(voxels, cells, boxes, frames, focal)
         ctx.shape, ctx.steps = shape, steps
         return picture.permute(0, 3, 1, 2)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
-        voxels, cells, frames, focal = ctx.saved_tensors
+        voxels, cells, boxes, frames, focal = ctx.saved_tensors
         grad = grads[0].permute(0, 2, 3, 1).contiguous()
         grad_voxels, grad_frames = torch.zeros_like(voxels), torch.empty_like(frames)
         grad_focal = torch.zeros(len(voxels))
-        _run("backward", voxels, cells, ctx.shape, frames, focal, ctx.steps, grad, grad_voxels, grad_frames, grad_focal)
+        found = (grad_voxels, grad_frames, grad_focal)
+        arguments = (voxels, cells, boxes, ctx.shape, frames, focal, ctx.steps, grad, *found)
+        kernels.run("_volume_kernels", "backward", *arguments)
         grad_volume = _inside(grad_voxels, ctx.shape)
         return grad_volume, grad_frames, grad_focal.sum().reshape(focal.shape), None, None, None
 
 
-_known: tuple[weakref.ref[Tensor], int, Tensor] | None = None
+_known: tuple[weakref.ref[Tensor], int, tuple[Tensor, Tensor]] | None = None
 
 
-def _occupied(volume: Tensor, voxels: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """Which cells of `voxels` (B, P, 4) hold anything, (B, P); remembered for the volume drawn last."""
+def _occupied(volume: Tensor, voxels: Tensor, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
+    """Which cells of `voxels` (B, P, 4) hold anything, (B, P), and the box around them, (B, 6).
+
+    Remembered for the volume drawn last.
+    """
     global _known
     # Tensors made under inference_mode do not count their changes.
     version = -1 if volume.is_inference() else volume._version
     if version >= 0 and _known is not None and _known[0]() is volume and _known[1] == version:
         return _known[2]
-    cells = torch.zeros(voxels.shape[:2], dtype=torch.uint8)
-    _run("occupied", voxels, shape, cells)
-    _known = weakref.ref(volume), version, cells
-    return cells
+    found = torch.zeros(voxels.shape[:2], dtype=torch.uint8), torch.empty(len(voxels), 6)
+    kernels.run("_volume_kernels", "occupied", voxels, shape, *found)
+    _known = weakref.ref(volume), version, found
+    return found
 
 
-def _inside(voxels: Tensor, shape: tuple[int, int, int]) -> Tensor:
+def _inside(voxels: Tensor, shape: tuple[int, ...]) -> Tensor:
     """The volume (B, 4, Z, Y, X) in `voxels` (B, P, 4), without the voxel all around."""
     nz, ny, nx = shape
     return voxels.view(-1, nz + 2, ny + 2, nx + 2, 4)[:, 1:-1, 1:-1, 1:-1].permute(0, 4, 1, 2, 3)
@@ -138,19 +143,3 @@ def _framed(volume: Tensor, empty: bool = False) -> Tensor:
     voxels = torch.zeros(whole)
     voxels[:, 1:-1, 1:-1, 1:-1] = volume.permute(0, 2, 3, 4, 1)
     return voxels.view(count, -1, 4)
-
-
-def _run(kernel: str, *arguments: Any) -> None:
-    """Calls a kernel on as many threads as PyTorch may use; single numbers are passed as such, tensors as arrays."""
-    import numba
-
-    from viewnet import _volume_kernels
-
-    allowed = torch.get_num_threads()
-    threads = min(allowed, numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-    if threads > 1:
-        numba.set_num_threads(threads)
-    plain = [(np.float32(a.item()) if a.dim() == 0 else a.numpy()) if isinstance(a, Tensor) else a for a in arguments]
-    getattr(_volume_kernels, kernel)[threads > 1](*plain)
-    if torch.get_num_threads() != allowed:  # loading a kernel resets it behind PyTorch's back
-        torch.set_num_threads(allowed)
