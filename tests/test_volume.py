@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.linalg import orthogonal_procrustes
 from scipy.spatial.transform import Rotation
 
+from viewnet import kernels, volume
 from viewnet import render as mesh_renderer
-from viewnet import kernels, volume, volume_cpu
 from viewnet.alignment import fit_rotation
 from viewnet.geometry import look_at, view_vector
 

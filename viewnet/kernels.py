@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib
 import warnings
 from typing import Any
 
@@ -23,8 +22,8 @@ def available() -> bool:
     return True
 
 
-def run(module: str, kernel: str, *arguments: Any) -> None:
-    """Calls a kernel of viewnet.<module> on as many threads as PyTorch may use.
+def run(kernel: dict[bool, Any], *arguments: Any) -> None:
+    """Calls a kernel, as viewnet._kernel_parts.compiled makes it, on as many threads as PyTorch may use.
 
     Tensors are passed as arrays, those of bfloat16 as their bits, and those of a single number as such.
     """
@@ -35,7 +34,7 @@ def run(module: str, kernel: str, *arguments: Any) -> None:
     if threads > 1:
         numba.set_num_threads(threads)
     plain = [_plain(argument) if isinstance(argument, Tensor) else argument for argument in arguments]
-    getattr(importlib.import_module(f"viewnet.{module}"), kernel)[threads > 1](*plain)
+    kernel[threads > 1](*plain)
     if torch.get_num_threads() != allowed:  # loading a kernel resets it behind PyTorch's back
         torch.set_num_threads(allowed)
 

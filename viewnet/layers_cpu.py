@@ -33,7 +33,7 @@ class _NormReLU(torch.autograd.Function):
         x, scale, shift = x.contiguous(), scale.float().contiguous(), shift.float().contiguous()
         out = torch.empty_like(x)
         mean, variance, slope, offset = (torch.empty_like(scale) for _ in range(4))
-        kernels.run("_layer_kernels", "norm", x, scale, shift, epsilon, out, mean, variance, slope, offset)
+        _run("norm", x, scale, shift, epsilon, out, mean, variance, slope, offset)
         ctx.save_for_backward(x, mean, variance, slope, offset)
         ctx.epsilon = epsilon
         ctx.mark_non_differentiable(mean, variance)
@@ -45,5 +45,11 @@ class _NormReLU(torch.autograd.Function):
         grad = grads[0].to(x.dtype).contiguous()
         grad_x, grad_scale, grad_shift = torch.empty_like(x), torch.empty_like(mean), torch.empty_like(mean)
         found = (grad_x, grad_scale, grad_shift)
-        kernels.run("_layer_kernels", "norm_backward", x, grad, mean, variance, ctx.epsilon, slope, offset, *found)
+        _run("norm_backward", x, grad, mean, variance, ctx.epsilon, slope, offset, *found)
         return *found, None
+
+
+def _run(kernel: str, *arguments: Any) -> None:
+    from viewnet import _layer_kernels
+
+    kernels.run(getattr(_layer_kernels, kernel), *arguments)

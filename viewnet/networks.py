@@ -12,6 +12,7 @@ from typing import Literal
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.nn.modules.batchnorm import _BatchNorm
 
 from viewnet import layers_cpu
 from viewnet.config import ModelConfig
@@ -58,17 +59,19 @@ class Encoder(nn.Sequential):
     def forward(self, pictures: Tensor) -> Tensor:
         x = pictures.contiguous(memory_format=torch.channels_last)
         for layer in self:
-            if isinstance(layer, nn.BatchNorm2d):
+            if isinstance(layer, _BatchNorm):
                 x = _normalised(layer, x)
             elif not isinstance(layer, nn.ReLU):
                 x = layer(x)
         return x
 
 
-def _normalised(layer: nn.BatchNorm2d, x: Tensor) -> Tensor:
+def _normalised(layer: _BatchNorm, x: Tensor) -> Tensor:
     """Batch normalisation and the ReLU after it."""
-    if not (layer.training and layers_cpu.usable(x)):
+    if not (layer.training and layers_cpu.usable(x) and isinstance(layer, nn.BatchNorm2d | nn.BatchNorm3d)):
         return F.relu(layer(x), inplace=True)
+    assert layer.momentum is not None and layer.running_mean is not None and layer.running_var is not None
+    assert layer.num_batches_tracked is not None
     flat = x.movedim(1, -1).flatten(0, -2)[None]
     out, mean, variance = layers_cpu.norm_relu(flat, layer.weight[None], layer.bias[None], layer.eps)
     with torch.no_grad():
@@ -115,9 +118,8 @@ class Stage(nn.Module):
         else:
             transposed = nn.ConvTranspose3d if dims == 3 else nn.ConvTranspose2d
             self.convolution = transposed(inputs, outputs, kernel, stride, 1, bias=False)
-        self.conditioned = appearance is not None
         if appearance is not None:
-            self.norm: nn.Module = AdaIN(outputs, appearance)
+            self.norm: AdaIN | _BatchNorm = AdaIN(outputs, appearance)
         else:
             self.norm = nn.BatchNorm3d(outputs) if dims == 3 else nn.BatchNorm2d(outputs)
 
@@ -125,7 +127,7 @@ class Stage(nn.Module):
         x = self.convolution(x)
         if len(x) < len(appearance):
             x = x.expand(len(appearance), *x.shape[1:])
-        return self.norm(x, appearance) if self.conditioned else F.relu(self.norm(x), inplace=True)
+        return self.norm(x, appearance) if isinstance(self.norm, AdaIN) else _normalised(self.norm, x)
 
 
 class Opening(nn.ConvTranspose3d):

@@ -35,11 +35,15 @@ log = logging.getLogger(__name__)
 
 SCHEMA = 1
 TRAINING = (
+    "_kernel_parts.py",
+    "_layer_kernels.py",
     "chance.py",
     "distributed.py",
     "_volume_kernels.py",
     "volume.py",
     "volume_cpu.py",
+    "kernels.py",
+    "layers_cpu.py",
     "networks.py",
     "losses.py",
     "backbones.py",

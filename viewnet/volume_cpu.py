@@ -44,7 +44,7 @@ def halved(volume: Tensor) -> Tensor:
     shape = tuple(volume.shape[2:])
     small = tuple(side // 2 for side in shape)
     halves = torch.zeros(len(volume), math.prod(side + 2 for side in small), 4)
-    kernels.run("_volume_kernels", "halve", _framed(volume.detach()), shape, halves)
+    _run("halve", _framed(volume.detach()), shape, halves)
     return _inside(halves, small)
 
 
@@ -59,7 +59,7 @@ class _Squash(torch.autograd.Function):
             added[:, :3] = colour
         offset = torch.zeros(nz, ny, nx) if prior is None else prior.contiguous()
         voxels = torch.empty(count, (nz + 2) * (ny + 2) * (nx + 2), 4)
-        kernels.run("_volume_kernels", "squash", blocks, added, offset, voxels)
+        _run("squash", blocks, added, offset, voxels)
         ctx.save_for_backward(blocks, added, offset)
         return _inside(voxels, (nz, ny, nx))
 
@@ -67,7 +67,7 @@ class _Squash(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> Any:
         blocks, added, offset = ctx.saved_tensors
         grad = torch.empty_like(blocks)
-        kernels.run("_volume_kernels", "squash_backward", blocks, added, offset, _framed(grads[0]), grad)
+        _run("squash_backward", blocks, added, offset, _framed(grads[0]), grad)
         return grad, None, None
 
 
@@ -78,7 +78,7 @@ class _Render(torch.autograd.Function):
         picture = torch.empty(len(frames), size, size, 4)
         shape = tuple(volume.shape[2:])
         cells, boxes = _occupied(volume, voxels, shape)
-        kernels.run("_volume_kernels", "forward", voxels, cells, boxes, shape, frames, focal, steps, picture)
+        _run("forward", voxels, cells, boxes, shape, frames, focal, steps, picture)
         if not sparse:
             whole = [float(end) for side in reversed(shape) for end in (0, side + 1)]
             cells, boxes = torch.ones_like(cells), torch.tensor(whole).expand_as(boxes).contiguous()
@@ -94,7 +94,7 @@ class _Render(torch.autograd.Function):
         grad_focal = torch.zeros(len(voxels))
         found = (grad_voxels, grad_frames, grad_focal)
         arguments = (voxels, cells, boxes, ctx.shape, frames, focal, ctx.steps, grad, *found)
-        kernels.run("_volume_kernels", "backward", *arguments)
+        _run("backward", *arguments)
         grad_volume = _inside(grad_voxels, ctx.shape)
         return grad_volume, grad_frames, grad_focal.sum().reshape(focal.shape), None, None, None
 
@@ -113,7 +113,7 @@ def _occupied(volume: Tensor, voxels: Tensor, shape: tuple[int, ...]) -> tuple[T
     if version >= 0 and _known is not None and _known[0]() is volume and _known[1] == version:
         return _known[2]
     found = torch.zeros(voxels.shape[:2], dtype=torch.uint8), torch.empty(len(voxels), 6)
-    kernels.run("_volume_kernels", "occupied", voxels, shape, *found)
+    _run("occupied", voxels, shape, *found)
     _known = weakref.ref(volume), version, found
     return found
 
@@ -143,3 +143,9 @@ def _framed(volume: Tensor, empty: bool = False) -> Tensor:
     voxels = torch.zeros(whole)
     voxels[:, 1:-1, 1:-1, 1:-1] = volume.permute(0, 2, 3, 4, 1)
     return voxels.view(count, -1, 4)
+
+
+def _run(kernel: str, *arguments: Any) -> None:
+    from viewnet import _volume_kernels
+
+    kernels.run(getattr(_volume_kernels, kernel), *arguments)
