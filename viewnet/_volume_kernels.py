@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit, prange
 
 from viewnet._kernel_parts import FLAGS, compiled, narrowed, sigmoid, widened
+from viewnet._trilinear import deposit, sampled, slopes
 
 OPAQUE = np.float32(
     1e-5
@@ -95,7 +96,7 @@ def _occupied(voxels, shape, cells, boxes):
 @njit(nogil=True, **FLAGS)
 def _draw(voxels, cells, box, shape, frame, focal, steps, picture):
     size = picture.shape[0]
-    row, plane = shape[2] + 2, (shape[1] + 2) * (shape[2] + 2)
+    row, plane = np.uintp(shape[2] + 2), np.uintp((shape[1] + 2) * (shape[2] + 2))
     for i in range(size):
         py = ONE - np.float32(2 * i + 1) / np.float32(size)
         for j in range(size):
@@ -108,39 +109,15 @@ def _draw(voxels, cells, box, shape, frame, focal, steps, picture):
                 v = v_start + np.float32(k) * dv
                 w = w_start + np.float32(k) * dw
                 u0, v0, w0 = int(u), int(v), int(w)
-                p = np.uintp(w0 * plane + v0 * row + u0)
+                p = np.uintp(w0) * plane + np.uintp(v0) * row + np.uintp(u0)
                 if not cells[p]:
                     continue
-                fu, fv, fw = u - np.float32(u0), v - np.float32(v0), w - np.float32(w0)
-                gu, gv, gw = ONE - fu, ONE - fv, ONE - fw
-                c00, c01, c10, c11 = gw * gv, gw * fv, fw * gv, fw * fv
-                w000, w001, w010, w011 = c00 * gu, c00 * fu, c01 * gu, c01 * fu
-                w100, w101, w110, w111 = c10 * gu, c10 * fu, c11 * gu, c11 * fu
-                p000 = p
-                p001 = p + np.uintp(1)
-                p010 = p + np.uintp(row)
-                p011 = p010 + np.uintp(1)
-                p100 = p + np.uintp(plane)
-                p101 = p100 + np.uintp(1)
-                p110 = p100 + np.uintp(row)
-                p111 = p110 + np.uintp(1)
-                q = (
-                    w000 * voxels[p000, 3] + w001 * voxels[p001, 3] + w010 * voxels[p010, 3] + w011 * voxels[p011, 3]
-                    + w100 * voxels[p100, 3] + w101 * voxels[p101, 3] + w110 * voxels[p110, 3] + w111 * voxels[p111, 3]
-                )  # fmt: skip
+                into = u - np.float32(u0), v - np.float32(v0), w - np.float32(w0)
+                r, g, b, q = sampled(voxels, p, row, plane, into)
                 stop = q * light
-                red += stop * (
-                    w000 * voxels[p000, 0] + w001 * voxels[p001, 0] + w010 * voxels[p010, 0] + w011 * voxels[p011, 0]
-                    + w100 * voxels[p100, 0] + w101 * voxels[p101, 0] + w110 * voxels[p110, 0] + w111 * voxels[p111, 0]
-                )  # fmt: skip
-                green += stop * (
-                    w000 * voxels[p000, 1] + w001 * voxels[p001, 1] + w010 * voxels[p010, 1] + w011 * voxels[p011, 1]
-                    + w100 * voxels[p100, 1] + w101 * voxels[p101, 1] + w110 * voxels[p110, 1] + w111 * voxels[p111, 1]
-                )  # fmt: skip
-                blue += stop * (
-                    w000 * voxels[p000, 2] + w001 * voxels[p001, 2] + w010 * voxels[p010, 2] + w011 * voxels[p011, 2]
-                    + w100 * voxels[p100, 2] + w101 * voxels[p101, 2] + w110 * voxels[p110, 2] + w111 * voxels[p111, 2]
-                )  # fmt: skip
+                red += stop * r
+                green += stop * g
+                blue += stop * b
                 mask += stop
                 light *= ONE - q
                 if light < OPAQUE:
@@ -167,7 +144,7 @@ def _backward(voxels, cells, boxes, shape, frames, focal, steps, grad, grad_voxe
 @njit(nogil=True, **FLAGS)
 def _draw_backward(voxels, cells, box, shape, frame, focal, steps, grad, grad_voxels, grad_frame):
     size = grad.shape[0]
-    row, plane = shape[2] + 2, (shape[1] + 2) * (shape[2] + 2)
+    row, plane = np.uintp(shape[2] + 2), np.uintp((shape[1] + 2) * (shape[2] + 2))
     hx, hy, hz = np.float32(shape[2]) * HALF, np.float32(shape[1]) * HALF, np.float32(shape[0]) * HALF
     visited = np.empty(steps, np.int64)
     occupancy, lights, seen = np.empty(steps, np.float32), np.empty(steps, np.float32), np.empty(steps, np.float32)
@@ -183,41 +160,27 @@ def _draw_backward(voxels, cells, box, shape, frame, focal, steps, grad, grad_vo
                 continue
             px = np.float32(2 * j + 1) / np.float32(size) - ONE
             u_start, v_start, w_start, du, dv, dw, low, high = _ray(frame, focal, steps, shape, box, px, py)
-            light = ONE
+            # What is behind an opaque voxel has a say in its gradient, so a ray goes on behind the first one: it ends
+            # where hardly any light would pass even with the most opaque of its steps taken away.
+            light = rest = least = ONE
             visits = 0
             for k in range(low, high):
                 u = u_start + np.float32(k) * du
                 v = v_start + np.float32(k) * dv
                 w = w_start + np.float32(k) * dw
                 u0, v0, w0 = int(u), int(v), int(w)
-                p = np.uintp(w0 * plane + v0 * row + u0)
+                p = np.uintp(w0) * plane + np.uintp(v0) * row + np.uintp(u0)
                 if not cells[p]:
                     continue
-                fu, fv, fw = u - np.float32(u0), v - np.float32(v0), w - np.float32(w0)
-                gu, gv, gw = ONE - fu, ONE - fv, ONE - fw
-                c00, c01, c10, c11 = gw * gv, gw * fv, fw * gv, fw * fv
-                q = s = ZERO
-                for corner in range(8):
-                    at = p
-                    weight = c00
-                    if corner & 4:
-                        at += np.uintp(plane)
-                        weight = c11 if corner & 2 else c10
-                    elif corner & 2:
-                        weight = c01
-                    if corner & 2:
-                        at += np.uintp(row)
-                    if corner & 1:
-                        at += np.uintp(1)
-                        weight *= fu
-                    else:
-                        weight *= gu
-                    q += weight * voxels[at, 3]
-                    s += weight * (g0 * voxels[at, 0] + g1 * voxels[at, 1] + g2 * voxels[at, 2])
+                into = u - np.float32(u0), v - np.float32(v0), w - np.float32(w0)
+                r, g, b, q = sampled(voxels, p, row, plane, into)
+                s = g0 * r + g1 * g + g2 * b
                 visited[visits], occupancy[visits], seen[visits], lights[visits] = k, q, s + g3, light
                 visits += 1
                 light *= ONE - q
-                if light < OPAQUE:
+                rest *= max(ONE - q, least)
+                least = min(ONE - q, least)
+                if rest < OPAQUE:
                     break
             # `beyond`: what the pixel's gradient makes of the light that passes step k; from the far end to the near.
             beyond = ZERO
@@ -231,33 +194,11 @@ def _draw_backward(voxels, cells, box, shape, frame, focal, steps, grad, grad_vo
                 v = v_start + np.float32(k) * dv
                 w = w_start + np.float32(k) * dw
                 u0, v0, w0 = int(u), int(v), int(w)
-                fu, fv, fw = u - np.float32(u0), v - np.float32(v0), w - np.float32(w0)
-                gu, gv, gw = ONE - fu, ONE - fv, ONE - fw
-                p = np.uintp(w0 * plane + v0 * row + u0)
-                su = sv = sw = ZERO
-                for corner in range(8):
-                    at = p
-                    wu, wv, ww = gu, gv, gw
-                    eu = ev = ew = -ONE
-                    if corner & 4:
-                        at += np.uintp(plane)
-                        ww, ew = fw, ONE
-                    if corner & 2:
-                        at += np.uintp(row)
-                        wv, ev = fv, ONE
-                    if corner & 1:
-                        at += np.uintp(1)
-                        wu, eu = fu, ONE
-                    wvw = ww * wv
-                    weight = wvw * wu
-                    value = d0 * voxels[at, 0] + d1 * voxels[at, 1] + d2 * voxels[at, 2] + d3 * voxels[at, 3]
-                    grad_voxels[at, 0] += weight * d0
-                    grad_voxels[at, 1] += weight * d1
-                    grad_voxels[at, 2] += weight * d2
-                    grad_voxels[at, 3] += weight * d3
-                    su += eu * wvw * value
-                    sv += ev * (ww * wu) * value
-                    sw += ew * (wv * wu) * value
+                into = u - np.float32(u0), v - np.float32(v0), w - np.float32(w0)
+                p = np.uintp(w0) * plane + np.uintp(v0) * row + np.uintp(u0)
+                change = d0, d1, d2, d3
+                su, sv, sw = slopes(voxels, p, row, plane, into, change)
+                deposit(grad_voxels, p, row, plane, into, change)
                 gx, gy, gz = su * hx, sv * hy, sw * hz
                 z = ONE - np.float32(2 * k + 1) / np.float32(steps)
                 x, y = px * (ONE - focal * z), py * (ONE - focal * z)

@@ -39,6 +39,7 @@ TRAINING = (
     "_layer_kernels.py",
     "chance.py",
     "distributed.py",
+    "_trilinear.py",
     "_volume_kernels.py",
     "volume.py",
     "volume_cpu.py",
