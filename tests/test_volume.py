@@ -9,7 +9,7 @@ from boxes import PERSPECTIVE, SYMMETRIC, box_mesh, box_volume
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import orthogonal_procrustes
-from scipy.spatial.transform import Rotation
+from volumes import close, gradients, random_frames, random_volume
 
 from viewnet import render as mesh_renderer
 from viewnet import volume, volume_cpu
@@ -17,31 +17,6 @@ from viewnet.alignment import fit_rotation
 from viewnet.geometry import look_at, view_vector
 
 FOCAL = torch.tensor(0.3)
-
-
-def random_frames(count: int, rng: np.random.Generator) -> torch.Tensor:
-    """Camera frames with any tilt: samples then never lie exactly between two voxels, where gradients jump."""
-    return torch.from_numpy(Rotation.random(count, rng=rng).as_matrix()).float()
-
-
-def random_volume(count: int, shape: tuple[int, int, int], rng: np.random.Generator) -> torch.Tensor:
-    """Colours in [0, 1], occupancies in [0.02, 0.5]: most rays pass through all of it."""
-    values = rng.uniform(0, 1, (count, 4, *shape))
-    values[:, 3] = 0.02 + 0.48 * values[:, 3]
-    return torch.from_numpy(values).float()
-
-
-def gradients(draw, inputs: list[torch.Tensor], weights: torch.Tensor) -> tuple[torch.Tensor, list[torch.Tensor]]:
-    """A picture and the gradients of its weighted sum."""
-    inputs = [x.detach().clone().requires_grad_() for x in inputs]
-    picture = draw(*inputs)
-    return picture.detach(), list(torch.autograd.grad((picture * weights.to(picture)).sum(), inputs))
-
-
-def close(found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> bool:
-    """Within `tolerance` of the largest value expected."""
-    scale = expected.abs().max().clamp(min=1e-6)
-    return bool(((found.double() - expected).abs().max() / scale) < tolerance)
 
 
 # The fast path is the definition

@@ -33,9 +33,11 @@ log = logging.getLogger(__name__)
 
 SCHEMA = 1
 TRAINING = (
+    "_triton_kernels.py",
     "_volume_kernels.py",
     "volume.py",
     "volume_cpu.py",
+    "volume_triton.py",
     "networks.py",
     "losses.py",
     "backbones.py",
