@@ -11,6 +11,7 @@ the gradient of the same voxel in any order, so its last bits vary from run to r
 from __future__ import annotations
 
 import functools
+import os
 import warnings
 from typing import Any
 
@@ -53,7 +54,7 @@ class _Render(torch.autograd.Function):
         (voxels, cells), frames = _packed(volume), frames.contiguous()
         picture = volume.new_empty(len(frames), size, size, 4)
         numbers = (len(frames) // len(volume), *volume.shape[2:], size, steps)
-        _launch("draw", voxels, cells, frames, focal, picture, *numbers)
+        _launch("draw", voxels, cells, frames, focal, picture, *numbers, size=size)
         ctx.save_for_backward(voxels, cells, frames, focal)
         ctx.numbers, ctx.sparse = numbers, sparse
         return picture.permute(0, 3, 1, 2)
@@ -67,7 +68,7 @@ class _Render(torch.autograd.Function):
         grad_voxels, tiles = torch.zeros_like(voxels), _tiles(size, 32)
         partial = voxels.new_zeros(len(frames), tiles, 10)
         arguments = (voxels, cells, frames, focal, grad, grad_voxels, partial, *ctx.numbers, tiles, ctx.sparse)
-        _launch("draw_backward", *arguments)
+        _launch("draw_backward", *arguments, size=size)
         turned = partial.sum(1)
         grad_frames, grad_focal = turned[:, :9].view(-1, 3, 3), turned[:, 9].sum().reshape(focal.shape)
         return _inside(grad_voxels, tuple(shape)), grad_frames, grad_focal, None, None, None
@@ -82,8 +83,9 @@ def _packed(volume: Tensor) -> tuple[Tensor, Tensor]:
     cells = torch.empty(voxels.shape[:2], dtype=torch.uint8, device=volume.device)
     block = 256
     with torch.cuda.device_of(volume):
-        grid = (-(-voxels.shape[1] // block), count)
-        _triton_kernels.pack[grid](volume, voxels, cells, *volume.stride(), nz, ny, nx, BLOCK=block)
+        _triton_kernels.pack[(-(-voxels.shape[1] // block), count)](
+            volume, voxels, cells, *volume.stride(), nz, ny, nx, BLOCK=block, enable_fp_fusion=True
+        )
     return voxels, cells
 
 
@@ -92,23 +94,24 @@ def _tiles(size: int, rays: int) -> int:
     return -(-size // 8) * -(-size // (rays // 8))
 
 
-def _launch(kernel: str, voxels: Tensor, cells: Tensor, frames: Tensor, *arguments: Any) -> None:
-    size = arguments[-2] if kernel == "draw" else arguments[-4]
+def _launch(name: str, voxels: Tensor, cells: Tensor, frames: Tensor, *arguments: Any, size: int) -> None:
+    """Calls a kernel on every tile of every picture."""
     with torch.cuda.device_of(voxels):
-        _kernel(kernel)[lambda chosen: (len(frames) * _tiles(size, chosen["RAYS"]),)](voxels, cells, frames, *arguments)
+        _kernel(name)[lambda chosen: (len(frames) * _tiles(size, chosen["RAYS"]),)](
+            voxels, cells, frames, *arguments, enable_fp_fusion=True
+        )
 
 
 @functools.cache
 def _kernel(name: str) -> Any:
-    """A kernel that knows how many rays and steps go together: the fastest choice, or the first when interpreted."""
+    """A kernel that tries its choices at the first call for a size; the interpreter takes the first."""
     import triton
 
     from viewnet import _triton_kernels
 
-    kernel = getattr(_triton_kernels, name)
     configs = [triton.Config({"RAYS": 32 * w, "CHUNK": chunk}, num_warps=w) for w, chunk in CHOICES[name]]
-    if triton.knobs.runtime.interpret:
+    if os.environ.get("TRITON_INTERPRET") == "1":
         configs = configs[:1]  # nothing is timed where there is no choice
-    key = ["size", "steps"] + ["SPARSE"] * (name == "draw_backward")
-    summed = ["grad_voxels", "partial"] * (name == "draw_backward")
-    return triton.autotune(configs, key=key, reset_to_zero=summed)(kernel)
+    summed, flags = ([], []) if name == "draw" else (["grad_voxels", "partial"], ["SPARSE"])
+    tuned = triton.autotune(configs, key=["size", "steps", *flags], reset_to_zero=summed)
+    return tuned(getattr(_triton_kernels, name))
