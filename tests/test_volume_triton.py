@@ -144,8 +144,8 @@ def test_a_gpu_is_what_draws():
 @settings(max_examples=25)
 @given(CASES)
 def test_the_gpu_draws_the_definition(case):
-    check_against_definition(lambda *arguments: volume.render(*arguments), case, "cuda")
-    check_against_definition(lambda *arguments: volume.render(*arguments), case, "cuda", by_vector=True)
+    check_against_definition(volume.render, case, "cuda")
+    check_against_definition(volume.render, case, "cuda", by_vector=True)
 
 
 @needs_gpu
