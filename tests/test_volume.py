@@ -9,7 +9,7 @@ from boxes import PERSPECTIVE, SYMMETRIC, box_mesh, box_volume
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import orthogonal_procrustes
-from scipy.spatial.transform import Rotation
+from volumes import CASES, check_against_definition, gradients, random_frames, random_volume
 
 from viewnet import kernels, volume
 from viewnet import render as mesh_renderer
@@ -19,55 +19,19 @@ from viewnet.geometry import look_at, view_vector
 FOCAL = torch.tensor(0.3)
 
 
-def random_frames(count: int, rng: np.random.Generator) -> torch.Tensor:
-    """Camera frames with any tilt: samples then never lie exactly between two voxels, where gradients jump."""
-    return torch.from_numpy(Rotation.random(count, rng=rng).as_matrix()).float()
-
-
-def random_volume(count: int, shape: tuple[int, int, int], rng: np.random.Generator) -> torch.Tensor:
-    """Colours in [0, 1], occupancies in [0.02, 0.5]: most rays pass through all of it."""
-    values = rng.uniform(0, 1, (count, 4, *shape))
-    values[:, 3] = 0.02 + 0.48 * values[:, 3]
-    return torch.from_numpy(values).float()
-
-
-def gradients(draw, inputs: list[torch.Tensor], weights: torch.Tensor) -> tuple[torch.Tensor, list[torch.Tensor]]:
-    """A picture and the gradients of its weighted sum."""
-    inputs = [x.detach().clone().requires_grad_() for x in inputs]
-    picture = draw(*inputs)
-    return picture.detach(), list(torch.autograd.grad((picture * weights.to(picture)).sum(), inputs))
-
-
-def close(found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> bool:
-    """Within `tolerance` of the largest value expected."""
-    scale = expected.abs().max().clamp(min=1e-6)
-    return bool(((found.double() - expected).abs().max() / scale) < tolerance)
-
-
 # The fast path is the definition
 
 
-@settings(max_examples=25)
-@given(
-    st.tuples(*[st.integers(3, 11)] * 3),
-    st.integers(1, 3),
-    st.integers(1, 3),
-    st.integers(3, 13),
-    st.integers(3, 17),
-    st.floats(0, 0.45),
-    st.integers(0, 2**31),
-)
-def test_the_compiled_renderer_is_the_definition(shape, volumes, share, size, steps, focal, seed):
-    rng = np.random.default_rng(seed)
-    inputs = [random_volume(volumes, shape, rng), random_frames(volumes * share, rng), torch.tensor(focal)]
-    weights = torch.from_numpy(rng.standard_normal((volumes * share, 4, size, size)))
-    picture, found = gradients(lambda v, r, f: volume.render(v, r, f, size, steps), inputs, weights)
-    reference, expected = gradients(
-        lambda v, r, f: volume.render_reference(v, r, f, size, steps), [x.double() for x in inputs], weights
-    )
-    assert (picture.double() - reference).abs().max() < 5e-5
-    for name, a, b in zip(("volume", "frames", "focal"), found, expected, strict=True):
-        assert close(a, b, 5e-3), name
+@settings(max_examples=40, deadline=None)
+@given(CASES)
+def test_the_compiled_renderer_is_the_definition(case):
+    check_against_definition(volume.render, case)
+
+
+@settings(max_examples=10, deadline=None)
+@given(CASES)
+def test_the_gradient_of_view_vectors_is_the_definitions(case):
+    check_against_definition(volume.render, case, by_vector=True)
 
 
 def test_the_compiled_renderer_is_what_runs_here():

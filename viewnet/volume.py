@@ -12,18 +12,26 @@ is the cube's edge at z = 0. f = 0 is orthographic. A ray stops at step k with p
 object's mask.
 
 `render_reference` is the definition, in plain PyTorch. `render` gives the same picture and gradients by the fastest way
-the tensors' device has (viewnet.volume_cpu).
+the tensors' device has: viewnet.volume_cpu on processors, viewnet.volume_triton on GPUs, and the definition where these
+cannot be used, after a warning that says why. The environment variable VIEWNET_RENDERER forces a way: `fused` is the
+device's own or an error, `reference` the definition, `auto` (or nothing) the choice described.
 """
 
 from __future__ import annotations
 
+import os
+from types import ModuleType
 from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from viewnet import kernels, volume_cpu
+from viewnet import kernels, volume_cpu, volume_triton
+from viewnet.errors import ViewnetError
+
+FUSED = {"cpu": volume_cpu, "cuda": volume_triton}
+"""Device types with a renderer of their own."""
 
 
 def ray_points(size: int, steps: int, focal: Tensor) -> Tensor:
@@ -103,12 +111,27 @@ def render(
 ) -> Tensor:
     """`render_reference` by the fastest path there is for the device; `steps` along a ray defaults to `size`.
 
-    `sparse` promises that nothing is lost where occupancy of exactly 0 takes no gradient (as after `squash`), so that
-    empty space may be passed over backwards too.
+    `sparse` leaves out the gradient of voxels without an occupied neighbour, which is most of the work of the backward
+    pass: objects then grow from what there is of them, and nothing appears in the midst of nowhere. Raises ViewnetError
+    for a VIEWNET_RENDERER that is none, or that cannot be had.
     """
     steps = size if steps is None else steps
     if len(frames) % len(volume):
         raise ValueError(f"{len(frames)} frames cannot be shared out evenly over {len(volume)} volumes")
-    if volume.device.type == "cpu" and kernels.available():
-        return volume_cpu.render(volume.float(), frames.float(), focal.float(), size, steps, sparse)
+    fused = _fused(volume.device)
+    if fused is not None:
+        return fused.render(volume.float(), frames.float(), focal.float(), size, steps, sparse)
     return render_reference(volume.float(), frames.float(), focal.float(), size, steps)
+
+
+def _fused(device: torch.device) -> ModuleType | None:
+    """The device's own renderer, if it can be used and is not refused."""
+    wanted = os.environ.get("VIEWNET_RENDERER") or "auto"
+    if wanted not in ("auto", "reference", "fused"):
+        raise ViewnetError(f"VIEWNET_RENDERER is {wanted!r}: set it to auto, reference or fused, or unset it")
+    module = None if wanted == "reference" else FUSED.get(device.type)
+    if module is not None and module.available():
+        return module
+    if wanted == "fused":
+        raise ViewnetError(f"VIEWNET_RENDERER is fused, which cannot be had on {device.type} here: set it to auto")
+    return None

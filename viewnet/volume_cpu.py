@@ -17,10 +17,12 @@ from torch import Tensor
 
 from viewnet import kernels
 
+available = kernels.available
+
 
 def warm_up() -> None:
     """Loads the kernels."""
-    if not kernels.available():
+    if not available():
         return
     blocks = torch.zeros(1, 2, 2, 2, 1, 1, 1, 4).requires_grad_()
     render(squash(blocks, None, None), torch.eye(3)[None], torch.zeros(()), 2, 2, sparse=False).sum().backward()
