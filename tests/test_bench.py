@@ -199,3 +199,17 @@ def test_without_a_checkout_it_says_what_to_do(tmp_path, monkeypatch, capsys):
     (tmp_path / "benchmarks" / "textbook.py").unlink()
     with pytest.raises(ViewnetError, match=r"textbook\.py: no such file"):
         contest.textbook()
+
+
+def test_the_time_to_an_accuracy_is_the_seeds_median(monkeypatch):
+    accuracy = {("car", 0): [85, 91], ("car", 1): [70, 85], ("car", 2): [81, 88], ("aeroplane", 0): [50, 60]}
+
+    def trained(config, threads, progress):
+        found = accuracy.get((config.category, config.seed), [0, 0])
+        return pd.DataFrame({"seconds": [10.0, 20.0], "val_accuracy": found})
+
+    monkeypatch.setattr(bench, "_trained", trained)
+    settings = bench.Settings(accuracy=3, quick=True)
+    rows = bench._accuracy(settings, torch.device("cpu"), False)
+    times = [(row["viewnet_s"], row["viewnet_low"], row["viewnet_high"]) for row in rows]
+    assert times == [(10.0, 10.0, 20.0), (None, None, None), (None, None, None)]  # one of three is not enough

@@ -2,6 +2,9 @@
 
 NumPy has no bfloat16, so kernels see its bits, as uint16. `widened` and `narrowed` leave float32 as it is: one kernel
 serves both.
+
+Numba keeps compiled kernels beside their own module and looks at that file alone: after a change here or in
+viewnet._trilinear, remove `viewnet/__pycache__`.
 """
 
 import types as python_types

@@ -107,7 +107,13 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("--batch", type=int, metavar="N", help="targets of a training step (default: 16; 64 on a GPU)")
     bench.add_argument("--repeat", type=int, metavar="N", help="measurements of each (default: 5)")
     bench.add_argument("--threads", type=int, metavar="N", help="of the processor (default: its cores)")
-    bench.add_argument("--accuracy", action="store_true", help="train on built-in cars too, which takes minutes")
+    bench.add_argument(
+        "--accuracy",
+        type=int,
+        default=0,
+        metavar="SEEDS",
+        help="train on built-in models too: minutes a seed (default: 0)",
+    )
     bench.add_argument("--quick", action="store_true", help="all small, in seconds: whether it works, no measurement")
     bench.add_argument(
         "-o", "--output", type=Path, metavar="FOLDER", help="where the files go (default: paper_tables/benchmarks)"
