@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
@@ -11,13 +10,12 @@ import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
-from pathlib import Path
 
 import fake_steps
 import numpy as np
 import pytest
 from cad_files import write_box
-from fake_steps import STEPS
+from fake_steps import STEPS, calls, plan
 
 from viewnet import cluster
 from viewnet.config import SYNSETS, RunConfig, make_config
@@ -38,15 +36,6 @@ def folders(tmp_path, monkeypatch):
 
 def config(seed: int = 0) -> RunConfig:
     return make_config(profile="smoke", seed=seed)
-
-
-def calls(folder: Path) -> list[str]:
-    return sorted(p.name.rsplit("-", 1)[0] for p in (folder / "data" / "calls").glob("*"))
-
-
-def plan(folder: Path, **what: str) -> None:
-    (folder / "data").mkdir(exist_ok=True)
-    (folder / "data" / "plan.json").write_text(json.dumps({k.removeprefix("seed"): v for k, v in what.items()}))
 
 
 class Mortal(Executor):

@@ -13,7 +13,7 @@ from pathlib import Path
 import fake_steps
 import pandas as pd
 import pytest
-from fake_steps import STEPS
+from fake_steps import STEPS, calls, plan
 
 from viewnet import baselines, provenance, runs
 from viewnet.config import RunConfig, make_config
@@ -31,15 +31,6 @@ def folders(tmp_path, monkeypatch):
 
 def config(seed: int = 0, category: str = "car") -> RunConfig:
     return make_config(category=category, profile="smoke", seed=seed)
-
-
-def calls(folder: Path) -> list[str]:
-    return sorted(p.name.rsplit("-", 1)[0] for p in (folder / "data" / "calls").glob("*"))
-
-
-def plan(folder: Path, **what: str) -> None:
-    (folder / "data").mkdir(exist_ok=True)
-    (folder / "data" / "plan.json").write_text(json.dumps({k.removeprefix("seed"): v for k, v in what.items()}))
 
 
 def test_a_run_is_made_once_and_then_reused(folders):

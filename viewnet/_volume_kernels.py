@@ -218,6 +218,22 @@ def _draw_backward(voxels, cells, box, shape, frame, focal, steps, grad, grad_vo
     return total_focal
 
 
+@njit(inline="always", **FLAGS)
+def _repeated(colour, run):
+    """The four numbers of `colour` over and over, `run` in all."""
+    added = np.empty(run, np.float32)
+    for t in range(run):
+        added[t] = colour[t % 4]
+    return added
+
+
+@njit(inline="always", **FLAGS)
+def _sigmoids(line, added, values):
+    """Fills `values` from the logits `line` and what is added to them."""
+    for t in range(len(values)):
+        values[t] = sigmoid(widened(line[t]) + added[t])
+
+
 def _squash(blocks, colour, prior, voxels):
     """Fills `voxels` (B, P, 4) from logits `blocks` (B, z, y, x, s, s, s, 4), `colour` (B, 4), `prior` (nz, ny, nx)."""
     side = blocks.shape[4]
@@ -226,14 +242,11 @@ def _squash(blocks, colour, prior, voxels):
     plane = (blocks.shape[2] * side + 2) * row
     for b in prange(len(blocks)):
         voxels[b] = 0
-        added = np.empty(run, np.float32)
-        for t in range(run):
-            added[t] = colour[b, t % 4]
+        added = _repeated(colour[b], run)
         values = np.empty(run, np.float32)
         for z, y in np.ndindex(blocks.shape[1], blocks.shape[2]):
             line = blocks[b, z, y].reshape(run)
-            for t in range(run):
-                values[t] = sigmoid(widened(line[t]) + added[t])
+            _sigmoids(line, added, values)
             t = 0
             for x in range(blocks.shape[3]):
                 for dz, dy in np.ndindex(side, side):
@@ -255,14 +268,11 @@ def _squash_backward(blocks, colour, prior, grad_voxels, grad):
     row = blocks.shape[3] * side + 2
     plane = (blocks.shape[2] * side + 2) * row
     for b in prange(len(blocks)):
-        added = np.empty(run, np.float32)
-        for t in range(run):
-            added[t] = colour[b, t % 4]
+        added = _repeated(colour[b], run)
         values, change = np.empty(run, np.float32), np.empty(run, np.float32)
         for z, y in np.ndindex(blocks.shape[1], blocks.shape[2]):
             line, result = blocks[b, z, y].reshape(run), grad[b, z, y].reshape(run)
-            for t in range(run):
-                values[t] = sigmoid(widened(line[t]) + added[t])
+            _sigmoids(line, added, values)
             t = 0
             for x in range(blocks.shape[3]):
                 for dz, dy in np.ndindex(side, side):
