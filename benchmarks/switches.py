@@ -2,7 +2,7 @@
 
     python benchmarks/switches.py [--category car] [--epochs 6] [--seeds 2] [--usual 4] [--processes 2] [--switches ...]
 
-Trains the profile `tiny` on built-in models, one thread a process, and validates after every epoch. Writes
+Trains on built-in models by the recipe `matting`, one thread a process, and validates after every epoch. Writes
 `switches.csv` (a row an epoch), `switches.json` (versions, machine) and `switches.{png,pdf}` to the output folder, and
 prints what each switch did at the end: accuracy, reconstruction error, seconds. The training as it is runs from more
 seeds, since what chance does is what the others are held against.
@@ -42,7 +42,7 @@ def _reference_renderer() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _exact_gradients() -> Iterator[None]:
-    with mock.patch("viewnet.model.volume.render", partial(_render, volume.render)):
+    with mock.patch.object(volume, "render", partial(_render, volume.render)):
         yield
 
 
@@ -90,13 +90,13 @@ SWITCHES: dict[str, tuple[dict[str, Any], Patch]] = {
 """What is done without -> overrides of the configuration, and what is replaced in the package meanwhile."""
 
 
-def curve(switch: str, category: str, epochs: int, seed: int) -> pd.DataFrame:
+def curve(switch: str, category: str, profile: str, epochs: int, seed: int) -> pd.DataFrame:
     """The log of one training, which is not kept."""
     from viewnet.data.prepare import view_store
     from viewnet.train import train
 
     overrides, patch = SWITCHES[switch]
-    config = make_config("viewnet", category, "tiny", "matting", seed, epochs=epochs, validate_every=1, **overrides)
+    config = make_config("viewnet", category, profile, "matting", seed, epochs=epochs, validate_every=1, **overrides)
     with tempfile.TemporaryDirectory() as folder, patch():
         train(config, view_store(config.data, progress=False), Path(folder), threads=1, progress=False)
         log = pd.read_csv(Path(folder) / "log.csv")
@@ -145,6 +145,7 @@ def figure(curves: pd.DataFrame) -> Any:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--category", default="car")
+    parser.add_argument("--profile", default="tiny", choices=("smoke", "tiny", "small"))
     parser.add_argument("--epochs", type=int, default=6)
     parser.add_argument("--seeds", type=int, default=2, help="of each switch")
     parser.add_argument("--usual", type=int, default=4, help="seeds of the training as it is")
@@ -155,19 +156,25 @@ def main() -> None:
 
     from viewnet.data.prepare import view_store
 
-    view_store(make_config("viewnet", given.category, "tiny").data)
+    view_store(make_config("viewnet", given.category, given.profile, "matting").data)
     wanted = [USUAL, *(name for name in given.switches if name != USUAL)]
     jobs = [(name, seed) for name in wanted for seed in range(given.usual if name == USUAL else given.seeds)]
     curves: dict[tuple[str, int], pd.DataFrame] = {}
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(given.processes, mp_context=spawn) as pool:
-        futures = {pool.submit(curve, name, given.category, given.epochs, seed): (name, seed) for name, seed in jobs}
+        work = (given.category, given.profile, given.epochs)
+        futures = {pool.submit(curve, name, *work, seed): (name, seed) for name, seed in jobs}
         for future in bar(True, iterable=as_completed(futures), total=len(futures), unit="run"):
             curves[futures[future]] = future.result()
     found = pd.concat([curves[job] for job in jobs], ignore_index=True)
     with replacing(given.output / "switches.csv") as path:
         found.to_csv(path, index=False, lineterminator="\n")
-    settings = {"category": given.category, "epochs": given.epochs, "profile": "tiny", "processes": given.processes}
+    settings = {
+        "category": given.category,
+        "epochs": given.epochs,
+        "profile": given.profile,
+        "processes": given.processes,
+    }
     about = {
         "settings": settings,
         "hardware": provenance.hardware(1),
