@@ -224,7 +224,7 @@ RECIPES: dict[str, Changes] = {
             "selection_weight": 0.2,
             "selection_angle": 30.0,
             "trust": 0.5,
-            "shared_shape": 0.15,
+            "shared_shape": 0.3,
             "search": 0.3,
             "search_views": 32,
             "neighbours": 8.0,
@@ -252,7 +252,7 @@ RECIPES["photos"] = _joined(
         # Cut to the object a view should still have as many pixels as the networks see.
         "data": {"views": 10, "image_size": 128, "supersample": 1, "backgrounds": "drawn"},
         "model": {"crop": "stretched"},
-        "train": {"sightings": 3, "box_error": 0.05, "tilt": 5.0, "exposure": 1.0},
+        "train": {"shared_shape": 0.15, "sightings": 3, "box_error": 0.05, "tilt": 5.0, "exposure": 1.0},
     },
 )
 
