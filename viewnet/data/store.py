@@ -96,6 +96,15 @@ class ViewStore:
             )
         return rows
 
+    def require_viewpoints(self, splits: Iterable[str], otherwise: str) -> None:
+        """Raise ViewnetError where views of these splits have no annotated viewpoint; `otherwise` ends its message."""
+        rows = self.index["split"].isin(list(splits))
+        if missing := int(self.index.loc[rows, "azimuth"].isna().sum()):
+            names = " and ".join(splits)
+            raise ViewnetError(
+                f"{self.folder}: {missing} of {int(rows.sum())} views of {names} have no viewpoint: {otherwise}"
+            )
+
     def __len__(self) -> int:
         return len(self.images)
 
