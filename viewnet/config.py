@@ -77,6 +77,26 @@ class PhotoConfig:
 
 
 @dataclass(frozen=True)
+class VideoConfig:
+    """Which videos of one category to train on (section 4.4), and how their objects are cut out."""
+
+    category: str
+    # Freiburg static cars, or a folder of videos or of folders of frames; None: a stand-in for the former is made
+    root: str | None = None
+    split_rule: Literal["45/2/rest", "all"] = "45/2/rest"  # Freiburg's sequences by number, or all of them for training
+    count: int = 0  # frames a clip, 0 for all
+    pick: Literal["random", "evenly"] = "random"  # which
+    masks: Literal["files", "alpha", "maskrcnn", "deeplabv3", "none"] = "files"
+    size: int = 128  # pixels along a side
+    margin: float = 0.05  # so much of the object's longer side is seen beyond it, on either side
+    side: float = 16.0  # objects with fewer pixels along their shorter side are left out
+    blur: float = 0.0  # and frames less sharp than this share of their clip's median
+    seed: int = 0  # of picking, of splits that are not given, and the stand-in's
+    sequences: tuple[int, ...] = ()  # the stand-in: their numbers; (): the 48 of the data set
+    frames: int = 120  # the stand-in: a sequence
+
+
+@dataclass(frozen=True)
 class ModelConfig:
     """The networks and the volume renderer (section 3 and the supplement's architecture tables)."""
 

@@ -48,8 +48,9 @@ def predict(model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = (
     """Viewpoint hypotheses for every view of the given splits, in the store's order.
 
     A run that was trained before backgrounds is shown views as in training, the same each time; photographs have their
-    own background and are shown as they are.
+    own background and are shown as they are. Raises ViewnetError where views have no annotated viewpoint.
     """
+    store.require_viewpoints(splits, "what cannot be scored is not predicted: use an annotated store")
     network, config = load_model(model) if isinstance(model, Path) else (model.eval(), None)
     device, size = network.focal.device, network.config.input_size
     scenery = scene.load(config.data, size, device) if config else None

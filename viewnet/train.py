@@ -46,8 +46,9 @@ def validate(
 ) -> dict[str, float]:
     """Reconstruction error of the best head (label-free) and true acc@30 in percent after Procrustes (uses labels).
 
-    Each view is drawn from the appearance of the next view of its object. With `scenery`, pictures (K, 3, S, S) uint8,
-    views are before it as in training, the same each time.
+    Accuracy is that of the views with an annotated viewpoint, NaN where there are none. Each view is drawn from the
+    appearance of the next view of its object. With `scenery`, pictures (K, 3, S, S) uint8, views are before it as in
+    training, the same each time.
     """
     model.eval()
     rows = torch.arange(min(VALIDATION_VIEWS, len(views.objects)))
@@ -65,9 +66,12 @@ def validate(
         error += found.errors.amin(1).sum().item()
         vectors.append(found.hypotheses.pick(found.hypotheses.logits.argmax(1)))
     predicted = torch.cat(vectors).cpu().double()
-    truth = view_vector(*views.truth[rows].double().unbind(1))
-    aligned = predicted @ torch.as_tensor(fit_rotation(predicted.numpy(), truth.numpy())).T
-    accuracy = 100 * (rotation_angle(look_at(aligned), look_at(truth)) < 30).double().mean().item()
+    annotated = ~views.truth[rows].isnan().any(1)
+    accuracy = math.nan
+    if annotated.any():
+        predicted, truth = predicted[annotated], view_vector(*views.truth[rows][annotated].double().unbind(1))
+        aligned = predicted @ torch.as_tensor(fit_rotation(predicted.numpy(), truth.numpy())).T
+        accuracy = 100 * (rotation_angle(look_at(aligned), look_at(truth)) < 30).double().mean().item()
     model.train()
     return {"reconstruction": error / len(rows), "accuracy": accuracy}
 
@@ -77,8 +81,10 @@ def train(
 ) -> None:
     """Trains one run in `folder`, from where it was if it was begun before.
 
-    Raises ViewnetError for data that cannot be trained on, missing perceptual weights, a batch that the processes
-    cannot share, or a loss that is not finite (the last good state is kept).
+    Where no labels are asked for and there is no validation split, the training split serves. Raises ViewnetError for
+    data that cannot be trained on, such as views without viewpoints where accuracy picks the weights, for missing
+    perceptual weights, a batch that the processes cannot share, or a loss that is not finite (the last good state is
+    kept).
     """
     # ---- set up
     distributed.start()
@@ -110,7 +116,12 @@ def train(
         return
     volume_cpu.warm_up()
     size = max(config.model.input_size, config.model.render_size)
-    training, validation = (viewed(views, split, size, config.model) for split in ("train", "val"))
+    held_out = "val"
+    if settings.select_by == "accuracy":
+        views.require_viewpoints(["val"], "train with select_by='reconstruction', which needs none")
+    elif not (views.index["split"] == "val").any():
+        held_out = "train"
+    training, validation = (viewed(views, split, size, config.model) for split in ("train", held_out))
     scenery = scene.load(config.data, config.model.input_size, device)
     torch.manual_seed(config.seed)
     model = ViewNet(config.model).to(device)

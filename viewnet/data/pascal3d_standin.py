@@ -172,7 +172,7 @@ def _make(jobs: Sequence[_Job], workers: int | None, progress: bool) -> None:
 
 def _draw_model(job: _Job) -> int:
     """Write the photographs of one model; their number."""
-    mesh = _mesh(job.category, job.model, job.seed)
+    mesh = built_in_mesh(job.category, job.model, job.seed + MODEL_SEED)
     generators = [_generator(job.seed, job.category, p.subset, p.name) for p in job.photographs]
     frames = np.stack([photograph.frame for photograph in job.photographs])
     lights = []
@@ -188,10 +188,11 @@ def _draw_model(job: _Job) -> int:
     return len(job.photographs)
 
 
-def _mesh(category: str, model: int, seed: int) -> Mesh:
-    name = cad.model_id(category, model, seed + MODEL_SEED)
+def built_in_mesh(category: str, model: int, seed: int) -> Mesh:
+    """Built-in model `model` of a category under a seed, normalised, without leaving files."""
+    name = cad.model_id(category, model, seed)
     with tempfile.TemporaryDirectory(prefix="viewnet-") as folder:
-        write_model(cad.make_model(category, model, seed + MODEL_SEED), Path(folder) / name)
+        write_model(cad.make_model(category, model, seed), Path(folder) / name)
         file = Path(folder) / name / "models" / "model_normalized.obj"
         return load_model(ModelFile(name, category, file, "v2", ""))
 

@@ -95,10 +95,12 @@ class Crop:
             raise ViewnetError(f"crop: colour {self.colour}: expected three numbers from 0 to 255")
 
 
-def cut(picture: Image.Image, box: Box | None, crop: Crop) -> np.ndarray:
+def cut(picture: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None = None) -> np.ndarray:
     """The part of a picture in `box` (pixels from its left upper corner; None: all of it), (size, size, 4) uint8.
 
-    Raises ViewnetError for a box that has no part in the picture.
+    With a `mask` (H, W) uint8 of the picture's size that is its alpha, and what lies beyond the picture's edges is
+    transparent; colours stay straight, and black where alpha is 0. Raises ViewnetError for a box that has no part in
+    the picture.
     """
     width, height = picture.size
     x0, y0, x1, y1 = box or (0.0, 0.0, float(width), float(height))
@@ -115,10 +117,17 @@ def cut(picture: Image.Image, box: Box | None, crop: Crop) -> np.ndarray:
     # Whole pixels around it, the picture's own or the colour's; the exact edges are cut when it is resized.
     left, upper = int(np.floor(seen[0])), int(np.floor(seen[1]))
     right, lower = int(np.ceil(seen[2])), int(np.ceil(seen[3]))
-    canvas = Image.new("RGB", (right - left, lower - upper), crop.colour)
     part = (max(left, 0), max(upper, 0), min(right, width), min(lower, height))
-    canvas.paste(_rgb(picture.crop(part)), (part[0] - left, part[1] - upper))
+    inside, place = _rgb(picture.crop(part)), (part[0] - left, part[1] - upper)
     exact = (seen[0] - left, seen[1] - upper, seen[2] - left, seen[3] - upper)
+    if mask is not None:
+        inside.putalpha(Image.fromarray(mask).crop(part))
+        cutout = Image.new("RGBA", (right - left, lower - upper))
+        cutout.paste(inside, place)
+        # Colours are weighted by their alpha while they are averaged.
+        return np.array(cutout.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact))
+    canvas = Image.new("RGB", (right - left, lower - upper), crop.colour)
+    canvas.paste(inside, place)
     # Averages over as many pixels as become one, without the ringing of sharper filters at the colour's edge.
     small = canvas.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact, reducing_gap=4.0)
     return np.dstack([np.asarray(small), np.full((crop.size, crop.size), 255, np.uint8)])

@@ -12,8 +12,19 @@ from pathlib import Path
 from typing import Any
 
 from viewnet import cad, paths
-from viewnet.config import CATEGORIES, DataConfig, PhotoConfig, known
-from viewnet.data import pascal3d, pascal3d_standin, photos
+from viewnet.config import CATEGORIES, DataConfig, PhotoConfig, VideoConfig, known
+from viewnet.data import (
+    clip_store,
+    frames,
+    freiburg,
+    freiburg_standin,
+    masks,
+    pascal3d,
+    pascal3d_standin,
+    photos,
+    video_folder,
+)
+from viewnet.data.clips import Clip
 from viewnet.data.shapenet import SHARES, ModelFile, find_models, take
 from viewnet.data.store import ViewStore, identity_of
 from viewnet.errors import ViewnetError
@@ -185,6 +196,73 @@ def stand_in(config: PhotoConfig, workers: int | None = None, progress: bool = T
                 shutil.rmtree(temporary, ignore_errors=True)
                 raise
     return root
+
+
+def video_views(config: VideoConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
+    """Open the videos of `config` (section 4.4) as a view store, cutting their objects out where that is not done.
+
+    Every clip is a model, every frame a view. Freiburg's azimuths are known; of a folder of videos no viewpoints are,
+    so that training selects by reconstruction. `clip_store.summary` says what is used and what is left out.
+
+    Stores lie in `<paths.data()>/views/videos-<category>-<key>`, the key a hash of everything that decides the views;
+    looking for one lists the frames' files, and reads annotations and pictures' headers. Raises ViewnetError for a root
+    that cannot be read, missing weights of a network for masks, and where no clip to train on is left.
+    """
+    known(config.category, CATEGORIES, "category")
+    if config.count < 0:
+        raise ViewnetError(f"count {config.count}: expected 1 or more frames a clip, or 0 for all")
+    crop = photos.Crop(config.size, config.margin)
+    limits = clip_store.Limits(config.side, config.blur)
+    source = _mask_source(config)
+    root = video_stand_in(config, workers, progress) if config.root is None else Path(config.root)
+    clips, rejected = _clips(config, root)
+    made_by = clip_store.describe(clips, source, crop, limits)
+    folder = paths.data() / "views" / f"videos-{config.category}-{identity_of(made_by)[:12]}"
+    with locked(folder):
+        if folder.exists():
+            return ViewStore.open(folder)
+        return clip_store.clip_store(clips, folder, root, source, crop, limits, rejected, workers, progress)
+
+
+def video_stand_in(config: VideoConfig, workers: int | None = None, progress: bool = True) -> Path:
+    """The folder of the stand-in for Freiburg static cars that `config` asks for, written if it is not there yet."""
+    if config.category != freiburg.CATEGORY:
+        raise ViewnetError(f"category {config.category}: the stand-in shows cars: name a root for others")
+    sequences = config.sequences or freiburg_standin.SEQUENCES
+    described = freiburg_standin.describe(sequences, config.frames, config.seed)
+    root = paths.data() / "freiburg-stand-in" / identity_of(described)[:12]
+    with locked(root):
+        if not root.exists():
+            temporary = root.with_name(f".{root.name}.{os.getpid()}")
+            shutil.rmtree(temporary, ignore_errors=True)
+            try:
+                freiburg_standin.write_stand_in(temporary, sequences, config.frames, config.seed, workers, progress)
+                temporary.rename(root)
+            except BaseException:
+                shutil.rmtree(temporary, ignore_errors=True)
+                raise
+    return root
+
+
+def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[freiburg.Rejected]]:
+    if not (root / freiburg.ANNOTATIONS).is_dir():
+        return video_folder.read(root, config.category, config.count or None, config.pick, config.seed)
+    if config.category != freiburg.CATEGORY:
+        raise ViewnetError(f"{root}: shows cars, not {config.category}: name another root or category car")
+    clips, rejected = freiburg.read(root, config.split_rule)
+    chosen = [frames.pick(len(clip.frames), config.count or None, config.pick, clip.id, config.seed) for clip in clips]
+    fewer = [
+        replace(clip, frames=tuple(clip.frames[i] for i in mine)) for clip, mine in zip(clips, chosen, strict=True)
+    ]
+    return fewer, rejected
+
+
+def _mask_source(config: VideoConfig) -> masks.MaskSource | None:
+    if config.masks == "none":
+        return None
+    if config.masks == "files":
+        return masks.FromFiles()
+    return masks.FromAlpha() if config.masks == "alpha" else masks.predicted(config.masks, config.category)
 
 
 def _stand_in(config: PhotoConfig) -> dict[str, Any]:

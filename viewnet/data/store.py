@@ -5,7 +5,8 @@
     meta.json       format, identity, what made it (`made_by`), versions
     rejected.csv    model_id, path, reason of what could not be used
 
-All views of a model lie side by side, ordered by view.
+All views of a model lie side by side, ordered by view. Where nobody annotated the viewpoint of a view, its azimuth and
+elevation are both NaN: it can be trained on, but not scored.
 """
 
 from __future__ import annotations
@@ -95,6 +96,15 @@ class ViewStore:
             )
         return rows
 
+    def require_viewpoints(self, splits: Iterable[str], otherwise: str) -> None:
+        """Raise ViewnetError where views of these splits have no annotated viewpoint; `otherwise` ends its message."""
+        rows = self.index["split"].isin(list(splits))
+        if missing := int(self.index.loc[rows, "azimuth"].isna().sum()):
+            names = " and ".join(splits)
+            raise ViewnetError(
+                f"{self.folder}: {missing} of {int(rows.sum())} views of {names} have no viewpoint: {otherwise}"
+            )
+
     def __len__(self) -> int:
         return len(self.images)
 
@@ -173,6 +183,7 @@ def check_index(index: pd.DataFrame, count: int, file: Path) -> None:
             good = pd.Series(False, index=index.index)
         else:
             good = (column >= 0) & (column < 360) if name == "azimuth" else column.abs() <= 90
+            good |= index[["azimuth", "elevation"]].isna().all(axis=1)
         if not good.all():
             row = int(np.flatnonzero(~good.to_numpy())[0])
             raise ViewnetError(f"{file}: {name} {column.iloc[row]!r} in row {row}: expected {expected}: {_AGAIN}")

@@ -1,0 +1,181 @@
+"""Masks: read in every form they come in, found by networks, and the same object followed through a clip."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from torch import nn
+from torchvision.models import detection, segmentation
+
+from viewnet.data import masks
+from viewnet.data.clips import Clip
+from viewnet.data.masks import FromAlpha, FromFiles, Predicted, predicted, regions
+from viewnet.errors import ViewnetError
+
+PICTURE = Image.new("RGB", (6, 4), (50, 60, 70))
+HALF = np.zeros((4, 6), np.uint8)
+HALF[:, 3:] = 255
+
+
+def clip(folder: Path | None = None) -> Clip:
+    return Clip("c", "car", "train", Path("c"), (), folder)
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        Image.fromarray(HALF),
+        Image.fromarray(HALF // 255),
+        Image.fromarray(HALF > 0),
+        Image.fromarray(np.dstack([HALF] * 3)),
+        Image.fromarray(HALF.astype(np.uint16) * 257),
+    ],
+    ids=["grey", "ones", "bits", "colours", "16 bits"],
+)
+def test_files_of_any_kind_are_read(tmp_path, picture):
+    picture.save(tmp_path / "frame7.png")
+    assert (FromFiles().follow(clip(tmp_path))(0, "frame7", PICTURE) == HALF).all()
+
+
+def test_a_palette_holds_numbers_of_classes_and_soft_edges_stay(tmp_path):
+    labelled = Image.fromarray(HALF // 255 * 7).convert("P")
+    labelled.putpalette([0] * 768)
+    labelled.save(tmp_path / "000003.png")
+    follow = FromFiles().follow(clip(tmp_path))
+    assert (follow(3, "other name", PICTURE) == HALF).all()
+    Image.fromarray(HALF // 2).save(tmp_path / "soft.png")
+    assert set(np.unique(follow(0, "soft", PICTURE))) == {0, 127}
+
+
+def test_files_that_cannot_be_used(tmp_path):
+    follow = FromFiles().follow(clip(tmp_path))
+    Image.new("L", (4, 6)).save(tmp_path / "turned.png")
+    (tmp_path / "broken.png").write_bytes(b"?")
+    for name, reason in (
+        ("none", "mask is missing"),
+        ("turned", r"mask has another size than its picture \(4 x 6\)"),
+        ("broken", "mask does not decode"),
+    ):
+        with pytest.raises(ViewnetError, match=f"^{reason}"):
+            follow(0, name, PICTURE)
+    with pytest.raises(ViewnetError, match="mask is missing"):
+        FromFiles().follow(clip(None))(0, "none", PICTURE)
+
+
+def test_the_pictures_own_alpha():
+    picture = PICTURE.copy()
+    picture.putalpha(Image.fromarray(HALF))
+    follow = FromAlpha().follow(clip())
+    assert (follow(0, "", picture) == HALF).all()
+    with pytest.raises(ViewnetError, match=r"mask is missing \(the picture has no alpha"):
+        follow(0, "", PICTURE)
+
+
+def test_the_largest_object_is_followed_even_when_another_becomes_larger():
+    def objects(*spans: tuple[int, int]) -> np.ndarray:
+        found = np.zeros((len(spans), 4, 20), bool)
+        for mask, (first, last) in zip(found, spans, strict=True):
+            mask[:, first:last] = True
+        return found
+
+    frames = iter([
+        objects((0, 5), (10, 17)),  # the second is larger
+        objects((0, 9), (9, 15)),  # the first is, but the second is where it was
+        objects(),
+        objects((8, 14), (14, 20)),
+        objects((0, 2), (18, 19)),  # nothing where it was: the larger
+    ])  # fmt: skip
+    follow = Predicted(lambda picture: next(frames), {}).follow(clip())
+    found = []
+    for number in range(5):
+        try:
+            found.append(int(np.flatnonzero(follow(number, "", PICTURE)[0])[0]))
+        except ViewnetError as error:
+            assert str(error).startswith("mask is missing")
+            found.append(None)
+    assert found == [10, 9, None, 8, 0]
+
+
+def test_regions_are_objects_and_specks_are_none():
+    covered = np.zeros((20, 30), bool)
+    covered[2:12, 2:12] = covered[5:10, 20:28] = covered[18, 29] = True
+    assert sorted(region.sum() for region in regions(covered)) == [40, 100]
+    assert len(regions(np.zeros((4, 4), bool))) == 0
+
+
+def made_up(network: nn.Module, file: Path, **values: torch.Tensor) -> Path:
+    """A small file of weights for a large network: zeros but for variances and `values` by name (__ for a dot)."""
+    state = {
+        name: torch.full((), float(name.endswith("running_var")), dtype=value.dtype).expand(value.shape)
+        for name, value in network.state_dict().items()
+    }
+    for name, value in values.items():
+        assert name.replace("__", ".") in state
+        state[name.replace("__", ".")] = value
+    torch.save(state, file)
+    assert file.stat().st_size < 1e6
+    return file
+
+
+def test_deeplab_finds_what_it_holds_for_the_category(tmp_path, monkeypatch):
+    monkeypatch.setattr(masks, "SIDE", 32)
+    network = segmentation.deeplabv3_resnet50(weights=None, weights_backbone=None, aux_loss=True)
+    file = made_up(network, tmp_path / "deeplab.pth", classifier__4__bias=10 * torch.eye(21)[7])  # 7 is car
+    monkeypatch.setenv("VIEWNET_DEEPLABV3_RESNET50_WEIGHTS", str(file))
+    sources = [predicted("deeplabv3", category) for category in ("car", "chair")]
+    cars, chairs = (source.follow(clip()) for source in sources)
+    assert (cars(0, "", PICTURE.resize((60, 40))) == 255).all()
+    with pytest.raises(ViewnetError, match=r"mask is missing \(nothing of the class"):
+        chairs(0, "", PICTURE.resize((60, 40)))
+    assert sources[0].described != sources[1].described and sources[0].described["masks"] == "deeplabv3"
+
+
+def test_mask_rcnn_gives_instances_of_the_category(tmp_path, monkeypatch):
+    network = detection.maskrcnn_resnet50_fpn(weights=None, weights_backbone=None)
+    names = detection.MaskRCNN_ResNet50_FPN_Weights.COCO_V1.meta["categories"]
+    file = made_up(
+        network,
+        tmp_path / "maskrcnn.pth",
+        # Every proposal is surely a couch, and all of its box belongs to it.
+        roi_heads__box_predictor__cls_score__bias=20 * torch.eye(91)[names.index("couch")],
+        roi_heads__mask_predictor__mask_fcn_logits__bias=torch.full((91,), 9.0),
+    )
+    monkeypatch.setattr(detection.mask_rcnn.MaskRCNN, "forward", _at_a_small_size(detection.mask_rcnn.MaskRCNN.forward))
+    found = predicted("maskrcnn", "sofa", file).segment(PICTURE.resize((60, 40)))
+    assert found.dtype == bool and found.shape[1:] == (40, 60) and len(found) and found.any((1, 2)).all()
+    assert not len(predicted("maskrcnn", "car", file).segment(PICTURE.resize((60, 40))))
+
+
+def _at_a_small_size(forward):
+    def run(self, images, targets=None):
+        self.transform.min_size, self.transform.max_size = (40,), 60
+        return forward(self, images, targets)
+
+    return run
+
+
+def test_every_category_has_a_class_of_both_networks():
+    coco = detection.MaskRCNN_ResNet50_FPN_Weights.COCO_V1.meta["categories"]
+    voc = segmentation.DeepLabV3_ResNet50_Weights.COCO_WITH_VOC_LABELS_V1.meta["categories"]
+    for category in masks.CATEGORIES:
+        assert category in voc and masks.COCO.get(category, category) in coco
+
+
+def test_missing_and_wrong_weights_are_told(tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.delenv("VIEWNET_MASKRCNN_RESNET50_FPN_WEIGHTS", raising=False)
+    with pytest.raises(
+        ViewnetError,
+        match=r"no maskrcnn weights at .*hub/checkpoints/maskrcnn_resnet50_fpn_coco-.*\.pth: download https://.* to "
+        r"that place, name another file by VIEWNET_MASKRCNN_RESNET50_FPN_WEIGHTS, or use masks from files",
+    ):
+        predicted("maskrcnn", "car")
+    torch.save({"backbone.body.conv1.weight": torch.zeros(3)}, tmp_path / "w.pth")
+    with pytest.raises(ViewnetError, match=r"w\.pth does not hold maskrcnn_resnet50_fpn weights"):
+        predicted("maskrcnn", "car", tmp_path / "w.pth")
+    with pytest.raises(ViewnetError, match="unknown network for masks 'yolo': choose one of maskrcnn, deeplabv3"):
+        predicted("yolo", "car")

@@ -1,0 +1,278 @@
+"""Clips as a view store: every frame's object cut out by its mask, made square, in one size.
+
+    clips ─► frames and masks ─► cut-outs ─► view store
+
+A clip is a model of the store and its frames are its views. Viewpoints that nobody annotated are NaN.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from PIL import Image
+from scipy import ndimage
+
+from viewnet.config import CATEGORIES, known
+from viewnet.data import frames
+from viewnet.data.clips import Clip, Frame
+from viewnet.data.freiburg import Rejected
+from viewnet.data.masks import MaskSource
+from viewnet.data.pascal3d import Box, tally
+from viewnet.data.photos import Crop, cut, described
+from viewnet.data.shapenet import SPLITS
+from viewnet.data.store import ViewStore, write_store
+from viewnet.errors import ViewnetError
+from viewnet.processes import processors
+from viewnet.progress import bar
+
+VERSION = 1
+"""Raise it when a change alters what is cut out: it is part of every store's identity."""
+CROP = Crop(128, margin=0.05)
+AROUND = 0.1
+"""Of a mask only what lies in its annotated box counts, and so much of the box's sides around it."""
+SHARPNESS = 96
+"""Pixels along a side of the cut-out whose sharpness is measured."""
+LOST_MASK = "mask"
+"""How every reason for which a frame has no usable mask begins."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Which frames are worth it.
+
+    side     the object's shorter side has so many pixels, or more
+    blur     its sharpness is at least this share of the median of its clip; 0: whatever it is
+    """
+
+    side: float = 16.0
+    blur: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.side) and self.side >= 0):
+            raise ViewnetError(f"limits: side {self.side}: expected 0 or more pixels")
+        if not 0 <= self.blur < 1:
+            raise ViewnetError(f"limits: blur {self.blur}: expected 0 to less than 1, a share of a clip's sharpness")
+
+
+@dataclass(frozen=True)
+class _View:
+    frame: Frame
+    name: str
+    pixels: np.ndarray
+    sharpness: float
+
+
+def clip_store(
+    clips: Sequence[Clip],
+    folder: Path,
+    root: Path,
+    masks: MaskSource | None,
+    crop: Crop = CROP,
+    limits: Limits | None = None,
+    rejected: Iterable[Rejected] = (),
+    workers: int | None = None,
+    progress: bool = False,
+) -> ViewStore:
+    """Cut the frames of clips from the data set at `root` into a view store, all of a clip side by side, and open it.
+
+    The object is what its mask covers (within the frame's box where there is one), and is cut out to the square around
+    it; without `masks` it is what its box, or else the picture, shows, and nothing is transparent. Frames that do not
+    decode, have no usable mask, or are beyond `limits`, and clips of which fewer than two frames are left, join
+    `rejected` with their reason. `workers` threads read files; a network sees one clip after the other.
+
+    Raises ViewnetError for two clips of one name, and where no clip or none to train on is left.
+    """
+    limits = limits or Limits()
+    _check(clips)
+    refused = list(rejected)
+    ordered = sorted(clips, key=lambda clip: clip.id)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    rows: list[tuple[Any, ...]] = []
+    files: list[Path] = []
+    # Cut-outs wait on the disk until it is known how many there are.
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as waiting:
+
+        def work(number: int) -> tuple[list[tuple[Any, ...]], list[Rejected]]:
+            clip = ordered[number]
+            views, lost = _views(clip, root, masks, crop, limits)
+            if views:
+                np.save(Path(waiting) / f"{number}.npy", np.stack([view.pixels for view in views]))
+            return [_row(clip, view, root) for view in views], lost
+
+        parallel = (workers or processors()) if masks is None or masks.parallel else 1
+        with ThreadPoolExecutor(parallel) as pool:
+            results = bar(
+                progress,
+                iterable=pool.map(work, range(len(ordered))),
+                total=len(ordered),
+                desc="clips",
+                unit="clip",
+            )
+            for number, (found, lost) in enumerate(results):
+                refused += lost
+                rows += found
+                files += [Path(waiting) / f"{number}.npy"] if found else []
+        index = pd.DataFrame(
+            rows, columns=["model_id", "category", "split", "view", "azimuth", "elevation", "source"]
+        ).astype({"view": np.int64, "azimuth": np.float64, "elevation": np.float64})
+        if not (index["split"] == "train").any():
+            told = f" (the first that was left out: {': '.join(refused[0])})" if refused else ""
+            raise ViewnetError(f"{root}: no clip to train on can be used{told}")
+        return write_store(folder, _batches(files), index, describe(clips, masks, crop, limits), refused)
+
+
+def describe(
+    clips: Sequence[Clip], masks: MaskSource | None, crop: Crop = CROP, limits: Limits | None = None
+) -> dict[str, Any]:
+    """What decides a store, as JSON values; files are known by their names and sizes."""
+    hashed = hashlib.sha256()
+    for clip in sorted(clips, key=lambda clip: clip.id):
+        known_of = [(f.number, _angle(f.azimuth), _angle(f.elevation), f.box) for f in clip.frames]
+        files = [_sizes(clip.source), None if clip.masks is None else _sizes(clip.masks)]
+        hashed.update(json.dumps([clip.id, clip.category, clip.split, known_of, files]).encode())
+    return {
+        "version": VERSION,
+        "clips": {"count": len(clips), "sha256": hashed.hexdigest()},
+        "masks": None if masks is None else masks.described,
+        "crop": described(crop),
+        "limits": asdict(limits or Limits()),
+    }
+
+
+def summary(store: ViewStore) -> str:
+    """What a store of clips holds and what it leaves out, in a line for under a table.
+
+    For example "car: 5850 views of 48 clips (45 train, 2 val, 1 test); 0.9 % of the frames without a usable mask; left
+    out: 53 mask is missing, 4 no annotations of the sequence".
+    """
+    index = store.index
+    clips = index.drop_duplicates("model_id")["split"].value_counts()
+    told = ", ".join(f"{clips[split]} {split}" for split in SPLITS if split in clips)
+    told = f"{index['category'].iloc[0]}: {len(index)} views of {clips.sum()} clips ({told})"
+    reasons = tally(store.rejected["reason"])
+    lost = sum(count for reason, count in reasons.items() if reason.startswith(LOST_MASK))
+    if store.meta["made_by"]["masks"] is not None:
+        told += f"; {100 * lost / (len(index) + lost):.1f} % of the frames without a usable mask"
+    if reasons:
+        told += "; left out: " + ", ".join(f"{count} {reason}" for reason, count in sorted(reasons.items()))
+    return told
+
+
+def _check(clips: Sequence[Clip]) -> None:
+    seen: set[str] = set()
+    for clip in clips:
+        if clip.id in seen:
+            raise ViewnetError(f"clip {clip.id!r} is there twice: give every clip a name of its own")
+        seen.add(clip.id)
+        known(clip.category, CATEGORIES, "category")
+        known(clip.split, SPLITS, "split")
+
+
+def _views(
+    clip: Clip, root: Path, masks: MaskSource | None, crop: Crop, limits: Limits
+) -> tuple[list[_View], list[Rejected]]:
+    """The usable frames of a clip, none where there are fewer than two, and what is left out."""
+    where = _within(clip.source, root)
+    found: list[_View] = []
+    lost: list[Rejected] = []
+    try:
+        mine = {frame.number: frame for frame in clip.frames or map(Frame, range(frames.count(clip.source)))}
+        follow = masks.follow(clip) if masks else None
+        for number, name, picture in frames.stills(clip.source, mine):
+            try:
+                if isinstance(picture, ViewnetError):
+                    raise picture
+                mask = follow(number, name, picture) if follow else None
+                found.append(_view(mine[number], name, picture, mask, crop, limits))
+            except ViewnetError as error:
+                lost.append((f"{clip.id}/{name}", where, str(error)))
+    except (ViewnetError, OSError) as error:
+        return [], [*lost, (clip.id, where, str(error))]
+    if limits.blur and found:
+        least = limits.blur * float(np.median([view.sharpness for view in found]))
+        lost += [(f"{clip.id}/{view.name}", where, "blurred") for view in found if view.sharpness < least]
+        found = [view for view in found if view.sharpness >= least]
+    if len(found) < 2:
+        return [], [*lost, (clip.id, where, f"fewer than two usable frames ({len(found)})")]
+    return found, lost
+
+
+def _view(frame: Frame, name: str, picture: Image.Image, mask: np.ndarray | None, crop: Crop, limits: Limits) -> _View:
+    if math.isnan(frame.azimuth) != math.isnan(frame.elevation):
+        raise ViewnetError("half of the viewpoint is missing: expected azimuth and elevation, or neither")
+    box = frame.box
+    if mask is not None:
+        if box is not None:
+            mask = _inside(mask, box)
+        box = bounds(mask)
+    x0, y0, x1, y1 = box or (0, 0, *picture.size)
+    if min(x1 - x0, y1 - y0) < limits.side:
+        raise ViewnetError(f"object is too small ({x1 - x0:.0f} x {y1 - y0:.0f} pixels)")
+    pixels = cut(picture, box, crop, mask)
+    if mask is not None and not (pixels[..., 3] > 127).any():
+        raise ViewnetError("mask is empty (at the size of the views)")
+    sharp = sharpness(cut(picture, box, Crop(SHARPNESS), mask)) if limits.blur else math.nan
+    return _View(frame, name, pixels, sharp)
+
+
+def bounds(mask: np.ndarray) -> Box:
+    """The box about what a mask (H, W) uint8 covers. ViewnetError where that is nothing."""
+    columns, rows = (np.flatnonzero((mask > 127).any(axis)) for axis in (0, 1))
+    if not len(columns):
+        raise ViewnetError("mask is empty")
+    return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
+
+
+def sharpness(view: np.ndarray) -> float:
+    """The Laplacian's variance over the picture's own, within the object of a view (S, S, 4) uint8."""
+    grey = view[..., :3].mean(axis=2)
+    # Its outline is sharp in any picture.
+    inner = ndimage.binary_erosion(view[..., 3] > 127, iterations=3, border_value=1)
+    if not inner.any():
+        return 0.0
+    return float(ndimage.laplace(grey)[inner].var() / max(grey[inner].var(), 1.0))
+
+
+def _inside(mask: np.ndarray, box: Box) -> np.ndarray:
+    x0, y0, x1, y1 = box
+    wide, high = AROUND * (x1 - x0), AROUND * (y1 - y0)
+    kept = np.zeros_like(mask)
+    rows = slice(max(0, math.floor(y0 - high)), math.ceil(y1 + high))
+    columns = slice(max(0, math.floor(x0 - wide)), math.ceil(x1 + wide))
+    kept[rows, columns] = mask[rows, columns]
+    return kept
+
+
+def _row(clip: Clip, view: _View, root: Path) -> tuple[Any, ...]:
+    frame, source = view.frame, f"{_within(clip.source, root)}#{view.name}"
+    azimuth = frame.azimuth % 360 % 360  # NaN stays NaN
+    return clip.id, clip.category, clip.split, frame.number, azimuth, frame.elevation, source
+
+
+def _batches(files: Sequence[Path]) -> Iterator[np.ndarray]:
+    for file in files:
+        yield np.load(file)
+
+
+def _angle(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _sizes(path: Path) -> list[Any]:
+    """A file's name and size, or those of a folder's files."""
+    files = [path] if path.is_file() else sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else []
+    return [path.name, [(file.name, file.stat().st_size) for file in files]]
+
+
+def _within(path: Path, root: Path) -> str:
+    return (path.relative_to(root) if path.is_relative_to(root) else path).as_posix()

@@ -1,0 +1,150 @@
+"""The pictures of a clip: a video file's frames or a folder's pictures, in the order of time."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Literal
+
+import av
+import numpy as np
+from PIL import Image, ImageOps
+
+from viewnet.data.backgrounds import SUFFIXES
+from viewnet.errors import ViewnetError
+
+VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp")
+"""How names of video files end."""
+PICKS = ("random", "evenly")
+
+Pick = Literal["random", "evenly"]
+Still = tuple[int, str, Image.Image | ViewnetError]
+"""Number from 0, name without a suffix, and the picture or why there is none."""
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file's name is that of a video."""
+    return path.suffix.lower() in VIDEOS and not path.name.startswith(".") and path.is_file()
+
+
+def pictures(folder: Path) -> list[Path]:
+    """The pictures that lie in a folder, by name; numbers within names count as numbers: 2.png comes before 10.png."""
+    found = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()]
+    return sorted(found, key=lambda path: (_natural(path.name), path.name))
+
+
+def count(source: Path) -> int:
+    """How many frames a source has: the pictures of a folder, or the packets of a video, which are not decoded.
+
+    Raises ViewnetError for a video that cannot be read, and a source without frames.
+    """
+    if source.is_dir():
+        total = len(pictures(source))
+    else:
+        with _opened(source) as container:
+            try:
+                total = sum(packet.size > 0 for packet in container.demux(container.streams.video[0]))
+            except (av.FFmpegError, OSError) as error:
+                raise ViewnetError(f"video cannot be read ({type(error).__name__})") from None
+    if not total:
+        raise ViewnetError("no frames in it")
+    return total
+
+
+def pick(total: int, wanted: int | None, how: Pick, name: str, seed: int = 0) -> list[int]:
+    """Ascending numbers of `wanted` of `total` frames, all of them for None or where there are no more.
+
+    "evenly": the middles of as many equal stretches of time; "random": drawn by seed and the clip's name.
+    """
+    if wanted is not None and wanted < 1:
+        raise ViewnetError(f"frames {wanted}: expected 1 or more a clip, or none for all")
+    if how not in PICKS:
+        raise ViewnetError(f"unknown pick {how!r}: choose one of {', '.join(PICKS)}")
+    if wanted is None or wanted >= total:
+        return list(range(total))
+    if how == "evenly":
+        return [int(i) for i in (np.arange(wanted) + 0.5) * total / wanted]
+    digest = hashlib.sha256(f"{seed} frames {name}".encode()).digest()
+    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
+    return sorted(int(i) for i in rng.choice(total, wanted, replace=False))
+
+
+def stills(source: Path, numbers: Collection[int]) -> Iterator[Still]:
+    """The frames with these numbers, ascending, upright as their camera says; a video is decoded up to the last one.
+
+    A picture that does not decode, or a frame that a video turns out not to have, comes as a ViewnetError. Raises
+    ViewnetError for a video that cannot be opened.
+    """
+    wanted = sorted(set(numbers))
+    return _of_folder(source, wanted) if source.is_dir() else _of_video(source, wanted)
+
+
+def _of_folder(folder: Path, wanted: list[int]) -> Iterator[Still]:
+    files = pictures(folder)
+    for number in wanted:
+        if number >= len(files):
+            yield number, f"{number:06d}", ViewnetError("no such frame")
+            continue
+        try:
+            with Image.open(files[number]) as opened:
+                opened.load()
+                picture: Image.Image | ViewnetError = ImageOps.exif_transpose(opened)
+        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+            picture = ViewnetError(f"picture does not decode ({type(error).__name__})")
+        yield number, files[number].stem, picture
+
+
+def _of_video(file: Path, wanted: list[int]) -> Iterator[Still]:
+    left = set(wanted)
+    with _opened(file) as container:
+        for number, frame in enumerate(_decoded(container)):
+            if number in left:
+                left.remove(number)
+                yield number, f"{number:06d}", upright(frame.to_image(), frame.rotation)
+            if not left:
+                return
+    for number in sorted(left):
+        yield number, f"{number:06d}", ViewnetError("frame does not decode")
+
+
+def _decoded(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
+    """All frames that can be decoded: a damaged packet costs what depends on it, not the rest."""
+    packets = container.demux(container.streams.video[0])
+    while True:
+        try:
+            packet = next(packets)
+        except (StopIteration, av.FFmpegError):  # the end, or where the file is cut off
+            return
+        try:
+            yield from packet.decode()
+        except av.FFmpegError:
+            continue
+
+
+def upright(picture: Image.Image, rotation: float) -> Image.Image:
+    """A frame turned as a video's display matrix says: `rotation` degrees counter-clockwise, by quarter turns."""
+    turns = {
+        90: Image.Transpose.ROTATE_90,
+        180: Image.Transpose.ROTATE_180,
+        270: Image.Transpose.ROTATE_270,
+    }
+    quarter = round(rotation / 90) * 90 % 360
+    return picture.transpose(turns[quarter]) if quarter else picture
+
+
+def _opened(file: Path) -> av.container.InputContainer:
+    try:
+        container = av.open(str(file))
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise ViewnetError(f"video cannot be read ({type(error).__name__})") from None
+    if not container.streams.video:
+        container.close()
+        raise ViewnetError("video cannot be read (no pictures in it)")
+    return container
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """A key by which runs of digits compare as numbers."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name)]

@@ -1,0 +1,264 @@
+"""Masks of the object in every frame of a clip: read from files, taken from the pictures' alpha, or predicted.
+
+A mask source is asked for a follower per clip, which is shown the clip's frames in the order of time. What cannot be
+had is a ViewnetError that begins with "mask", the reason why its frame is not used.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from PIL import Image
+from scipy import ndimage
+from torch import nn
+
+from viewnet import backbones
+from viewnet.config import CATEGORIES, known
+from viewnet.data.clips import Clip
+from viewnet.errors import ViewnetError
+
+VERSION = 1
+"""Raise it when a change alters masks: it is part of every store's identity."""
+NETWORKS = {"maskrcnn": "maskrcnn_resnet50_fpn", "deeplabv3": "deeplabv3_resnet50"}
+"""Our name -> torchvision's. Mask R-CNN tells objects of a class apart; DeepLabV3 does not, so each of its connected
+regions counts as one."""
+COCO = {
+    "aeroplane": "airplane",
+    "diningtable": "dining table",
+    "motorbike": "motorcycle",
+    "sofa": "couch",
+    "tvmonitor": "tv",
+}
+"""What COCO calls a category where PASCAL VOC, and so DeepLabV3, has another word."""
+SURE = 0.5
+"""Score of an object, and probability of a pixel, from which on they count."""
+SPECK = 0.02
+"""Regions below this share of the largest one are no objects."""
+FOLLOW = 0.2
+"""Intersection over union with the mask before, from which on an object is taken for the same."""
+SIDE = 520
+"""Pixels along the shorter side of what DeepLabV3 sees, as in its training."""
+
+Follower = Callable[[int, str, Image.Image], np.ndarray]
+"""A frame's number, name and picture -> alpha (H, W) uint8. Raises ViewnetError where there is no usable mask."""
+Segmenter = Callable[[Image.Image], np.ndarray]
+"""A picture -> masks (K, H, W) bool of the K objects of a class in it."""
+
+
+class MaskSource(Protocol):
+    """Where masks come from."""
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """What decides the masks but for the clips' own files, as JSON values."""
+        ...
+
+    @property
+    def parallel(self) -> bool:
+        """Whether clips are better worked on side by side."""
+        ...
+
+    def follow(self, clip: Clip) -> Follower:
+        """A follower for the frames of one clip."""
+        ...
+
+
+@dataclass(frozen=True)
+class FromFiles:
+    """PNG files in each clip's folder of masks, named like its pictures, or 000000.png by the frame's number.
+
+    Pixels are shares of coverage up to the deepest white, or numbers of classes: in files of a palette, and where no
+    value is above 1, all but 0 is the object.
+    """
+
+    parallel: bool = field(default=True, init=False)
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {"masks": "files", "version": VERSION}
+
+    def follow(self, clip: Clip) -> Follower:
+        def read(number: int, name: str, picture: Image.Image) -> np.ndarray:
+            folder = clip.masks
+            files = [] if folder is None else [folder / f"{name}.png", folder / f"{number:06d}.png"]
+            file = next((path for path in files if path.is_file()), None)
+            if file is None:
+                raise ViewnetError("mask is missing")
+            alpha = _read(file)
+            if alpha.shape != (picture.height, picture.width):
+                raise ViewnetError(f"mask has another size than its picture ({alpha.shape[1]} x {alpha.shape[0]})")
+            return alpha
+
+        return read
+
+
+@dataclass(frozen=True)
+class FromAlpha:
+    """The alpha of the pictures themselves."""
+
+    parallel: bool = field(default=True, init=False)
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {"masks": "alpha", "version": VERSION}
+
+    def follow(self, clip: Clip) -> Follower:
+        def read(number: int, name: str, picture: Image.Image) -> np.ndarray:
+            if not picture.has_transparency_data:
+                raise ViewnetError("mask is missing (the picture has no alpha)")
+            return np.array(picture.convert("RGBA").getchannel("A"))
+
+        return read
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Masks by a network: the largest object of the class at first, then the one that overlaps most with the last."""
+
+    segment: Segmenter
+    described: dict[str, Any]
+    parallel: bool = field(default=False, init=False)
+
+    def follow(self, clip: Clip) -> Follower:
+        last: np.ndarray | None = None
+
+        def find(number: int, name: str, picture: Image.Image) -> np.ndarray:
+            nonlocal last
+            found = self.segment(picture.convert("RGB"))
+            if not len(found) or not found.any():
+                raise ViewnetError("mask is missing (nothing of the class is seen)")
+            last = found[chosen(found, last)]
+            return last.astype(np.uint8) * 255
+
+        return find
+
+
+def chosen(found: np.ndarray, last: np.ndarray | None) -> int:
+    """Which of the masks (K, H, W) bool continues the mask before (H, W); the largest where none does."""
+    if last is not None and last.shape == found.shape[1:]:
+        union = (found | last).sum((1, 2))
+        overlap = (found & last).sum((1, 2)) / np.maximum(union, 1)
+        if overlap.max() >= FOLLOW:
+            return int(overlap.argmax())
+    return int(found.sum((1, 2)).argmax())
+
+
+def predicted(network: str, category: str, weights: Path | None = None) -> Predicted:
+    """Masks of a category by torchvision's network for COCO: "maskrcnn" or "deeplabv3".
+
+    Weights are those of `weights`, else of the file that VIEWNET_MASKRCNN_RESNET50_FPN_WEIGHTS or
+    VIEWNET_DEEPLABV3_RESNET50_WEIGHTS names, else of torchvision's cache. Raises ViewnetError where there is no such
+    file, or it holds something else.
+    """
+    full = NETWORKS[known(network, NETWORKS, "network for masks")]
+    known(category, CATEGORIES, "category")
+    path = weights or backbones.weights_file(full)
+    if not path.is_file():
+        raise ViewnetError(
+            f"no {network} weights at {path}: download {_url(full)} to that place, name another file by "
+            f"{backbones.variable(full)}, or use masks from files or from the pictures' alpha"
+        )
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    segment = (_maskrcnn if network == "maskrcnn" else _deeplab)(category, path, device)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    return Predicted(segment, {"masks": network, "category": category, "weights": digest, "version": VERSION})
+
+
+def regions(covered: np.ndarray) -> np.ndarray:
+    """The connected regions (K, H, W) of a mask (H, W) bool but for specks."""
+    labels, count = ndimage.label(covered)
+    areas = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    large = np.flatnonzero(areas >= SPECK * areas.max(initial=1)) + 1
+    return labels[None] == large[:, None, None]
+
+
+def _maskrcnn(category: str, path: Path, device: torch.device) -> Segmenter:
+    from torchvision.models import detection
+
+    network = detection.maskrcnn_resnet50_fpn(weights=None, weights_backbone=None)
+    _fill(network, path, NETWORKS["maskrcnn"])
+    for layer in network.modules():
+        if isinstance(layer, nn.BatchNorm2d):
+            layer.eps = 0.0  # the weights were trained with layers that have none
+    network.eval().to(device)
+    names = detection.MaskRCNN_ResNet50_FPN_Weights.COCO_V1.meta["categories"]
+    label = names.index(COCO.get(category, category))
+
+    @torch.no_grad()
+    def segment(picture: Image.Image) -> np.ndarray:
+        (result,) = network([_tensor(picture).to(device)])
+        mine = (result["labels"] == label) & (result["scores"] >= SURE)
+        return (result["masks"][mine, 0] >= SURE).cpu().numpy()
+
+    return segment
+
+
+def _deeplab(category: str, path: Path, device: torch.device) -> Segmenter:
+    from torchvision.models import segmentation
+
+    network = segmentation.deeplabv3_resnet50(weights=None, weights_backbone=None, aux_loss=False)
+    _fill(network, path, NETWORKS["deeplabv3"])
+    network.eval().to(device)
+    names = segmentation.DeepLabV3_ResNet50_Weights.COCO_WITH_VOC_LABELS_V1.meta["categories"]
+    label = names.index(category)
+    mean, deviation = (
+        torch.tensor(values).view(3, 1, 1) for values in (backbones.IMAGENET_MEAN, backbones.IMAGENET_STD)
+    )
+
+    @torch.no_grad()
+    def segment(picture: Image.Image) -> np.ndarray:
+        scale = SIDE / min(picture.size)
+        small = picture.resize((round(picture.width * scale), round(picture.height * scale)), Image.Resampling.BILINEAR)
+        scores = network(((_tensor(small) - mean) / deviation)[None].to(device))["out"]
+        full = F.interpolate(scores, (picture.height, picture.width), mode="bilinear", align_corners=False)
+        return regions((full[0].argmax(0) == label).cpu().numpy())
+
+    return segment
+
+
+def _fill(network: nn.Module, path: Path, full: str) -> None:
+    """Give a network the weights of a file; what it has no place for, such as layers for training, is not used."""
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        # As plain values, without the file's versions, names of all versions are taken.
+        missing = network.load_state_dict(dict(state), strict=False, assign=True).missing_keys
+        if missing:
+            raise ValueError(f"{missing[0]} is missing")
+    except Exception as error:  # torch raises whatever a damaged file makes it stumble over
+        problem = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ViewnetError(f"{path} does not hold {full} weights ({problem}): download {_url(full)} anew") from error
+
+
+def _url(full: str) -> str:
+    from torchvision import models
+
+    return str(next(iter(models.get_model_weights(full))).url)
+
+
+def _tensor(picture: Image.Image) -> torch.Tensor:
+    """(3, H, W) in [0, 1]."""
+    return torch.from_numpy(np.array(picture)).permute(2, 0, 1).float() / 255
+
+
+def _read(file: Path) -> np.ndarray:
+    """Alpha (H, W) uint8 of a mask's file."""
+    try:
+        with Image.open(file) as opened:
+            opened.load()
+            if opened.mode == "P":
+                return (np.array(opened) > 0).astype(np.uint8) * 255
+            if opened.mode.startswith("I"):
+                values = np.array(opened).astype(np.int64)
+                values = values if values.max(initial=0) <= 1 else values // 257
+            else:
+                values = np.array(opened.convert("L")).astype(np.int64)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ViewnetError(f"mask does not decode ({type(error).__name__})") from None
+    return (values * 255 if values.max(initial=0) <= 1 else values).clip(0, 255).astype(np.uint8)
