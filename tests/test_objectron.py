@@ -297,8 +297,19 @@ def test_records_that_cannot_be_used(tmp_path, monkeypatch):
         ("10/0", "video without a record"),
     ]
     monkeypatch.setattr(objectron_record, "MOST_FRAMES", 3)
-    with pytest.raises(ViewnetError, match=r"no usable video of chair \(6 record of 4 frames, 2 record is damaged"):
+    with pytest.raises(
+        ViewnetError, match=r"no usable video of chair \(6 record of too many frames, 2 record is damaged"
+    ):
         objectron.read(tmp_path, "chair")
+
+
+def test_a_record_of_many_objects_is_refused_before_they_are_looked_at(monkeypatch):
+    sequence = record(around(4))
+    sequence.frame_annotations[0].annotations.add()  # without keypoints: no object to choose
+    assert interpret(sequence).others == ()
+    monkeypatch.setattr(objectron_record, "MOST_FRAMES", 4)
+    with pytest.raises(ViewnetError, match=r"record of too many objects \(5\)"):
+        interpret(sequence)
 
 
 def test_frames_without_a_picture_or_with_a_broken_one(tmp_path):

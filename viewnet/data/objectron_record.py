@@ -36,9 +36,9 @@ from viewnet.geometry import azimuth_elevation
 
 AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 LARGEST = 16 * 2**20
-"""Bytes of a record file: ten times a minute's record. What it becomes in memory can be 25 times as large."""
+"""Bytes of a record file: ten times a minute's record. What it becomes in memory can be 30 times as large."""
 MOST_FRAMES = 100_000
-"""Frames of a record."""
+"""Frames of a record, and objects annotated in all of them together: more are no video's."""
 BEYOND = 0.1
 """Keypoints may be so much of the picture's side outside of it: the box reaches farther than the object within."""
 VISIBLE = 0.5
@@ -95,7 +95,9 @@ def interpret(sequence: Any) -> Record:
     """What a `Sequence` tells; raises as `read_record`."""
     count = len(sequence.frame_annotations)
     if not 1 <= count <= MOST_FRAMES:
-        raise ViewnetError(f"record of {count} frames" if count else "record without frames")
+        raise ViewnetError(f"record of too many frames ({count})" if count else "record without frames")
+    if (objects := sum(len(frame.annotations) for frame in sequence.frame_annotations)) > MOST_FRAMES:
+        raise ViewnetError(f"record of too many objects ({objects})")
     seen: set[int] = set()
     frames, rejected = [], []
     for frame in sequence.frame_annotations:
@@ -136,12 +138,12 @@ def _main_object(frames: Many[Any]) -> tuple[int, tuple[int, ...]]:
     covered: dict[int, float] = {}
     for frame in frames:
         for annotation in frame.annotations:
-            points = _in_picture(annotation)
-            low, high = points.min(axis=0, initial=1).clip(0, 1), points.max(axis=0, initial=0).clip(0, 1)
-            area = float(np.prod((high - low).clip(0)))
-            covered[annotation.object_id] = covered.get(annotation.object_id, 0.0) + (
-                area if math.isfinite(area) else 0.0
-            )
+            if len(annotation.keypoints) != len(UNIT_BOX):
+                continue
+            points = _in_picture(annotation).clip(0, 1)
+            area = float(np.prod(points.max(axis=0) - points.min(axis=0)))
+            covered.setdefault(annotation.object_id, 0.0)
+            covered[annotation.object_id] += area if math.isfinite(area) else 0.0
     if not covered:
         raise ViewnetError("record without an annotated object")
     main = min(covered, key=lambda name: (-covered[name], name))
@@ -165,9 +167,9 @@ def _view(frame: Any, main: int, rotation: np.ndarray, translation: np.ndarray) 
     annotation = next((item for item in frame.annotations if item.object_id == main), None)
     if annotation is None:
         raise ViewnetError("object not annotated")
+    if (count := len(annotation.keypoints)) != len(UNIT_BOX):
+        raise ViewnetError(f"not nine keypoints ({count})")
     points = _in_picture(annotation)
-    if len(points) != len(UNIT_BOX):
-        raise ViewnetError(f"not nine keypoints ({len(points)})")
     if not np.isfinite(points).all():
         raise ViewnetError("keypoints are not finite")
     to_camera = _world_to_camera(frame.camera)
@@ -193,9 +195,8 @@ def _view(frame: Any, main: int, rotation: np.ndarray, translation: np.ndarray) 
 
 
 def _in_picture(annotation: Any) -> np.ndarray:
-    """Keypoints (n, 2) as fractions of the picture."""
-    points = [(keypoint.point_2d.x, keypoint.point_2d.y) for keypoint in annotation.keypoints]
-    return np.array(points, dtype=np.float64).reshape(-1, 2)
+    """Keypoints (9, 2) as fractions of the picture."""
+    return np.array([(keypoint.point_2d.x, keypoint.point_2d.y) for keypoint in annotation.keypoints], dtype=np.float64)
 
 
 def _world_to_camera(camera: Any) -> np.ndarray:

@@ -191,6 +191,8 @@ def _filmed(
         alpha = pixels[..., 3:] / 255
         mixed = pixels[..., :3] + (1 - alpha) * np.asarray(picture, dtype=np.float64)
         step = np.subtract(shot.centre, previous) * rng.uniform(0.3, 1.2) + rng.normal(0, 0.4, 2)
+        # Frames far apart in time would be blurred as no exposure is.
+        step *= min(1.0, 0.02 * width / max(np.hypot(*step), 1e-9))
         previous = shot.centre
         blurred = _moved(Image.fromarray(mixed.clip(0, 255).astype(np.uint8)), step)
         exposed = (blurred / 255 * gain[place] * tint).clip(0, 1) + rng.normal(0, grain, blurred.shape)
