@@ -112,6 +112,10 @@ class Drawer:
         size = self.network.config.render_size if size is None else size
         return self.views.pictures(torch.as_tensor(rows), size, self.device)
 
+    def shown(self, rows: Sequence[int]) -> np.ndarray:
+        """Test views (N, S, S, 3) uint8 before white, of the size that the network reads."""
+        return shown(self.pictures(rows, self.network.config.input_size))
+
     def partners(self, rows: Sequence[int]) -> list[int]:
         """The next view of each view's object, or the view itself where there is no other."""
         found: list[int] = self.views.partners(torch.as_tensor(rows)).tolist()
