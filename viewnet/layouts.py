@@ -105,3 +105,11 @@ LAYOUTS = {
         blocks=True,
     ),
 }
+
+LABELS = {
+    variant: label
+    for name in ("table1_shapenet", "table2_ablation")
+    for label, variant in LAYOUTS[name].rows
+    if variant is not None
+}
+"""Variant -> what the paper's tables of trained models call it."""
