@@ -124,6 +124,7 @@ def summary(curves: pd.DataFrame) -> pd.DataFrame:
 def figure(curves: pd.DataFrame) -> Any:
     """Validation accuracy and reconstruction error over the epochs; the range of the usual training's seeds in grey."""
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import MaxNLocator
 
     shown, axes = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
     for axis, column, label in (
@@ -136,8 +137,9 @@ def figure(curves: pd.DataFrame) -> Any:
             for number, (_, run) in enumerate(rows.groupby("seed")):
                 axis.plot(run["epoch"], run[column], color=f"C{index}", lw=1, label=None if number else name)
         axis.set(xlabel="epoch", ylabel=label)
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.spines[["top", "right"]].set_visible(False)
-    axes[1].set_yscale("log")
+    axes[1].set_ylim(bottom=0)
     axes[0].legend(frameon=False, fontsize=7, loc="lower right")
     return shown
 
