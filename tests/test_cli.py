@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import pytest
 from fake_steps import STEPS
@@ -30,6 +31,16 @@ def test_train_prints_runs_and_scores(folders, capsys):
     made = runs.RunConfig.from_dict(runs.read_json(config))
     assert (made.train.epochs, made.train.amp, made.train.betas) == (5, "off", (0.8, 0.9))
     assert lines[1].startswith("  test: within 30 degrees ")
+
+
+def test_train_says_what_is_trained_and_not_scored(capsys, monkeypatch):
+    def opened(folder):
+        store = STEPS.open(folder)
+        return replace(store, index=store.index[store.index["split"] == "train"])
+
+    monkeypatch.setattr(runs, "default_steps", lambda: replace(STEPS, open=opened))
+    assert cli.main(["train", "car", "--profile", "smoke", "--workers", "1"]) == 0
+    assert "  not scored: its own views have no annotated val and test split" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

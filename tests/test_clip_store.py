@@ -9,15 +9,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image, ImageDraw, ImageFilter
-from video_data import write_frames, write_video
+from video_data import write_frames, write_freiburg, write_video
 
-from viewnet.config import VideoConfig, make_config
+from viewnet.config import DataConfig, VideoConfig, make_config
 from viewnet.data import freiburg_standin
 from viewnet.data.clip_store import Limits, bounds, clip_store, describe, sharpness, summary
 from viewnet.data.clips import Clip, Frame
 from viewnet.data.masks import FromAlpha, FromFiles
 from viewnet.data.photos import Crop
-from viewnet.data.prepare import video_views
+from viewnet.data.prepare import video_views, view_store
 from viewnet.data.store import ViewStore, check_index
 from viewnet.errors import ViewnetError
 from viewnet.predict import predict
@@ -225,12 +225,53 @@ def test_a_configuration_opens_videos(tmp_path, monkeypatch):
     assert len(store) == 6 and store.index["split"].value_counts().to_dict() == {"train": 2, "val": 2, "test": 2}
     assert store.folder.parent == tmp_path / "data/views" and store.folder.name.startswith("videos-chair-")
     assert video_views(config, 1, False).folder == store.folder
-    for changes in ({"count": 3}, {"seed": 5}, {"size": 8}, {"margin": 0.5}, {"side": 1.0}, {"blur": 0.1}):
+    for changes in (
+        {"count": 3},
+        {"seed": 5},
+        {"size": 8},
+        {"square": False},
+        {"margin": 0.5},
+        {"side": 1.0},
+        {"blur": 0.1},
+    ):
         assert video_views(replace(config, **changes), 1, False).folder != store.folder, changes
     with pytest.raises(ViewnetError, match="count -1: expected 1 or more"):
         video_views(replace(config, count=-1), 1, False)
-    with pytest.raises(ViewnetError, match="category chair: the stand-in shows cars"):
-        video_views(VideoConfig("chair"), 1, False)
+    whole = video_views(replace(config, split_rule="all"), 1, False)
+    assert set(whole.index["split"]) == {"train"} and len(whole) == 6
+    assert view_store(DataConfig("chair", video=config), 1, False).folder == store.folder
+    with pytest.raises(ViewnetError, match="category car: its videos show chair"):
+        view_store(DataConfig("car", video=config), 1, False)
+    for wrong in (VideoConfig("sofa"), VideoConfig("chair", kind="freiburg"), VideoConfig("chair", kind="folder")):
+        with pytest.raises(ViewnetError, match=f"category {wrong.category}: stand-ins for videos show car"):
+            video_views(wrong, 1, False)
+
+
+def test_the_layout_is_known_by_what_lies_in_the_root_or_by_name(tmp_path, monkeypatch):
+    monkeypatch.setenv("VIEWNET_DATA", str(tmp_path / "data"))
+    write_freiburg(tmp_path / "freiburg", (1, 46))
+    cars = VideoConfig("car", str(tmp_path / "freiburg"), masks="none", size=16)
+    store = video_views(cars, 1, False)
+    assert store.index["azimuth"].tolist() == [0, 10, 20] * 2 and set(store.index["split"]) == {"train", "val"}
+    assert set(video_views(replace(cars, split_rule="all"), 1, False).index["split"]) == {"train"}
+    assert video_views(replace(cars, kind="freiburg"), 1, False).folder == store.folder
+    with pytest.raises(ViewnetError, match="no records: expected Objectron's"):
+        video_views(replace(cars, category="chair", kind="objectron"), 1, False)
+    with pytest.raises(ViewnetError, match="shows cars, not chair"):
+        video_views(replace(cars, category="chair"), 1, False)
+
+
+def test_a_stand_in_for_objectron_is_made_and_read(tmp_path, monkeypatch):
+    monkeypatch.setenv("VIEWNET_DATA", str(tmp_path / "data"))
+    chairs = VideoConfig("chair", videos=3, frames=4, count=3, size=32)
+    store = video_views(chairs, 1, False)
+    assert set(store.index["split"]) == {"train", "val", "test"}
+    assert 6 <= len(store) <= 9 and store.index[["azimuth", "elevation"]].notna().all(axis=None)
+    (root,) = (path for path in (tmp_path / "data/objectron-stand-in").iterdir() if path.is_dir())
+    given = replace(chairs, root=str(root))
+    assert video_views(given, 1, False).folder == store.folder
+    with pytest.raises(ViewnetError, match="pick evenly: of Objectron's frames those to use are drawn"):
+        video_views(replace(given, pick="evenly"), 1, False)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import pytest
 
 from viewnet.config import (
     CATEGORIES,
+    FILMED,
     PROFILES,
     RECIPES,
     SYNSETS,
@@ -15,6 +16,7 @@ from viewnet.config import (
     ModelConfig,
     RunConfig,
     TrainConfig,
+    VideoConfig,
     make_config,
 )
 from viewnet.errors import ViewnetError
@@ -80,6 +82,27 @@ def test_overrides_reach_their_section():
     config = make_config(epochs=3, volume_size=16, views=7, elevation_limits=[-10, 30])
     assert (config.train.epochs, config.model.volume_size, config.data.views) == (3, 16, 7)
     assert config.model.elevation_limits == (-10.0, 30.0)
+
+
+def test_videos_are_part_of_a_configuration():
+    videos = VideoConfig("car", root="somewhere", kind="freiburg", split_rule="all", count=10, sequences=(1, 2))
+    config = make_config(profile="tiny", recipe="photos", video=videos)
+    assert config.data.video == videos
+    assert RunConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+    assert make_config(profile="tiny", recipe="photos", video=dataclasses.asdict(videos)) == config
+    assert config.train.epochs == FILMED["tiny"]["train"]["epochs"]
+    assert make_config(profile="tiny", recipe="photos", video=videos, epochs=3).train.epochs == 3
+    others = [dataclasses.replace(videos, count=11), dataclasses.replace(videos, kind="auto"), None]
+    assert len({config.key(), *(make_config(recipe="photos", video=other).key() for other in others)}) == 4
+    with pytest.raises(ViewnetError, match=r"unknown config\.data\.video\.kind 'coco': choose one of auto, freiburg"):
+        make_config(video={"category": "car", "kind": "coco"})
+
+
+def test_a_start_leaves_out_what_only_a_beginning_needs():
+    train = make_config(profile="tiny", start="0123456789ab").train
+    assert (train.start, train.search, train.shared_shape, train.coarse) == ("0123456789ab", 0, 0, 0)
+    assert make_config(profile="tiny", start="0123456789ab", search=0.2).train.search == 0.2
+    assert make_config(profile="tiny").train.search > 0
 
 
 def test_field_names_are_unique_across_sections():

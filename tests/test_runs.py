@@ -11,12 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import fake_steps
+import numpy as np
 import pandas as pd
 import pytest
 from fake_steps import STEPS, calls, plan
 
 from viewnet import baselines, provenance, runs
-from viewnet.config import RunConfig, make_config
+from viewnet.config import RunConfig, VideoConfig, make_config
 from viewnet.errors import ViewnetError
 from viewnet.predictions import Predictions
 from viewnet.runs import ensure
@@ -70,6 +71,12 @@ def test_the_key_follows_config_views_and_code(monkeypatch):
         config(), data=replace(config().data, root="elsewhere", splits="lists", extra="more", backgrounds="there")
     )
     assert base == runs.locate(moved, "views")  # the views' identity knows the models, not their place
+    videos = VideoConfig("car", root="here")
+    filmed = replace(config(), data=replace(config().data, video=videos))
+    elsewhere = replace(filmed, data=replace(filmed.data, video=replace(videos, root="there"), models=7, views=3))
+    assert base != runs.locate(filmed, "views") == runs.locate(elsewhere, "views")
+    fewer = replace(filmed, data=replace(filmed.data, video=replace(videos, count=5)))
+    assert runs.locate(filmed, "views") != runs.locate(fewer, "views")
     others = [runs.locate(config(1), "views"), runs.locate(config(), "other")]
     others += [runs.locate(config(), "views", "one scenery"), runs.locate(config(), "views", "another")]
     monkeypatch.setattr(provenance, "code_identity", lambda modules: "edited")
@@ -195,6 +202,30 @@ def test_untrained_predictors_are_runs_too(folders):
         _ = run.log
     with pytest.raises(ViewnetError, match="unknown untrained variant 'mean'"):
         runs.untrained("mean", config())
+
+
+@pytest.mark.parametrize("lost", ["val", "test", "viewpoints"])
+def test_a_run_on_views_that_cannot_be_scored_is_trained_only(folders, lost):
+    def opened(folder):
+        store = fake_steps.open_store(folder)
+        index = store.index[store.index["split"] != lost].copy()
+        if lost == "viewpoints":
+            index.loc[index.index[index["split"] == "val"][0], ["azimuth", "elevation"]] = np.nan
+        return replace(store, index=index)
+
+    steps = replace(STEPS, open=opened, predict=lambda *a, **k: pytest.fail("predicted"))
+    (run,) = ensure([config()], workers=1, steps=steps)
+    assert not run.scored and run.result["metrics"] is None and run.result["training"]["seconds"] > 0
+    assert {p.name for p in run.folder.iterdir()} >= {"log.csv", "checkpoint.safetensors"}
+    assert not (run.folder / "predictions.parquet").exists()
+    assert ensure([config()], workers=1, steps=steps) == [run]
+    assert calls(folders) == ["car-0"]
+    with pytest.raises(ViewnetError, match=r"viewnet car seed 0 .* no annotated val and test split: score it on photo"):
+        _ = run.predictions
+    photographs = fake_steps.views(config(category="chair").data)
+    assert len(runs.on_photographs(run, photographs, STEPS).subset("test")) > 0
+    with pytest.raises(ViewnetError, match=r"constant car .* no annotated val and test split"):
+        ensure([runs.untrained("constant", config())], workers=1, steps=steps)
 
 
 def test_scoring_on_other_views_keeps_the_run_s_own_alignment(tmp_path):

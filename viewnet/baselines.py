@@ -72,21 +72,22 @@ def view_regression(
     features: NDArray[np.float32],
     ridge: float = RIDGE,
     splits: tuple[str, ...] = ("val", "test"),
+    source: str = "val",
 ) -> Predictions:
-    """Linear regression from features (N, D) to view vectors, fitted on the split "val" (the row "VGG view").
+    """Linear regression from features (N, D) to view vectors, fitted on the split `source` (the row "VGG view").
 
-    This is SSV's setup: no more labels than unsupervised predictions are aligned by (see `calibrating`). `features` are
-    in the order of `index` (see viewnet.features); `ridge` is the weight of the squared coefficients against the sum of
-    squared errors, with features and view vectors centred on what is fitted on. It is solved in the space of the
-    images, which are far fewer than features. What is predicted for "val" was fitted on it. Raises ViewnetError for
-    features that do not fit the index and a `ridge` not above 0.
+    Fitted on "val" it is SSV's setup: no more labels than unsupervised predictions are aligned by (see `calibrating`),
+    and what is predicted for "val" was fitted on it. `features` are in the order of `index` (see viewnet.features);
+    `ridge` is the weight of the squared coefficients against the sum of squared errors, with features and view vectors
+    centred on what is fitted on. It is solved in the space of the images, which are far fewer than features. Raises
+    ViewnetError for features that do not fit the index and a `ridge` not above 0.
     """
     if features.ndim != 2 or len(features) != len(index):
         raise ViewnetError(f"view regression: features are {features.shape} for {len(index)} images")
     if not ridge > 0:
         raise ViewnetError(f"ridge {ridge}: expected more than 0: features outnumber the images to fit on")
-    ids, fit = _rows(index, splits), (index["split"] == "val").to_numpy()
-    x, y = features[fit].astype(np.float64), true_vectors(_rows(index, ("val",)))
+    ids, fit = _rows(index, splits), (index["split"] == source).to_numpy()
+    x, y = features[fit].astype(np.float64), true_vectors(_rows(index, (source,)))
     middle, mean = x.mean(axis=0), y.mean(axis=0)
     x -= middle
     dual = np.linalg.solve(x @ x.T + ridge * np.eye(len(x)), y - mean)

@@ -144,8 +144,11 @@ def _train(options: argparse.Namespace) -> None:
     found = runs.ensure(configs, options.workers)
     if distributed.rank() == 0:
         for run in found:
-            score = run.result["metrics"][run.alignment]
             print(f"{runs.name(run.config)}: {run.folder}")
+            if not run.scored:
+                print(f"  not scored: {runs.NOT_SCORED}")
+                continue
+            score = run.result["metrics"][run.alignment]
             print(f"  test: within 30 degrees {score['acc30']:.1f} %, median {score['median']:.1f} degrees")
     distributed.stop()
 

@@ -55,6 +55,9 @@ class DataConfig:
     renderer: Literal["auto", "raycast", "pyrender"] = "auto"
     # Behind both inputs in training, never behind the target: SUN397, any folder of pictures, or "drawn"; None: nothing
     backgrounds: str | None = None
+    video: VideoConfig | None = (
+        None  # given: views are these clips' frames (section 4.4), and only the line above counts
+    )
 
 
 @dataclass(frozen=True)
@@ -81,19 +84,25 @@ class VideoConfig:
     """Which videos of one category to train on (section 4.4), and how their objects are cut out."""
 
     category: str
-    # Freiburg static cars, or a folder of videos or of folders of frames; None: a stand-in for the former is made
+    # Freiburg static cars, Objectron, or a folder of videos or of folders of frames; None: a stand-in is made
     root: str | None = None
-    split_rule: Literal["45/2/rest", "all"] = "45/2/rest"  # Freiburg's sequences by number, or all of them for training
+    # auto: what lies in root tells, and without one the stand-in is of Freiburg for cars and of Objectron for others
+    kind: Literal["auto", "freiburg", "objectron", "folder"] = "auto"
+    split_rule: Literal["45/2/rest", "all"] = (
+        "45/2/rest"  # Freiburg's sequences by number; all: every clip is trained on
+    )
     count: int = 0  # frames a clip, 0 for all
     pick: Literal["random", "evenly"] = "random"  # which
     masks: Literal["files", "alpha", "maskrcnn", "deeplabv3", "none"] = "files"
     size: int = 128  # pixels along a side
     margin: float = 0.05  # so much of the object's longer side is seen beyond it, on either side
+    square: bool = True  # whether the object keeps its shape, or its box is stretched to a square
     side: float = 16.0  # objects with fewer pixels along their shorter side are left out
     blur: float = 0.0  # and frames less sharp than this share of their clip's median
     seed: int = 0  # of picking, of splits that are not given, and the stand-in's
-    sequences: tuple[int, ...] = ()  # the stand-in: their numbers; (): the 48 of the data set
-    frames: int = 120  # the stand-in: a sequence
+    sequences: tuple[int, ...] = ()  # Freiburg's stand-in: their numbers; (): the 48 of the data set
+    videos: int = 60  # Objectron's stand-in: how many
+    frames: int = 120  # the stand-in: a clip
 
 
 @dataclass(frozen=True)
@@ -134,6 +143,7 @@ class ModelConfig:
 class TrainConfig:
     """The optimisation (sections 3 and 4.1)."""
 
+    start: str | None = None  # a run's key or folder, or its checkpoint, whose weights come first; None: random ones
     epochs: int = 1000
     batch_size: int = 64  # target images a step
     targets_per_object: int = 1  # target images that share one appearance image
@@ -331,6 +341,16 @@ PROFILES: dict[str, Changes] = {
 FITTED: dict[tuple[str, str], Changes] = {("tiny", "photos"): {"train": {"epochs": 6}}}
 """What a profile and a recipe change only together: twice the views a model are half as many epochs, or less."""
 
+# It has shapes and viewpoints already: neither is looked for again.
+STARTED: Changes = {"train": {"search": 0.0, "shared_shape": 0.0, "coarse": 0.0}}
+"""What changes for a run that starts from another one's weights."""
+
+FILMED: dict[str, Changes] = {
+    # Of the 48 Freiburg cars all frames, 5800 views: with and without cycles side by side in about ten minutes.
+    "tiny": {"train": {"epochs": 24}},
+}
+"""What a profile changes only for videos."""
+
 PROFILE_RECIPE = {"smoke": "matting", "tiny": "matting", "small": "matting", "paper": "paper"}
 """The recipe a profile uses unless another is named."""
 
@@ -361,6 +381,10 @@ def make_config(
         "train": {},
     }
     fitted = FITTED.get((profile, recipe), {})
+    if overrides.get("video") is not None:
+        fitted = _joined(fitted, FILMED.get(profile, {}))
+    if overrides.get("start") is not None:
+        fitted = _joined(fitted, STARTED)
     for changes in (RECIPES[recipe], PROFILES[profile], fitted, VARIANTS[variant], _by_section(overrides)):
         for section, values in changes.items():
             sections[section].update(values)
@@ -411,8 +435,8 @@ def _build(cls: Any, values: Any, where: str) -> Any:
 def _typed(hint: Any, value: Any, where: str) -> Any:
     """`value` as the annotated type `hint`; ViewnetError where it is of another."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if dataclasses.is_dataclass(hint):
-        return _build(hint, value, where)
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        return _build(hint, dataclasses.asdict(value) if isinstance(value, hint) else value, where)
     if origin is Literal:
         return known(value, args, where)
     if origin in (types.UnionType, typing.Union):

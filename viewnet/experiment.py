@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,10 +42,14 @@ class Design:
     categories: tuple[str, ...] = SHAPENET_CATEGORIES
     profile: str = DEFAULT_PROFILE
     photographs: bool = False  # scored on photographs: see viewnet.photo_experiment
+    videos: bool = False  # and trained on videos: see viewnet.video_experiment
 
 
 DESIGNS = {
-    **{n: Design(layout.variants, layout.categories, photographs=layout.blocks) for n, layout in LAYOUTS.items()},
+    **{
+        n: Design(layout.variants, layout.categories, photographs=layout.blocks, videos=layout.videos)
+        for n, layout in LAYOUTS.items()
+    },
     "alignment_study": Design(LAYOUTS["table3_pascal3d"].variants, photographs=True),
     "figure3_azimuth": Design(("viewnet",)),
     # Nothing is trained for it, so the default is the paper's size.
@@ -157,7 +161,8 @@ def experiment(
     output      where tables and figures go; "": paper_tables
     workers     trainings side by side; 0: what the machine has room for
 
-    Notebooks that score on photographs take some of these and others: see viewnet.photo_experiment.photo_experiment.
+    Notebooks that score on photographs take some of these and others: see viewnet.photo_experiment.photo_experiment,
+    and viewnet.video_experiment.video_experiment for those that train on videos.
 
     What is not the plain default goes into a subfolder of `output` that says so ("smoke", "tiny-car"), so that no
     table replaces one of another kind. Raises ViewnetError naming the parameter and its valid values.
@@ -166,14 +171,16 @@ def experiment(
     given: dict[str, Any] = {"profile": profile, "categories": categories, "seeds": seeds, "recipe": recipe}
     given |= {"output": output, "workers": workers}
     if design.photographs:
-        from viewnet.photo_experiment import photo_experiment  # it builds on this module
-
-        others = {"variant": variant, "eval_root": eval_root, "viewpoints": viewpoints}
+        others: dict[str, Any] = {"variant": variant, "eval_root": eval_root, "viewpoints": viewpoints}
+        if design.videos:
+            others |= {"splits": splits, "categories": "" if given.pop("categories") == "all" else categories}
+        else:
+            given["splits"] = splits
         if unwanted := [other for other, value in others.items() if value]:
             raise ViewnetError(f"{name} takes no {unwanted[0]}")
         for other in photographs:
             known(other, accepted(name), f"parameter of {name}")
-        return photo_experiment(name, **given, data_root=data_root, splits=splits, **photographs)
+        return _on_photographs(design)(name, **given, data_root=data_root, **photographs)
     if photographs:
         raise ViewnetError(f"{name} takes no {next(iter(photographs))}")
     common = shared(design, PROFILE_RECIPE, **given)
@@ -200,11 +207,21 @@ def experiment(
 
 def accepted(name: str) -> set[str]:
     """The parameters that `experiment` takes for a notebook."""
-    if DESIGNS[known(name, DESIGNS, "notebook")].photographs:
-        from viewnet.photo_experiment import photo_experiment
-
-        return set(inspect.signature(photo_experiment).parameters) - {"name"}
+    design = DESIGNS[known(name, DESIGNS, "notebook")]
+    if design.photographs:
+        return set(inspect.signature(_on_photographs(design)).parameters) - {"name"}
     return set(inspect.signature(experiment).parameters) - {"name", "photographs"}
+
+
+def _on_photographs(design: Design) -> Callable[..., Experiment]:
+    """What checks the parameters of a notebook that scores on photographs: it builds on this module."""
+    if design.videos:
+        from viewnet.video_experiment import video_experiment
+
+        return video_experiment
+    from viewnet.photo_experiment import photo_experiment
+
+    return photo_experiment
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,8 @@ SMOKE_MODELS, SMOKE_COUNT = 8, 80
 LEAST = 4
 """Photographs that anything can be fitted on."""
 CODE = ("baselines.py", "features.py", "backbones.py", "geometry.py", "alignment.py", "predictions.py")
-REGRESSED = "VGG view*"
-"""The row of the view regression, as printed."""
+ALIGNED = {"video_regression": "procrustes"}
+"""How untrained predictors are aligned that do not speak in the photographs' frame."""
 
 
 @dataclass(frozen=True)
@@ -79,16 +79,19 @@ class PhotoExperiment(Experiment):
     @property
     def note(self) -> str:
         """What the numbers were measured on, in a line."""
-        root = self.photographs.root
-        if root is None:
-            shown = "a stand-in for photographs"
-        elif (Path(root) / "Annotations").is_dir():
-            shown = f"PASCAL3D+ ({self.photographs.subset})"
-        else:
-            shown = "photographs of another collection"
         data = "built-in models" if self.data_root is None else "a CAD collection"
         data += " and a second one" if self.extra_cad else ""
-        return f"{shown}; trained on {data}, {self._made}"
+        return f"{self.scored_on}; trained on {data}, {self._made}"
+
+    @property
+    def scored_on(self) -> str:
+        """Which photographs, in some words."""
+        root = self.photographs.root
+        if root is None:
+            return "a stand-in for photographs"
+        if (Path(root) / "Annotations").is_dir():
+            return f"PASCAL3D+ ({self.photographs.subset})"
+        return "photographs of another collection"
 
     def stores(self, progress: bool = True) -> dict[str, ViewStore]:
         """Category -> its photographs, cut and put into a view store where that was not done yet."""
@@ -100,9 +103,13 @@ class PhotoExperiment(Experiment):
         """The table of these runs and of the untrained predictors."""
         stores = self.stores()
         found = self.entries(runs, stores)
-        backbone = self.chosen
-        called = {} if backbone == "vgg16" else {REGRESSED: f"{REGRESSED} ({backbone})"}
-        return Table.of(self.name, found, self.categories, self.note, self.remarks(stores), called)
+        return Table.of(self.name, found, self.categories, self.note, self.remarks(stores), self.called)
+
+    @property
+    def called(self) -> dict[str, str]:
+        """The names of rows that start from another backbone's features than the printed ones."""
+        regressed = [label for label, variant in LAYOUTS[self.name].rows if variant and variant.endswith("_regression")]
+        return {} if self.chosen == "vgg16" else {label: f"{label} ({self.chosen})" for label in regressed}
 
     def remarks(self, stores: dict[str, ViewStore]) -> list[str]:
         """What stands under the table: how the untrained rows are fitted, and the photographs left out."""
@@ -137,13 +144,14 @@ class PhotoExperiment(Experiment):
     def _untrained(self, name: str, variant: str, category: str, store: ViewStore) -> list[Entry]:
         said, settings = self.fitted(variant, store, self.calibration)
         origin: dict[str, Any] = {"variant": variant}
-        origin |= {"category": category, "photographs": store.identity, "alignment": "none"}
+        alignment = ALIGNED.get(variant, "none")
+        origin |= {"category": category, "photographs": store.identity, "alignment": alignment}
         origin |= settings | {"calibration": self.calibration}
         named = json.dumps([origin, provenance.code_identity(CODE)], sort_keys=True)
         key = f"{variant}-{hashlib.sha256(named.encode()).hexdigest()[:12]}"
         origin |= {"git": provenance.commit()}
         return [
-            Entry(label, category, 0, "none", key, said, origin, self.calibration)
+            Entry(label, category, 0, alignment, key, said, origin, self.calibration)
             for label in LAYOUTS[name].labels(variant)
         ]
 

@@ -3,9 +3,11 @@
     <paths.runs()>/<variant>/<key>/config.json            what was asked for
                                    log.csv                a row a validation (viewnet.train)
                                    checkpoint.safetensors the kept weights
-                                   predictions.parquet    of the validation and the test split
+                                   predictions.parquet    of the validation and the test split; none where these
+                                                          views cannot be scored (see can_be_scored)
                                    predictions-*.parquet  of photographs (see on_photographs)
-                                   result.json            metrics and where they come from; written last
+                                   result.json            metrics (null where views cannot be scored) and where
+                                                          they come from; written last
 
 The key is a hash of everything that decides the training: configuration, identity of the views, and the code of
 `TRAINING`. Prediction and evaluation are cheap, so a change in their code repeats them and not the training.
@@ -25,7 +27,7 @@ from typing import Any
 
 import pandas as pd
 
-from viewnet import baselines, evaluate, paths, provenance
+from viewnet import baselines, evaluate, paths, provenance, start
 from viewnet.config import DataConfig, ModelConfig, RunConfig, TrainConfig
 from viewnet.errors import ViewnetError
 from viewnet.files import locked, read_json, write_json
@@ -54,6 +56,7 @@ TRAINING = (
     "scene.py",
     "step.py",
     "muon.py",
+    "start.py",
     "train.py",
     "geometry.py",
     "alignment.py",
@@ -62,6 +65,8 @@ TRAINING = (
 UNTRAINED_CODE = ("baselines.py", "geometry.py")
 PREDICTING = ("predict.py", "predictions.py")
 EVALUATING = ("evaluate.py", "metrics.py", "alignment.py", "geometry.py", "predictions.py")
+
+NOT_SCORED = "its own views have no annotated val and test split"
 
 UNTRAINED: dict[str, Callable[[pd.DataFrame], Predictions]] = {
     "constant": baselines.constant,
@@ -119,8 +124,15 @@ class Run:
         return read_json(self.folder / "result.json")
 
     @property
+    def scored(self) -> bool:
+        """Whether its own views could be scored: there are predictions, and metrics in `result`."""
+        return self.result["metrics"] is not None
+
+    @property
     def predictions(self) -> Predictions:
-        """Of the splits "val" and "test"."""
+        """Of the splits "val" and "test". ViewnetError where the run's own views could not be scored."""
+        if not self.scored:
+            raise ViewnetError(f"{name(self.config)}: {NOT_SCORED}: score it on photographs (on_photographs)")
         return Predictions.from_parquet(self.folder / "predictions.parquet")
 
     @property
@@ -146,8 +158,13 @@ def untrained(variant: str, config: RunConfig) -> RunConfig:
 def locate(config: RunConfig, identity: str, scenery: str = "") -> Path:
     """The folder of a run on views, and before backgrounds, of these identities, wherever their files lie."""
     code = TRAINING if config.variant not in UNTRAINED else UNTRAINED_CODE
-    placeless = replace(config, data=replace(config.data, root=None, splits=None, extra=None, backgrounds=None))
+    data = replace(config.data, root=None, splits=None, extra=None, backgrounds=None)
+    if data.video is not None:
+        # Of videos only what is said of them counts.
+        data = DataConfig(data.category, video=replace(data.video, root=None))
+    placeless = replace(config, data=data, train=replace(config.train, start=None))
     identities = [identity, scenery] if scenery else [identity]
+    identities += [start.identity(config.train.start)] if config.train.start else []
     return paths.runs() / config.variant / placeless.key(*identities, provenance.code_identity(code))
 
 
@@ -210,8 +227,15 @@ def _planned(
     # What takes longest is begun first and what is soonest done last, so that no core waits long at the end.
     missing.sort(key=lambda c: (c.model.decoder != "hologan", not c.train.cycle, c.model.heads == 1))
     # Another machine's process has another working directory.
-    jobs = [Job(c, folders[c].absolute(), Path(stores[c.data].folder).absolute()) for c in missing]
+    jobs = [Job(_placed(c), folders[c].absolute(), Path(stores[c.data].folder).absolute()) for c in missing]
     return folders, jobs
+
+
+def _placed(config: RunConfig) -> RunConfig:
+    """The same with the full path of what it starts from."""
+    if config.train.start is None:
+        return config
+    return replace(config, train=replace(config.train, start=str(start.checkpoint(config.train.start))))
 
 
 @dataclass(frozen=True)
@@ -225,14 +249,26 @@ class Job:
 
 def is_complete(folder: Path) -> bool:
     """Whether a run is finished by the present code."""
-    if not ((folder / "result.json").is_file() and (folder / "predictions.parquet").is_file()):
+    if not (folder / "result.json").is_file():
         return False
     result = read_json(folder / "result.json")
-    return result.get("schema") == SCHEMA and "metrics" in result and result["code"] == _codes()
+    if not (result.get("schema") == SCHEMA and "metrics" in result and result["code"] == _codes()):
+        return False
+    return result["metrics"] is None or (folder / "predictions.parquet").is_file()
+
+
+def can_be_scored(index: pd.DataFrame) -> bool:
+    """Whether a view store has the splits val, to align on, and test, to score, with all their viewpoints annotated."""
+    held_out = index[index["split"].isin(("val", "test"))]
+    return held_out["split"].nunique() == 2 and bool(held_out[["azimuth", "elevation"]].notna().all(axis=None))
 
 
 def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = True) -> None:
-    """Train, predict and evaluate what of a run is not there. Waits where another process does."""
+    """Train, predict and evaluate what of a run is not there. Waits where another process does.
+
+    A run on views that cannot be scored (can_be_scored) is trained only. Raises ViewnetError for an untrained predictor
+    on such views.
+    """
     config, folder = job.config, job.folder
     with locked(folder):
         if is_complete(folder):
@@ -241,8 +277,11 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
         write_json(folder / "config.json", config.to_dict())
         views = steps.open(job.views)
         result = read_json(folder / "result.json") if (folder / "result.json").is_file() else {}
-        predictions = None
+        predictions: Predictions | None = None
+        scored = can_be_scored(views.index)
         if config.variant in UNTRAINED:
+            if not scored:
+                raise ViewnetError(f"{name(config)}: {NOT_SCORED}, and it is nothing else than its score")
             predictions = UNTRAINED[config.variant](views.index)
         else:
             if not ("training" in result and (folder / "checkpoint.safetensors").is_file()):
@@ -250,12 +289,12 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
                 result = {"schema": SCHEMA, "training": training}
                 write_json(folder / "result.json", result)
             current = result.get("code", {}).get("predicting") == _codes()["predicting"]
-            if not (current and (folder / "predictions.parquet").is_file()):
+            if scored and not (current and (folder / "predictions.parquet").is_file()):
                 predictions = steps.predict(folder, views, splits=("val", "test"))
-        if predictions is None:
-            predictions = Predictions.from_parquet(folder / "predictions.parquet")
-        else:
+        if predictions is not None:
             predictions.to_parquet(folder / "predictions.parquet")
+        elif scored:
+            predictions = Predictions.from_parquet(folder / "predictions.parquet")
         kinds = ("procrustes", "linear") if config.variant not in UNTRAINED else ("none", "procrustes")
         result = {
             "schema": SCHEMA,
@@ -266,7 +305,7 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
             "recipe": config.recipe,
             "seed": config.seed,
             "views": views.identity,
-            "metrics": {kind: evaluate.evaluate(predictions, kind) for kind in kinds},
+            "metrics": None if predictions is None else {kind: evaluate.evaluate(predictions, kind) for kind in kinds},
             "code": _codes(),
             "git": provenance.commit(),
             "training": result.get("training"),
@@ -292,7 +331,8 @@ def _train(
         "finished": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "seconds": round(seconds, 1),
         "resumed": resumed,
-        "seeds": {"run": config.seed, "data": config.data.seed, "evaluation": 0},
+        "start": start.identity(config.train.start) if config.train.start else None,
+        "seeds": {"run": config.seed, "data": (config.data.video or config.data).seed, "evaluation": 0},
         "hardware": provenance.hardware(threads),
         "processes": distributed.size(),
         "git": provenance.commit(),

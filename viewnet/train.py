@@ -21,7 +21,7 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from viewnet import distributed, scene, volume_cpu
+from viewnet import distributed, scene, start, volume_cpu
 from viewnet.alignment import fit_rotation
 from viewnet.chance import Shared
 from viewnet.config import RunConfig, TrainConfig
@@ -83,8 +83,8 @@ def train(
 
     Where no labels are asked for and there is no validation split, the training split serves. Raises ViewnetError for
     data that cannot be trained on, such as views without viewpoints where accuracy picks the weights, for missing
-    perceptual weights, a batch that the processes cannot share, or a loss that is not finite (the last good state is
-    kept).
+    perceptual weights, weights to start from of another network, a batch that the processes cannot share, or a loss
+    that is not finite (the last good state is kept).
     """
     # ---- set up
     distributed.start()
@@ -125,6 +125,8 @@ def train(
     scenery = scene.load(config.data, config.model.input_size, device)
     torch.manual_seed(config.seed)
     model = ViewNet(config.model).to(device)
+    if settings.start is not None:
+        model.load_state_dict(start.weights(settings.start, config.model))
     weights = os.environ.get(f"VIEWNET_{settings.perceptual.upper()}_WEIGHTS")
     perceptual = None
     if settings.perceptual != "none":

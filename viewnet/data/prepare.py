@@ -6,6 +6,8 @@ import hashlib
 import json
 import os
 import shutil
+import sys
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +21,8 @@ from viewnet.data import (
     freiburg,
     freiburg_standin,
     masks,
+    objectron,
+    objectron_standin,
     pascal3d,
     pascal3d_standin,
     photos,
@@ -38,10 +42,18 @@ def view_store(
 ) -> ViewStore:
     """Open the views of `config` (section 4.2), making the CAD collection and drawing the views where they are missing.
 
-    Views are drawn in `workers` processes of this machine, or on an executor whose workers see the same files.
+    Where it names videos, theirs are the views (video_views). Else views are drawn in `workers` processes of this
+    machine, or on an executor whose workers see the same files.
+
     Stores lie in `<paths.data()>/views/<category>-<key>`, the key a hash of everything that decides the views. Raises
     ViewnetError for a collection that cannot be used (see find_models) and values out of range (see render_views).
     """
+    if config.video is not None:
+        if config.video.category != config.category:
+            raise ViewnetError(
+                f"category {config.category}: its videos show {config.video.category}: name one category"
+            )
+        return video_views(config.video, workers, progress)
     if config.models < 0:
         raise ViewnetError(f"models {config.models}: expected 1 or more, or 0 for all of a collection")
     backend = choose_backend(config.renderer)
@@ -175,34 +187,29 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
 def stand_in(config: PhotoConfig, workers: int | None = None, progress: bool = True) -> Path:
     """The folder of the stand-in for PASCAL3D+ that `config` asks for, written if it is not there yet."""
     root = paths.data() / "pascal3d-stand-in" / f"{config.category}-{identity_of(_stand_in(config))[:12]}"
-    with locked(root):
-        if not root.exists():
-            temporary = root.with_name(f".{root.name}.{os.getpid()}")
-            shutil.rmtree(temporary, ignore_errors=True)
-            try:
-                pascal3d_standin.write_stand_in(
-                    temporary,
-                    [config.category],
-                    config.models,
-                    config.count,
-                    config.subset,
-                    None if config.backgrounds is None else Path(config.backgrounds),
-                    config.seed,
-                    workers,
-                    progress,
-                )
-                temporary.rename(root)
-            except BaseException:
-                shutil.rmtree(temporary, ignore_errors=True)
-                raise
-    return root
+
+    def write(folder: Path) -> None:
+        pascal3d_standin.write_stand_in(
+            folder,
+            [config.category],
+            config.models,
+            config.count,
+            config.subset,
+            None if config.backgrounds is None else Path(config.backgrounds),
+            config.seed,
+            workers,
+            progress,
+        )
+
+    return _written(root, write)
 
 
 def video_views(config: VideoConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
     """Open the videos of `config` (section 4.4) as a view store, cutting their objects out where that is not done.
 
-    Every clip is a model, every frame a view. Freiburg's azimuths are known; of a folder of videos no viewpoints are,
-    so that training selects by reconstruction. `clip_store.summary` says what is used and what is left out.
+    Every clip is a model, every frame a view. Viewpoints are known of Freiburg static cars and of Objectron; of a
+    folder of videos they are not, so that training selects by reconstruction. `clip_store.summary` says what is used
+    and what is left out.
 
     Stores lie in `<paths.data()>/views/videos-<category>-<key>`, the key a hash of everything that decides the views;
     looking for one lists the frames' files, and reads annotations and pictures' headers. Raises ViewnetError for a root
@@ -211,7 +218,7 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     known(config.category, CATEGORIES, "category")
     if config.count < 0:
         raise ViewnetError(f"count {config.count}: expected 1 or more frames a clip, or 0 for all")
-    crop = photos.Crop(config.size, config.margin)
+    crop = photos.Crop(config.size, config.margin, config.square)
     limits = clip_store.Limits(config.side, config.blur)
     source = _mask_source(config)
     root = video_stand_in(config, workers, progress) if config.root is None else Path(config.root)
@@ -225,18 +232,35 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
 
 
 def video_stand_in(config: VideoConfig, workers: int | None = None, progress: bool = True) -> Path:
-    """The folder of the stand-in for Freiburg static cars that `config` asks for, written if it is not there yet."""
-    if config.category != freiburg.CATEGORY:
-        raise ViewnetError(f"category {config.category}: the stand-in shows cars: name a root for others")
-    sequences = config.sequences or freiburg_standin.SEQUENCES
-    described = freiburg_standin.describe(sequences, config.frames, config.seed)
-    root = paths.data() / "freiburg-stand-in" / identity_of(described)[:12]
+    """The folder of the stand-in for videos that `config` asks for, written if it is not there yet.
+
+    Raises ViewnetError for a category that neither data set has, and for a folder of videos, which has no stand-in.
+    """
+    kind = config.kind
+    if kind == "auto":
+        kind = "freiburg" if config.category == freiburg.CATEGORY else "objectron"
+    if kind == "freiburg" and config.category == freiburg.CATEGORY:
+        cars = (config.sequences or freiburg_standin.SEQUENCES, config.frames, config.seed)
+        root = paths.data() / "freiburg-stand-in" / identity_of(freiburg_standin.describe(*cars))[:12]
+        return _written(root, lambda folder: freiburg_standin.write_stand_in(folder, *cars, workers, progress))
+    if kind == "objectron" and config.category in objectron.CLASSES:
+        filmed = (config.category, config.videos, config.frames, config.seed)
+        root = paths.data() / "objectron-stand-in" / identity_of(objectron_standin.describe(*filmed))[:12]
+        return _written(root, lambda folder: objectron_standin.write_stand_in(folder, *filmed, progress=progress))
+    raise ViewnetError(
+        f"category {config.category}: stand-ins for videos show {freiburg.CATEGORY} (Freiburg static cars) and"
+        f" {', '.join(objectron.CLASSES)} (Objectron): name a root for others"
+    )
+
+
+def _written(root: Path, write: Callable[[Path], None]) -> Path:
+    """`root`, which appears whole when `write` has filled a folder beside it."""
     with locked(root):
         if not root.exists():
             temporary = root.with_name(f".{root.name}.{os.getpid()}")
             shutil.rmtree(temporary, ignore_errors=True)
             try:
-                freiburg_standin.write_stand_in(temporary, sequences, config.frames, config.seed, workers, progress)
+                write(temporary)
                 temporary.rename(root)
             except BaseException:
                 shutil.rmtree(temporary, ignore_errors=True)
@@ -245,8 +269,22 @@ def video_stand_in(config: VideoConfig, workers: int | None = None, progress: bo
 
 
 def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[freiburg.Rejected]]:
+    clips, rejected = _READERS[_kind(config, root)](config, root)
+    if config.split_rule == "all":
+        clips = [replace(clip, split="train") for clip in clips]
+    return clips, rejected
+
+
+def _kind(config: VideoConfig, root: Path) -> str:
+    """Which layout to read `root` in."""
+    if config.kind != "auto":
+        return config.kind
     if not (root / freiburg.ANNOTATIONS).is_dir():
-        return video_folder.read(root, config.category, config.count or None, config.pick, config.seed)
+        return "folder"
+    return "objectron" if (root / "videos").is_dir() else "freiburg"
+
+
+def _freiburg(config: VideoConfig, root: Path) -> tuple[list[Clip], list[freiburg.Rejected]]:
     if config.category != freiburg.CATEGORY:
         raise ViewnetError(f"{root}: shows cars, not {config.category}: name another root or category car")
     clips, rejected = freiburg.read(root, config.split_rule)
@@ -255,6 +293,19 @@ def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[freiburg.R
         replace(clip, frames=tuple(clip.frames[i] for i in mine)) for clip, mine in zip(clips, chosen, strict=True)
     ]
     return fewer, rejected
+
+
+def _objectron(config: VideoConfig, root: Path) -> tuple[list[Clip], list[freiburg.Rejected]]:
+    if config.pick != "random":
+        raise ViewnetError(f"pick {config.pick}: of Objectron's frames those to use are drawn: use random")
+    return objectron.read(root, config.category, config.count or sys.maxsize, config.seed)
+
+
+def _folder(config: VideoConfig, root: Path) -> tuple[list[Clip], list[freiburg.Rejected]]:
+    return video_folder.read(root, config.category, config.count or None, config.pick, config.seed)
+
+
+_READERS = {"freiburg": _freiburg, "objectron": _objectron, "folder": _folder}
 
 
 def _mask_source(config: VideoConfig) -> masks.MaskSource | None:
