@@ -6,8 +6,22 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 
+from viewnet import features
 from viewnet.data.store import ViewStore, write_store
+
+
+def keep_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Runs, data, tables and weights of a test in `tmp_path`, whatever the environment says; small features."""
+    monkeypatch.delenv("VIEWNET_PROFILE", raising=False)
+    for name in ("VIEWNET_VGG16_WEIGHTS", "VIEWNET_SQUEEZENET_WEIGHTS"):
+        monkeypatch.delenv(name, raising=False)
+    for name in ("RUNS", "DATA", "TABLES"):
+        monkeypatch.setenv(f"VIEWNET_{name}", str(tmp_path / name.lower()))
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
+    monkeypatch.setattr(features, "SIZE", 32)
+    return tmp_path
 
 
 def make_photos(

@@ -6,9 +6,9 @@ import types
 import numpy as np
 import pytest
 from fake_steps import STEPS
-from photo_data import make_photos
+from photo_data import keep_apart, make_photos
 
-from viewnet import config, features, photo_experiment
+from viewnet import config, photo_experiment
 from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES, PhotoConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluate import align
@@ -20,14 +20,7 @@ from viewnet.runs import ensure, on_photographs
 
 @pytest.fixture(autouse=True)
 def folders(tmp_path, monkeypatch):
-    monkeypatch.delenv("VIEWNET_PROFILE", raising=False)
-    for name in ("VIEWNET_VGG16_WEIGHTS", "VIEWNET_SQUEEZENET_WEIGHTS"):
-        monkeypatch.delenv(name, raising=False)
-    for name in ("RUNS", "DATA", "TABLES"):
-        monkeypatch.setenv(f"VIEWNET_{name}", str(tmp_path / name.lower()))
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
-    monkeypatch.setattr(features, "SIZE", 32)
-    return tmp_path
+    return keep_apart(tmp_path, monkeypatch)
 
 
 @pytest.fixture

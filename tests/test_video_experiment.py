@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_steps import STEPS, calls
-from photo_data import make_photos
+from photo_data import keep_apart, make_photos
 from PIL import Image
 from video_data import write_frames, write_freiburg
 
-from viewnet import features
 from viewnet.config import PhotoConfig, VideoConfig
 from viewnet.data.prepare import video_views
 from viewnet.data.store import ViewStore
@@ -22,14 +21,7 @@ from viewnet.video_experiment import VideoExperiment
 
 @pytest.fixture(autouse=True)
 def folders(tmp_path, monkeypatch):
-    monkeypatch.delenv("VIEWNET_PROFILE", raising=False)
-    monkeypatch.delenv("VIEWNET_VGG16_WEIGHTS", raising=False)
-    monkeypatch.delenv("VIEWNET_SQUEEZENET1_1_WEIGHTS", raising=False)
-    for name in ("RUNS", "DATA", "TABLES"):
-        monkeypatch.setenv(f"VIEWNET_{name}", str(tmp_path / name.lower()))
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
-    monkeypatch.setattr(features, "SIZE", 32)
-    return tmp_path
+    return keep_apart(tmp_path, monkeypatch)
 
 
 @pytest.fixture

@@ -55,9 +55,7 @@ class DataConfig:
     renderer: Literal["auto", "raycast", "pyrender"] = "auto"
     # Behind both inputs in training, never behind the target: SUN397, any folder of pictures, or "drawn"; None: nothing
     backgrounds: str | None = None
-    video: VideoConfig | None = (
-        None  # given: views are these clips' frames (section 4.4), and only the line above counts
-    )
+    video: VideoConfig | None = None  # given: views are its clips' frames (section 4.4); only backgrounds count beside
 
 
 @dataclass(frozen=True)
@@ -88,9 +86,8 @@ class VideoConfig:
     root: str | None = None
     # auto: what lies in root tells, and without one the stand-in is of Freiburg for cars and of Objectron for others
     kind: Literal["auto", "freiburg", "objectron", "folder"] = "auto"
-    split_rule: Literal["45/2/rest", "all"] = (
-        "45/2/rest"  # Freiburg's sequences by number; all: every clip is trained on
-    )
+    # Freiburg's sequences by number; all: every clip is trained on
+    split_rule: Literal["45/2/rest", "all"] = "45/2/rest"
     count: int = 0  # frames a clip, 0 for all
     pick: Literal["random", "evenly"] = "random"  # which
     masks: Literal["files", "alpha", "maskrcnn", "deeplabv3", "none"] = "files"

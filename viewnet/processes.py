@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from typing import TypeVar
+
+from viewnet.errors import ViewnetError
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
 
 
 @contextmanager
@@ -23,6 +30,26 @@ def pool(workers: int) -> Iterator[ProcessPoolExecutor]:
             yield executor
         finally:
             executor.shutdown(wait=True, cancel_futures=True)
+
+
+def as_done(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, what: str) -> Iterator[Result]:
+    """The results of `work` on every job, in the order in which they are done; with one worker, in this process.
+
+    Raises ViewnetError, saying that it makes `what`, where a process dies.
+    """
+    workers = min(workers, len(jobs))
+    if workers == 1:
+        yield from map(work, jobs)
+        return
+    try:
+        with pool(workers) as crew:
+            for done in as_completed([crew.submit(work, job) for job in jobs]):
+                yield done.result()
+    except BrokenProcessPool:
+        raise ViewnetError(
+            f"a process that makes {what} died: call again with fewer workers if memory ran out; a script must start"
+            " its work under `if __name__ == '__main__':`"
+        ) from None
 
 
 @contextmanager

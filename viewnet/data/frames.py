@@ -32,7 +32,7 @@ def is_video(path: Path) -> bool:
 def pictures(folder: Path) -> list[Path]:
     """The pictures that lie in a folder, by name; numbers within names count as numbers: 2.png comes before 10.png."""
     found = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()]
-    return sorted(found, key=lambda path: (_natural(path.name), path.name))
+    return sorted(found, key=lambda path: (natural(path.name), path.name))
 
 
 def count(source: Path) -> int:
@@ -145,6 +145,6 @@ def _opened(file: Path) -> av.container.InputContainer:
     return container
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
-    """A key by which runs of digits compare as numbers."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name)]
+def natural(name: str) -> list[tuple[int, str]]:
+    """A key by which runs of digits compare as numbers: batch-2 comes before batch-10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name)]

@@ -7,8 +7,6 @@ numbers of the stand-in.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +21,7 @@ from viewnet.data.freiburg import ANNOTATIONS, AZIMUTH, CATEGORY, MASKS
 from viewnet.data.pascal3d_standin import built_in_mesh
 from viewnet.errors import ViewnetError
 from viewnet.files import write_text
-from viewnet.processes import pool, processors
+from viewnet.processes import as_done, processors
 from viewnet.progress import bar
 from viewnet.render import VERSION as RENDER_VERSION
 from viewnet.render import render_frames
@@ -89,21 +87,8 @@ def write_stand_in(
     if workers is None:
         workers = 1 if len(numbers) * frames < 400 else processors()  # for a few, starting processes takes longer
     with bar(progress, total=len(jobs), desc="stand-in", unit="sequence") as shown:
-        if min(workers, len(jobs)) == 1:
-            for job in jobs:
-                _write_sequence(job)
-                shown.update()
-            return
-        try:
-            with pool(min(workers, len(jobs))) as crew:
-                for done in as_completed([crew.submit(_write_sequence, job) for job in jobs]):
-                    done.result()
-                    shown.update()
-        except BrokenProcessPool:
-            raise ViewnetError(
-                "a process that makes the stand-in died: call again with fewer workers if memory ran out; a script must"
-                " start its work under `if __name__ == '__main__':`"
-            ) from None
+        for _ in as_done(_write_sequence, jobs, workers, "the stand-in"):
+            shown.update()
 
 
 def _write_sequence(job: _Job) -> None:

@@ -16,7 +16,6 @@ Nothing else is left out silently: whatever is not used is listed with the reaso
 from __future__ import annotations
 
 import hashlib
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,6 +23,7 @@ import numpy as np
 from PIL import Image
 
 from viewnet.data.clips import Clip, Frame
+from viewnet.data.frames import natural
 from viewnet.data.objectron_record import Record, View, read_record
 from viewnet.data.pascal3d import tally
 from viewnet.errors import ViewnetError
@@ -58,7 +58,7 @@ def read(
         raise ViewnetError(f"Objectron: frames {frames}: expected 1 or more of each video")
     root, name = Path(root), CLASSES[category]
     folder = root / "annotations" / name
-    records = sorted(folder.glob("*/*.pbdata"), key=_natural)
+    records = sorted(folder.glob("*/*.pbdata"), key=lambda path: natural(path.as_posix()))
     if not records:
         raise ViewnetError(f"{folder}: no records: expected Objectron's annotations/<class>/batch-N/M.pbdata")
     listed = _lists(root, name)
@@ -72,7 +72,7 @@ def read(
         except ViewnetError as error:
             rejected.append((video, path.relative_to(root).as_posix(), str(error)))
     known = {path.relative_to(root / "annotations").with_suffix("") for path in records}
-    for place in sorted((root / "videos" / name).glob("*/*"), key=_natural):
+    for place in sorted((root / "videos" / name).glob("*/*"), key=lambda path: natural(path.as_posix())):
         video = place.relative_to(root / "videos").as_posix()
         if place.is_dir() and Path(video) not in known:
             rejected.append((video, place.relative_to(root).as_posix(), "video without a record"))
@@ -211,9 +211,3 @@ def _with_splits(clips: list[Clip], listed: bool, seed: int) -> list[Clip]:
 
 def _rank(seed: int, purpose: str, name: str) -> bytes:
     return hashlib.sha256(f"{seed} {purpose} {name}".encode()).digest()
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Sorts batch-2 before batch-10."""
-    parts = re.findall(r"\d+|\D+", path.as_posix())
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]

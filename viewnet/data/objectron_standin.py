@@ -7,7 +7,6 @@ focal length, light and exposure, and with motion blur; its frames are written a
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +16,12 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFilter
 
 from viewnet import cad
-from viewnet.cad.writer import write_model
 from viewnet.data import scenes
 from viewnet.data.mesh import Mesh
 from viewnet.data.objectron import CLASSES
 from viewnet.data.objectron_record import AXES, UNIT_BOX
 from viewnet.data.objectron_schema import Sequence
-from viewnet.data.shapenet import ModelFile, load_model
+from viewnet.data.pascal3d_standin import built_in_mesh
 from viewnet.errors import ViewnetError
 from viewnet.files import write_text
 from viewnet.progress import bar
@@ -105,7 +103,7 @@ def _write_video(
     root: Path, name: str, category: str, number: int, frames: int, seed: int, size: tuple[int, int]
 ) -> None:
     rng = np.random.default_rng([seed, list(CLASSES).index(category), number])
-    mesh = _mesh(category, number, seed)
+    mesh = built_in_mesh(category, number, seed + MODEL_SEED)
     shots = _shots(rng, frames, size)
     drawings = render_frames(
         mesh, np.stack([shot.frame for shot in shots]), _lights(rng, shots), max(size), 2, "raycast"
@@ -120,14 +118,6 @@ def _write_video(
     record = root / "annotations" / f"{name}.pbdata"
     record.parent.mkdir(parents=True, exist_ok=True)
     record.write_bytes(_record(rng, shots, mesh, size).SerializeToString(deterministic=True))
-
-
-def _mesh(category: str, model: int, seed: int) -> Mesh:
-    name = cad.model_id(category, model, seed + MODEL_SEED)
-    with tempfile.TemporaryDirectory(prefix="viewnet-") as folder:
-        write_model(cad.make_model(category, model, seed + MODEL_SEED), Path(folder) / name)
-        file = Path(folder) / name / "models" / "model_normalized.obj"
-        return load_model(ModelFile(name, category, file, "v2", ""))
 
 
 def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> list[_Shot]:

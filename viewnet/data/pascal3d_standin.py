@@ -10,8 +10,6 @@ import hashlib
 import io
 import tempfile
 from collections.abc import Mapping, Sequence
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,7 +28,7 @@ from viewnet.data.pascal3d import EXTENSIONS, LISTS, SPLITS, VOC, annotation_fil
 from viewnet.data.shapenet import ModelFile, load_model
 from viewnet.errors import ViewnetError
 from viewnet.files import write_text
-from viewnet.processes import pool, processors
+from viewnet.processes import as_done, processors
 from viewnet.progress import bar
 from viewnet.render import VERSION as RENDER_VERSION
 from viewnet.render import render_frames
@@ -155,19 +153,8 @@ def _make(jobs: Sequence[_Job], workers: int | None, progress: bool) -> None:
     if workers is None:
         workers = 1 if total < 200 else processors()  # for a few, starting processes takes longer
     with bar(progress, total=total, desc="stand-in", unit="picture") as shown:
-        if min(workers, len(jobs)) == 1:
-            for job in jobs:
-                shown.update(_draw_model(job))
-            return
-        try:
-            with pool(min(workers, len(jobs))) as crew:
-                for done in as_completed([crew.submit(_draw_model, job) for job in jobs]):
-                    shown.update(done.result())
-        except BrokenProcessPool:
-            raise ViewnetError(
-                "a process that makes the stand-in died: call again with fewer workers if memory ran out; a script must"
-                " start its work under `if __name__ == '__main__':`"
-            ) from None
+        for photographs in as_done(_draw_model, jobs, workers, "the stand-in"):
+            shown.update(photographs)
 
 
 def _draw_model(job: _Job) -> int:
