@@ -32,6 +32,8 @@ def views(config: DataConfig, workers=None, progress=True, executor=None) -> Fak
     folder = Path(os.environ["VIEWNET_DATA"]) / "views" / f"{config.category}-{config.seed}"
     if config.root is not None:
         folder = folder.with_name(f"{folder.name}-other")
+    if config.video is not None:
+        folder = folder.with_name(f"{folder.name}-{config.video.mask_folder}")
     folder.mkdir(parents=True, exist_ok=True)
     index = make_index(30, 4, config.category, seed=config.seed).assign(source="")
     if config.root is not None:

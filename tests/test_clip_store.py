@@ -274,6 +274,27 @@ def test_a_stand_in_for_objectron_is_made_and_read(tmp_path, monkeypatch):
         video_views(replace(given, pick="evenly"), 1, False)
 
 
+def test_masks_may_lie_in_another_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("VIEWNET_DATA", str(tmp_path / "data"))
+    root, elsewhere = tmp_path / "freiburg", tmp_path / "elsewhere"
+    write_freiburg(root, (1, 2))
+    greys = {f"{k + 1}.png": 255 for k in range(3)}
+    for folder in (root / "masks", elsewhere):
+        for name in ("car001", "car002"):
+            write_frames(folder / name, greys)
+    (elsewhere / "car002/2.png").unlink()
+    cars = VideoConfig("car", str(root), size=16, split_rule="all")
+    found = [
+        len(video_views(replace(cars, mask_folder=folder), 1, False))
+        for folder in ("masks", str(elsewhere), "../elsewhere")
+    ]
+    assert found == [6, 5, 5]
+    with pytest.raises(ViewnetError, match=r"mask_folder nowhere: no masks of any video, such as .*car001"):
+        video_views(replace(cars, mask_folder="nowhere"), 1, False)
+    with pytest.raises(ViewnetError, match="mask_folder elsewhere: masks are alpha and not files: leave it"):
+        video_views(replace(cars, mask_folder="elsewhere", masks="alpha"), 1, False)
+
+
 @pytest.mark.slow
 def test_training_for_photographs_on_the_stand_in(tmp_path, monkeypatch, one_thread):
     monkeypatch.setenv("VIEWNET_DATA", str(tmp_path / "data"))

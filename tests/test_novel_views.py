@@ -3,6 +3,7 @@ from __future__ import annotations
 from types import MethodType
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from boxes import PERSPECTIVE, SYMMETRIC, box_mesh, box_store, box_volume
@@ -154,6 +155,14 @@ def test_cells_are_those_of_a_table(store, tmp_path):
     shown = novel_views.frame(found)
     assert shown.loc["HoloGAN-Decoder", ("car", "mask IoU")] == "--"
     assert shown.loc["ViewNet", ("car", "PSNR, dB")].startswith(f"{psnr['measured']:.1f} [")
+    files = novel_views.write(found, tmp_path / "tables", "one & two")
+    assert [file.name for file in files] == ["novel_views.tex", "novel_views.csv"]
+    tex = files[0].read_text()
+    assert tex.count("&") == 7 * 4 + 1 and "one \\& two" in tex and tex.count("\\midrule") == 1
+    line = next(line for line in tex.splitlines() if line.startswith("HoloGAN-Decoder"))
+    assert line.split(" & ")[3] == "--" and line.split(" & ")[1] != "--"
+    kept = pd.read_csv(files[1], keep_default_na=False, na_values=[""])
+    assert kept["measured"].to_numpy() == pytest.approx(found["measured"].round(4).to_numpy(), nan_ok=True)
     with pytest.raises(ViewnetError, match="same seed"):
         novel_views.cells([*runs, runs[1]], lambda run: store)
 

@@ -484,10 +484,19 @@ def test_boxes_of_a_stand_in_are_around_its_masks(stand_in):
             assert np.ptp(xs[inside]) > 0.6 * (x1 - x0) and np.ptp(ys[inside]) > 0.4 * (y1 - y0)
 
 
+def test_weak_masks_of_a_stand_in_are_of_the_same_object_and_far_coarser(stand_in):
+    shares = []
+    for file in sorted((stand_in[0] / "masks").rglob("*.png")):
+        weak = stand_in[0] / objectron_standin.WEAK / file.relative_to(stand_in[0] / "masks")
+        one, other = (np.asarray(Image.open(path)) > 127 for path in (file, weak))
+        shares.append((one & other).sum() / (one | other).sum())
+    assert len(shares) == 30 and 0.4 < np.mean(shares) < 0.8
+
+
 def test_a_video_of_a_stand_in_depends_on_its_number_only(stand_in, tmp_path):
     objectron_standin.write_stand_in(tmp_path / "again", "chair", videos=1, frames=10, size=(90, 120))
     files = [path.relative_to(tmp_path / "again") for path in (tmp_path / "again").rglob("*.*")]
-    assert len(files) == 21
+    assert len(files) == 31
     for file in files:
         assert (tmp_path / "again" / file).read_bytes() == (stand_in[0] / file).read_bytes(), file
     base = ("chair", 3, 10, 0, (90, 120))

@@ -91,6 +91,7 @@ class VideoConfig:
     count: int = 0  # frames a clip, 0 for all
     pick: Literal["random", "evenly"] = "random"  # which
     masks: Literal["files", "alpha", "maskrcnn", "deeplabv3", "none"] = "files"
+    mask_folder: str = "masks"  # where masks in files lie, within root or anywhere, laid out as root's own masks/ is
     size: int = 128  # pixels along a side
     margin: float = 0.05  # so much of the object's longer side is seen beyond it, on either side
     square: bool = True  # whether the object keeps its shape, or its box is stretched to a square

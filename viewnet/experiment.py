@@ -42,7 +42,7 @@ class Design:
     categories: tuple[str, ...] = SHAPENET_CATEGORIES
     profile: str = DEFAULT_PROFILE
     photographs: bool = False  # scored on photographs: see viewnet.photo_experiment
-    videos: bool = False  # and trained on videos: see viewnet.video_experiment
+    videos: str = ""  # and trained on videos of this data set: see viewnet.video_experiment and objectron_experiment
 
 
 DESIGNS = {
@@ -52,6 +52,11 @@ DESIGNS = {
     },
     "alignment_study": Design(LAYOUTS["table3_pascal3d"].variants, photographs=True),
     "figure3_azimuth": Design(("viewnet",)),
+    "training_curves": Design(LAYOUTS["table2_ablation"].variants[:-2]),
+    "novel_views": Design(("viewnet", "viewnet_cycle", *LAYOUTS["table2_ablation"].variants[2:-2])),
+    "learned_volumes": Design(("viewnet",)),
+    "failures": Design(("viewnet",)),
+    "reconstructions": Design(("viewnet", "viewnet_cycle"), photographs=True),
     # Nothing is trained for it, so the default is the paper's size.
     "architecture": Design(categories=(), profile="paper"),
     "audit_metrics": Design(categories=(), profile="paper"),
@@ -80,6 +85,11 @@ class Experiment:
     def folder(self) -> Path:
         """Where tables and figures go: a folder of its own for what is not the plain default."""
         return self.output / self.label
+
+    @property
+    def figures(self) -> Path:
+        """Where pictures go that are no part of a table: a folder of their own within `folder`'s."""
+        return self.output / "figures" / self.label
 
     @property
     def configs(self) -> list[RunConfig]:
@@ -162,7 +172,8 @@ def experiment(
     workers     trainings side by side; 0: what the machine has room for
 
     Notebooks that score on photographs take some of these and others: see viewnet.photo_experiment.photo_experiment,
-    and viewnet.video_experiment.video_experiment for those that train on videos.
+    and for those that train on videos viewnet.video_experiment.video_experiment and
+    viewnet.objectron_experiment.objectron_experiment.
 
     What is not the plain default goes into a subfolder of `output` that says so ("smoke", "tiny-car"), so that no
     table replaces one of another kind. Raises ViewnetError naming the parameter and its valid values.
@@ -215,6 +226,10 @@ def accepted(name: str) -> set[str]:
 
 def _on_photographs(design: Design) -> Callable[..., Experiment]:
     """What checks the parameters of a notebook that scores on photographs: it builds on this module."""
+    if design.videos == "objectron":
+        from viewnet.objectron_experiment import objectron_experiment
+
+        return objectron_experiment
     if design.videos:
         from viewnet.video_experiment import video_experiment
 

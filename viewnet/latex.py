@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,8 @@ import numpy as np
 from viewnet.published import DASH, text
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from viewnet.tables import Table
 
 Cells = set[tuple[str, str, str]]
@@ -91,6 +93,28 @@ def blocks(table: Table) -> str:
         out.write(f"\n\\smallskip\\noindent\\parbox{{\\linewidth}}{{\\footnotesize\\raggedright {box}}}\n")
     if wide:
         out.write("}\n")
+    return out.getvalue()
+
+
+def measured(cells: pd.DataFrame, headings: Mapping[str, str], digits: Mapping[str, int], note: str = "") -> str:
+    """Measured numbers alone: a column for each metric of `headings`, a block of rows for each category.
+
+    `cells` has a line for each row, category and metric, with its number in "measured" (NaN where there is none).
+    """
+    out = io.StringIO()
+    out.write(f"\\begin{{tabular}}{{l{'r' * len(headings)}}}\n\\toprule\n" + _line(["", *headings.values()]))
+    for category in dict.fromkeys(cells["category"]):
+        out.write(f"\\midrule\n\\multicolumn{{{len(headings) + 1}}}{{l}}{{{escape(category)}}} \\\\\n")
+        mine = cells[cells["category"] == category]
+        values = mine.pivot(index="row", columns="metric", values="measured")
+        for row in dict.fromkeys(mine["row"]):
+            shown = (values.loc[row, metric] for metric in headings)
+            told = [DASH if np.isnan(v) else f"{v:.{digits[m]}f}" for v, m in zip(shown, headings, strict=True)]
+            out.write(_line([escape(row), *told]))
+    out.write("\\bottomrule\n")
+    if note:
+        out.write(f"\\multicolumn{{{len(headings) + 1}}}{{l}}{{\\footnotesize {escape(note)}}} \\\\\n")
+    out.write("\\end{tabular}\n")
     return out.getvalue()
 
 

@@ -18,6 +18,7 @@ masks alone (segmentation_target) learns no colours: it has neither PSNR nor SSI
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -26,11 +27,12 @@ import torch.nn.functional as F
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
-from viewnet import metrics
+from viewnet import latex, metrics
 from viewnet.alignment import fit_rotation
 from viewnet.data.pairs import tight_crop
 from viewnet.drawing import BATCH, Drawer, Stores, drawers, own_views
 from viewnet.errors import ViewnetError
+from viewnet.files import write_text
 from viewnet.geometry import look_at, view_vector
 from viewnet.layouts import LABELS
 from viewnet.predictions import Floats, true_vectors
@@ -46,6 +48,16 @@ NAMES = {
     "judged_acc30": "judged consistent within 30, %",
     "judged_median": "judged inconsistency, median degrees",
 }
+HEADINGS = {
+    "psnr": r"PSNR (dB) $\uparrow$",
+    "ssim": r"SSIM $\uparrow$",
+    "iou": r"IoU $\uparrow$",
+    "consistency_acc30": r"acc (\%) $\uparrow$",
+    "consistency_median": r"med ($^\circ$) $\downarrow$",
+    "judged_acc30": r"judged acc (\%) $\uparrow$",
+    "judged_median": r"judged med ($^\circ$) $\downarrow$",
+}
+"""The same in LaTeX, for narrow columns."""
 DIGITS = {"psnr": 1, "ssim": 3, "iou": 3, **dict.fromkeys(list(NAMES)[3:], 1)}
 VARIANTS = (
     "viewnet",
@@ -197,6 +209,14 @@ def frame(cells: pd.DataFrame) -> pd.DataFrame:
     columns = [(c, m) for c in dict.fromkeys(cells["category"]) for m in NAMES]
     wide = wide.reindex(index=list(dict.fromkeys(cells["row"])), columns=pd.MultiIndex.from_tuples(columns))
     return wide.fillna("--").rename(columns=NAMES, level=1).rename_axis(index=None)
+
+
+def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
+    """`novel_views.tex`, a booktabs tabular, and `novel_views.csv`: every number, with its interval and runs."""
+    files = [folder / "novel_views.tex", folder / "novel_views.csv"]
+    write_text(files[0], latex.measured(cells, HEADINGS, DIGITS, note))
+    write_text(files[1], cells.round(4).to_csv(index=False, lineterminator="\n"))
+    return files
 
 
 def _lines(

@@ -103,7 +103,13 @@ class PhotoExperiment(Experiment):
         """The table of these runs and of the untrained predictors."""
         stores = self.stores()
         found = self.entries(runs, stores)
-        return Table.of(self.name, found, self.categories, self.note, self.remarks(stores), self.called)
+        remarks = self.remarks(stores)
+        return Table.of(self.name, found, self.categories, self.note, remarks, self.called, self.unasked)
+
+    @property
+    def unasked(self) -> tuple[str, ...]:
+        """Rows of ours that are left as printed: none."""
+        return ()
 
     @property
     def called(self) -> dict[str, str]:

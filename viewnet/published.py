@@ -11,7 +11,7 @@ from viewnet import paths
 from viewnet.config import known
 from viewnet.errors import ViewnetError
 
-TABLES = ("table1_shapenet", "table2_ablation", "table3_pascal3d", "table4_dva", "table5_freiburg")
+TABLES = ("table1_shapenet", "table2_ablation", "table3_pascal3d", "table4_dva", "table5_freiburg", "objectron")
 DIGITS = {"acc30": 0, "median": 1, "dva": 0, "confidence_index": 2}
 """After the point, as the paper prints each metric."""
 DASH = "--"

@@ -28,7 +28,7 @@ from typing import Any
 import pandas as pd
 
 from viewnet import baselines, evaluate, paths, provenance, start
-from viewnet.config import DataConfig, ModelConfig, RunConfig, TrainConfig
+from viewnet.config import DataConfig, ModelConfig, RunConfig, TrainConfig, VideoConfig
 from viewnet.errors import ViewnetError
 from viewnet.files import locked, read_json, write_json
 from viewnet.predictions import Predictions, joined
@@ -161,7 +161,7 @@ def locate(config: RunConfig, identity: str, scenery: str = "") -> Path:
     data = replace(config.data, root=None, splits=None, extra=None, backgrounds=None)
     if data.video is not None:
         # Of videos only what is said of them counts.
-        data = DataConfig(data.category, video=replace(data.video, root=None))
+        data = DataConfig(data.category, video=replace(data.video, root=None, mask_folder=VideoConfig.mask_folder))
     placeless = replace(config, data=data, train=replace(config.train, start=None))
     identities = [identity, scenery] if scenery else [identity]
     identities += [start.identity(config.train.start)] if config.train.start else []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -115,9 +115,11 @@ class Table:
         note: str = "",
         remarks: Sequence[str] = (),
         called: dict[str, str] | None = None,
+        unasked: Collection[str] = (),
     ) -> Table:
         """From entries. Several of one row and category are seeds and are averaged; `called` renames rows.
 
+        Rows in `unasked` have numbers in print only.
         Raises ViewnetError for entries that have no place in the table and for two of the same row, category and seed.
         """
         layout = LAYOUTS[known(name, LAYOUTS, "table")]
@@ -139,7 +141,7 @@ class Table:
                     cells.append(
                         {
                             "row": called.get(label, label),
-                            "variant": variant or "",
+                            "variant": "" if variant is None or label in unasked else variant,
                             "category": category,
                             "metric": metric,
                             "printed": printed.loc[place, "value"] if place in printed.index else "",

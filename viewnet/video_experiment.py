@@ -47,21 +47,27 @@ class VideoExperiment(PhotoExperiment):
         """One configuration a training on videos; where they start from SHAPENET, `run` says which runs that is."""
         return self._configs(dict.fromkeys(self.seeds, self.start or None))
 
+    @property
+    def filmed(self) -> tuple[VideoConfig, ...]:
+        """The videos to train on: each is a training of its own."""
+        return (self.video,)
+
     def _configs(self, starts: dict[int, str | None]) -> list[RunConfig]:
         # Without views held out, labelled ones at that, training can only select by reconstruction.
         blind = {"select_by": "reconstruction"} if self.video.split_rule == "all" else {}
         return [
             make_config(
                 variant,
-                self.video.category,
+                video.category,
                 self.profile,
                 self.recipe,
                 seed,
-                video=self.video,
+                video=video,
                 start=starts[seed],
                 backgrounds=self.backgrounds,
                 **blind,
             )
+            for video in self.filmed
             for variant in self.variants
             if variant in VARIANTS
             for seed in self.seeds

@@ -34,6 +34,7 @@ CLASSES = {"bicycle": "bike", "bottle": "bottle", "chair": "chair"}
 SHARES = {"val": 0.1, "test": 0.2}
 """Of all videos where there are no lists; else the first one of the train list's."""
 VIDEO = "video.MOV"
+MASKS = "masks"
 
 _PICTURES = (".jpg", ".jpeg", ".png")
 
@@ -115,7 +116,7 @@ def _clip(
     if not drawn:
         raise ViewnetError("no usable frame")
     frames = tuple(sorted(drawn, key=lambda frame: frame.number))
-    masks = root / "masks" / video
+    masks = root / MASKS / video
     place = source.folder if isinstance(source, _Pictures) else source
     return Clip(video, category, split, place, frames, masks if masks.is_dir() else None)
 

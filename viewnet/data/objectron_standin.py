@@ -2,7 +2,8 @@
 
 It lets everything that reads the data set run, and be tested, where it is not to be had. Numbers measured on it are
 numbers of the stand-in. A video is a smooth arc of 60 to 180 degrees about one object, with changes of height, aim,
-focal length, light and exposure, and with motion blur; its frames are written as pictures, with a record and masks.
+focal length, light and exposure, and with motion blur; its frames are written as pictures, with a record, and with
+masks as two kinds of network make them: one that learned from masks (masks/) and one that learned from words (WEAK).
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFilter
+from scipy import ndimage
 
 from viewnet import cad
 from viewnet.data import scenes
 from viewnet.data.mesh import Mesh
-from viewnet.data.objectron import CLASSES
+from viewnet.data.objectron import CLASSES, MASKS
 from viewnet.data.objectron_record import AXES, UNIT_BOX
 from viewnet.data.objectron_schema import Sequence
 from viewnet.data.pascal3d_standin import built_in_mesh
@@ -29,8 +31,10 @@ from viewnet.render import VERSION as RENDER_VERSION
 from viewnet.render import render_frames
 from viewnet.render.camera import DISTANCE, FOCAL, camera_frames
 
-VERSION = 1
+VERSION = 2
 """Raise it when a change alters pictures, masks or records."""
+WEAK = "masks_weak"
+"""The folder of masks as a weakly supervised network makes them: blobs without legs that take in some surroundings."""
 MODEL_SEED = 2000
 """Added to the seed: models are others than those of a training with the same one."""
 SIZE = (180, 240)
@@ -78,9 +82,10 @@ def write_stand_in(
 ) -> None:
     """`videos` videos of as many models, `frames` pictures of `size` (width, height) each, in Objectron's layout.
 
-    Written are the pictures, masks (with the faults of masks that a network made: eroded, swollen, with holes), records
-    and lists. A video depends on (seed, category, its number, frames, size) only. Raises ViewnetError for values out of
-    range, a category that Objectron does not have, and where `root` holds something already.
+    Written are the pictures, masks (with the faults of masks that a network made: eroded, swollen, with holes; and
+    again far coarser), records and lists. A video depends on (seed, category, its number, frames, size) only. Raises
+    ViewnetError for values out of range, a category that Objectron does not have, and where `root` holds something
+    already.
     """
     root = Path(root)
     if category not in CLASSES:
@@ -109,12 +114,15 @@ def _write_video(
         mesh, np.stack([shot.frame for shot in shots]), _lights(rng, shots), max(size), 2, "raycast"
     )
     pictures, masks = _filmed(rng, shots, drawings, size)
-    folders = {part: root / part / name for part in ("videos", "masks")}
+    folders = {part: root / part / name for part in ("videos", MASKS, WEAK)}
     for folder in folders.values():
         folder.mkdir(parents=True)
+    # Chance of their own, so that they have no say in anything else.
+    chances = [np.random.default_rng([seed, list(CLASSES).index(category), number, kind]) for kind in (1, 2)]
     for place, (picture, mask) in enumerate(zip(pictures, masks, strict=True)):
         picture.save(folders["videos"] / f"{place:06d}.jpg", "JPEG", quality=88)
-        mask.save(folders["masks"] / f"{place:06d}.png")
+        _faulty(chances[0], mask).save(folders[MASKS] / f"{place:06d}.png")
+        _weak(chances[1], mask).save(folders[WEAK] / f"{place:06d}.png")
     record = root / "annotations" / f"{name}.pbdata"
     record.parent.mkdir(parents=True, exist_ok=True)
     record.write_bytes(_record(rng, shots, mesh, size).SerializeToString(deterministic=True))
@@ -156,7 +164,7 @@ def _lights(rng: np.random.Generator, shots: Many[_Shot]) -> np.ndarray:
 def _filmed(
     rng: np.random.Generator, shots: Many[_Shot], drawings: np.ndarray, size: tuple[int, int]
 ) -> tuple[list[Image.Image], list[Image.Image]]:
-    """The pictures and masks of a video, from drawings (frames, S, S, 4) of its object."""
+    """The pictures and true masks of a video, from drawings (frames, S, S, 4) of its object."""
     width, height = size
     wide, high = round(1.8 * width), round(1.3 * height)
     kind = (scenes.room, scenes.clutter, scenes.facade)[int(rng.integers(3))]
@@ -187,7 +195,7 @@ def _filmed(
         blurred = _moved(Image.fromarray(mixed.clip(0, 255).astype(np.uint8)), step)
         exposed = (blurred / 255 * gain[place] * tint).clip(0, 1) + rng.normal(0, grain, blurred.shape)
         pictures.append(Image.fromarray((exposed.clip(0, 1) * 255 + 0.5).astype(np.uint8)))
-        masks.append(_faulty(rng, Image.fromarray(((alpha[..., 0] > 0.5) * 255).astype(np.uint8))))
+        masks.append(Image.fromarray(((alpha[..., 0] > 0.5) * 255).astype(np.uint8)))
     return pictures, masks
 
 
@@ -230,6 +238,20 @@ def _faulty(rng: np.random.Generator, mask: Image.Image) -> Image.Image:
         reach = rng.uniform(0.01, 0.03) * min(width, height)
         pen.ellipse((x - reach, y - reach, x + reach, y + reach), 255)
     return mask
+
+
+def _weak(rng: np.random.Generator, mask: Image.Image, cells: int = 12) -> Image.Image:
+    """A mask as a network makes it that was never shown one: what is coarse of it, and some of what is beside it."""
+    box = mask.getbbox()
+    if box is None:
+        return mask
+    shape = np.asarray(mask) / 255
+    # What such networks answer is an upscaled grid, so wide beside the object that thin parts sink in it.
+    blur = max(box[2] - box[0], box[3] - box[1]) / cells
+    soft = ndimage.gaussian_filter(shape, blur)
+    noise = ndimage.gaussian_filter(rng.normal(size=shape.shape), 2 * blur)
+    level = rng.uniform(0.3, 0.5) + 0.12 * noise / max(noise.std(), 1e-9)
+    return Image.fromarray(((soft > level.clip(0.1, 0.75)) * 255).astype(np.uint8))
 
 
 def _record(rng: np.random.Generator, shots: Many[_Shot], mesh: Mesh, size: tuple[int, int]) -> Any:

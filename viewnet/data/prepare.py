@@ -272,6 +272,16 @@ def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[freiburg.R
     clips, rejected = _READERS[_kind(config, root)](config, root)
     if config.split_rule == "all":
         clips = [replace(clip, split="train") for clip in clips]
+    if config.mask_folder != VideoConfig.mask_folder:
+        if config.masks != "files":
+            raise ViewnetError(f"mask_folder {config.mask_folder}: masks are {config.masks} and not files: leave it")
+        # A clip's id is its place below the folder, whatever the data set.
+        places = [root / Path(config.mask_folder).expanduser() / clip.id for clip in clips]
+        if not any(place.is_dir() for place in places):
+            raise ViewnetError(f"mask_folder {config.mask_folder}: no masks of any video, such as {places[0]}")
+        clips = [
+            replace(clip, masks=place if place.is_dir() else None) for clip, place in zip(clips, places, strict=True)
+        ]
     return clips, rejected
 
 
