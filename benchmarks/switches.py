@@ -26,9 +26,8 @@ import pandas as pd
 from torch import Tensor
 
 from viewnet import provenance, volume
-from viewnet.config import TrainConfig, make_config
+from viewnet.config import make_config
 from viewnet.files import replacing, write_json
-from viewnet.model import Hypotheses, ViewNet
 from viewnet.progress import bar
 
 USUAL = "as it is"
@@ -57,19 +56,9 @@ def _plain_layers() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _full_resolution_neighbours() -> Iterator[None]:
-    with mock.patch("viewnet.step._compare_heads", _compare_heads):
+def _full_resolution() -> Iterator[None]:
+    with mock.patch("viewnet.step._half", lambda model, shape, target: (shape, target)):
         yield
-
-
-def _compare_heads(
-    model: ViewNet, shape: Tensor, code: Tensor, hypotheses: Hypotheses, target: Tensor, config: TrainConfig
-) -> tuple[Tensor, Tensor]:
-    from viewnet import step
-
-    vectors = hypotheses.vectors
-    tried = step._neighbours(vectors, config.neighbours) if model.training else vectors[:, :, None]
-    return step.compare(model, shape, code, tried, hypotheses.ups, target, config)
 
 
 @contextlib.contextmanager
@@ -84,8 +73,7 @@ SWITCHES: dict[str, tuple[dict[str, Any], Patch]] = {
     "renderer in PyTorch": ({}, _reference_renderer),
     "gradients of empty voxels": ({}, _exact_gradients),
     "normalisation in PyTorch": ({}, _plain_layers),
-    "neighbours compared at full resolution": ({}, _full_resolution_neighbours),
-    "full resolution from the start": ({"coarse": 0.0}, _nothing),
+    "compared at full resolution": ({}, _full_resolution),
 }
 """What is done without -> overrides of the configuration, and what is replaced in the package meanwhile."""
 

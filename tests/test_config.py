@@ -100,7 +100,7 @@ def test_videos_are_part_of_a_configuration():
 
 def test_a_start_leaves_out_what_only_a_beginning_needs():
     train = make_config(profile="tiny", start="0123456789ab").train
-    assert (train.start, train.search, train.shared_shape, train.coarse) == ("0123456789ab", 0, 0, 0)
+    assert (train.start, train.search, train.shared_shape) == ("0123456789ab", 0, 0)
     assert make_config(profile="tiny", start="0123456789ab", search=0.2).train.search == 0.2
     assert make_config(profile="tiny").train.search > 0
 

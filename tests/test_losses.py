@@ -202,6 +202,29 @@ def test_the_search_covers_all_azimuths_and_the_elevations_allowed():
     assert -20 <= elevation.min() < -15 and 35 < elevation.max() <= 40
 
 
+@pytest.mark.parametrize("views", [40, 42, 3])
+def test_sectors_are_searched_at_half_the_resolution_and_compared_at_the_full_one(views):
+    config = make_config(profile="smoke", recipe="matting", **PLAIN, render_size=32)
+    torch.manual_seed(0)
+    model = ViewNet(config.model)
+    code = torch.randn(3, config.model.appearance_size)
+    grid = Search(views, 0.0, torch.Generator().manual_seed(0)).grid(3, (-20.0, 40.0))
+    with torch.no_grad():
+        shape = model.shape(code)
+        target = model.draw(shape, code, look_at(grid[:, views // 2]))
+        tried, errors = step._compare_grid(model, shape, code, grid, target, config.train)
+        _, all_of_them = step.compare(model, shape, code, grid[:, :, None], None, target, config.train)
+    same = (tried[:, :, None] == grid[:, None]).all(-1)
+    assert tried.shape[1] == min(views, step.SECTORS) and same.any(2).all()
+    where = same.float().argmax(2)
+    assert torch.allclose(errors, all_of_them.gather(1, where), atol=1e-6)
+    if views > step.SECTORS:
+        azimuth, _ = azimuth_elevation(tried)
+        assert (azimuth.diff(dim=1)[:, : step.SECTORS - 2] > 0).all()  # one from each sector, in their order
+        # What half the resolution thinks best is the viewpoint that was drawn from, or close to it.
+        assert ((where.gather(1, errors.argmin(1)[:, None]) - views // 2).abs() <= 3).all()
+
+
 def test_chance_chooses_in_proportion_to_the_errors():
     errors = torch.tensor([[0.0, 1.0, 2.0]]).expand(20000, 3)
     perturbed = Search(0, 1.0, torch.Generator().manual_seed(0)).perturb(errors)
@@ -427,9 +450,7 @@ def test_shapes_become_the_objects_own_as_training_goes_on(monkeypatch, progress
     asked = []
     model = ViewNet(SMOKE.model)
     plain = model.imagine
-    monkeypatch.setattr(
-        model, "imagine", lambda views, coarse, own, behind: asked.append(own) or plain(views, coarse, own)
-    )
+    monkeypatch.setattr(model, "imagine", lambda views, own, behind: asked.append(own) or plain(views, own))
     config = dataclasses.replace(SMOKE.train, shared_shape=0.2)
     views = pictures(4)
     step_loss(model, (views, views, views), config, None, progress, torch.Generator().manual_seed(0))

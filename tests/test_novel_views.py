@@ -40,7 +40,7 @@ def knowing(drawer, degrees: float):
     volume = torch.rot90(volume, -round(degrees / 90), (4, 3))
     drawer.network.focal.data.fill_(PERSPECTIVE)
 
-    def imagine(self, pictures, coarse=False, own=1.0, behind=None):
+    def imagine(self, pictures, own=1.0, behind=None):
         return torch.zeros(len(pictures), 1), volume.expand(len(pictures), -1, -1, -1, -1)
 
     drawer.network.imagine = MethodType(imagine, drawer.network)

@@ -70,21 +70,19 @@ def what_happens(switch, monkeypatch):
 
 def test_what_a_switch_undoes(monkeypatch):
     half = {"bfloat16"} if torch.cpu._is_avx512_bf16_supported() else set()
-    common = {"sparse", "fused renderer", "fused layers"} | half
-    early, late = common | {"16 pixels"}, common | {"16 pixels", "32 pixels"}
-    wanted = {name: (early, late) for name in switches.SWITCHES}
+    common = {"sparse", "fused renderer", "fused layers", "16 pixels", "32 pixels"} | half
+    wanted = dict.fromkeys(switches.SWITCHES, common)
     for name, before, after in (
         ("renderer in PyTorch", "fused renderer", "PyTorch's renderer"),
         ("gradients of empty voxels", "sparse", "dense"),
     ):
-        wanted[name] = tuple(seen - {before} | {after} for seen in (early, late))
-    wanted["float32"] = tuple(seen - half for seen in (early, late))
-    wanted["normalisation in PyTorch"] = tuple(seen - {"fused layers"} - half for seen in (early, late))
-    wanted["neighbours compared at full resolution"] = (early, late - {"16 pixels"})
-    wanted["full resolution from the start"] = (late, late)
+        wanted[name] = common - {before} | {after}
+    wanted["float32"] = common - half
+    wanted["normalisation in PyTorch"] = common - {"fused layers"} - half
+    wanted["compared at full resolution"] = common - {"16 pixels"}
     for name, expected in wanted.items():
         with monkeypatch.context() as patch:
-            assert what_happens(name, patch) == expected, name
+            assert what_happens(name, patch) == (expected, expected), name
 
 
 def test_summary_and_figure(tmp_path):

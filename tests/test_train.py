@@ -102,7 +102,6 @@ def test_training_twice_gives_the_same_bits(store, tmp_path):
             "viewnet_cycle",
             {
                 "epochs": 3,
-                "coarse": 0.5,
                 "search": 0.5,
                 "pull_weight": 1.0,
                 "cycle_start": 0.2,

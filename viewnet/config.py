@@ -154,7 +154,6 @@ class TrainConfig:
     pull_weight: float = 0.0  # of the pull of the best head towards the viewpoint found by search or among neighbours
     balance: float = 0.0  # how strongly viewpoints from where too many are chosen are avoided
     mirror: bool = False  # half of the targets are shown as in a mirror, as views of an object that is as likely
-    coarse: float = 0.0  # this first share of training draws and compares at half the resolution
     learning_rate: float = 1e-4
     muon: float = 0.0  # learning rate of Muon, which then trains the networks' inner convolutions. 0: Adam
     betas: tuple[float, float] = (0.9, 0.999)
@@ -326,7 +325,7 @@ PROFILES: dict[str, Changes] = {
             "generator_last_kernel": 2,
             "appearance_size": 64,
         },
-        "train": {"epochs": 14, "batch_size": 32, "targets_per_object": 2, "coarse": 0.3, "validate_every": 5},
+        "train": {"epochs": 14, "batch_size": 32, "targets_per_object": 2, "validate_every": 5},
     },
     "small": {
         "data": {"models": 2000},
@@ -340,7 +339,7 @@ FITTED: dict[tuple[str, str], Changes] = {("tiny", "photos"): {"train": {"epochs
 """What a profile and a recipe change only together: twice the views a model are half as many epochs, or less."""
 
 # It has shapes and viewpoints already: neither is looked for again.
-STARTED: Changes = {"train": {"search": 0.0, "shared_shape": 0.0, "coarse": 0.0}}
+STARTED: Changes = {"train": {"search": 0.0, "shared_shape": 0.0}}
 """What changes for a run that starts from another one's weights."""
 
 FILMED: dict[str, Changes] = {

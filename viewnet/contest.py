@@ -131,7 +131,6 @@ def step_config(profile: str) -> RunConfig:
         pixel_weight=1.0,
         augment=False,
         targets_per_object=1,
-        coarse=0.0,
     )
 
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Sequence
+from typing import Literal
 
 import matplotlib
 import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from viewnet.drawing import Drawer, Stores, drawers, own_views
 from viewnet.errors import ViewnetError
@@ -25,7 +27,7 @@ from viewnet.runs import Run, name
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Told apart by colour-blind readers too (Okabe and Ito 2008)."""
-DASHES = ("-", "--", ":", "-.")
+DASHES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 CELL = 0.78  # inches: the side of a picture in a grid
 AZIMUTHS = tuple(range(0, 360, 45))
 LOGGED = ("epoch", "step", "seconds", "loss", "val_reconstruction", "val_accuracy")
@@ -147,8 +149,7 @@ def training_curves(runs: Sequence[Run]) -> Figure:
                     variant, category = run.config.variant, run.config.category
                     colour = COLOURS[variants.index(variant) % len(COLOURS)]
                     dash = DASHES[categories.index(category) % len(DASHES)]
-                    axes.plot(log["epoch"], log[column], dash, color=colour, linewidth=1, marker="o", markersize=2,
-                              label=_legend(variant, category, len(categories)))  # fmt: skip
+                    axes.plot(log["epoch"], log[column], dash, color=colour, linewidth=1, marker="o", markersize=2)
             axes.set_title(title, fontsize=8)
             axes.set_ylim(0, 100 if column == "val_accuracy" else None)
             axes.set_xlim(left=0)
@@ -156,8 +157,7 @@ def training_curves(runs: Sequence[Run]) -> Figure:
             axes.remove()
         for axes in grid[max(0, len(titles) - across) : len(titles)]:
             axes.set_xlabel("epoch")
-        handles = {label: handle for handle, label in zip(*grid[0].get_legend_handles_labels(), strict=True)}
-        figure.legend(handles.values(), handles.keys(), loc="outside right upper", frameon=False, fontsize=7)
+        figure.legend(handles=_legend(variants, categories), loc="outside right upper", frameon=False, fontsize=7)
     return figure
 
 
@@ -238,6 +238,15 @@ def _label(drawer: Drawer, among: Sequence[Drawer]) -> str:
     return f"{label}\nseed {config.seed}" if len(alike) > 1 else label
 
 
-def _legend(variant: str, category: str, categories: int) -> str:
-    label = LABELS.get(variant, variant)
-    return f"{label}, {category}" if categories > 1 else label
+def _legend(variants: Sequence[str], categories: Sequence[str]) -> list[Line2D]:
+    """A line for each colour and, where there are several categories, one for each dash."""
+    named = [
+        Line2D([], [], color=COLOURS[i % len(COLOURS)], linewidth=1, label=LABELS.get(variant, variant))
+        for i, variant in enumerate(variants)
+    ]
+    if len(categories) > 1:
+        named += [
+            Line2D([], [], color="0.3", linestyle=DASHES[i % len(DASHES)], linewidth=1, label=category)
+            for i, category in enumerate(categories)
+        ]
+    return named

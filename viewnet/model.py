@@ -81,7 +81,6 @@ class ViewNet(nn.Module):
     """
 
     prior: Tensor
-    coarse_prior: Tensor
 
     def __init__(self, config: ModelConfig):
         super().__init__()
@@ -94,8 +93,6 @@ class ViewNet(nn.Module):
         self.focal = nn.Parameter(torch.tensor(config.focal), requires_grad=config.learn_focal)
         prior = gaussian_prior(config.volume_size) if config.shape_prior else torch.empty(0)
         self.register_buffer("prior", prior, persistent=False)
-        coarse = volume.halved(prior[None, None])[0, 0] if config.shape_prior else prior
-        self.register_buffer("coarse_prior", coarse, persistent=False)
 
     def see(self, pictures: Tensor, behind: Tensor | None = None) -> Tensor:
         """Pictures (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S).
@@ -104,9 +101,7 @@ class ViewNet(nn.Module):
         """
         return pictures[:, :3] + (self.config.backdrop if behind is None else behind) * (1 - pictures[:, 3:])
 
-    def imagine(
-        self, pictures: Tensor, coarse: bool = False, own: float = 1.0, behind: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
+    def imagine(self, pictures: Tensor, own: float = 1.0, behind: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Appearance codes (N, A) and volumes, as `shape` gives them, of the objects in pictures (N, 4, S, S).
 
         With `own` below 1 codes are drawn towards the mean of all, which they are at 0: one shape in many colours.
@@ -118,13 +113,12 @@ class ViewNet(nn.Module):
         colour = None
         if self.config.colour_prior:
             colour = pictures[:, :3].sum((2, 3)) / pictures[:, 3].sum((1, 2))[:, None].clamp(min=1)
-        return code, self.shape(code, colour, coarse)
+        return code, self.shape(code, colour)
 
-    def shape(self, appearance: Tensor, colour: Tensor | None = None, coarse: bool = False) -> Tensor:
+    def shape(self, appearance: Tensor, colour: Tensor | None = None) -> Tensor:
         """Volumes (N, 4, n, n, n): colour and occupancy in [0, 1] (or the HoloGAN decoder's features).
 
         With `colour` (N, 3), an object's mean colour, the generator only has to say how its parts differ from that.
-        `coarse` gives volumes at half the resolution where the generator can.
 
         Q = S + Q' as printed, where Q' = 2 sigmoid - 1 lies in [-1, 1] and the sum is kept in [0, 1]. Without the prior
         S is 0, and nothing else changes.
@@ -132,10 +126,9 @@ class ViewNet(nn.Module):
         if isinstance(self.decoder, HoloGANDecoder):
             return self.decoder.features(appearance)
         # Both orders of squashing and sampling are in use; squashing first keeps the volume itself a picture's worth.
-        blocks = self.decoder.blocks(appearance, coarse)
-        prior = self.coarse_prior if coarse and len(self.coarse_prior) == blocks.shape[1] else self.prior
+        blocks = self.decoder.blocks(appearance)
         logit = None if colour is None else colour.clamp(0.03, 0.97).logit()
-        return volume.squash(blocks, logit, prior if self.config.shape_prior else None)
+        return volume.squash(blocks, logit, self.prior if self.config.shape_prior else None)
 
     def draw(self, shape: Tensor, appearance: Tensor, frames: Tensor, size: int | None = None) -> Tensor:
         """Pictures (N, 4, size, size) of `shape` (B, ...) from camera frames (N, 3, 3), N a multiple of B."""

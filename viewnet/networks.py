@@ -149,18 +149,13 @@ class Doubling(nn.ConvTranspose3d):
     """Transposed convolution of kernel and stride 2 to four channels, as the matrix product it is.
 
     Every voxel becomes its own eight, so nothing is summed.
-    The eight start equal: detail is learned where it helps, and the volume at half the resolution is their mean.
+    The eight start equal: detail is learned where it helps.
     """
 
     def __init__(self, inputs: int):
         super().__init__(inputs, 4, 2, 2)
         with torch.no_grad():
             self.weight.copy_(self.weight[:, :, :1, :1, :1].expand_as(self.weight))
-
-    def coarse(self, x: Tensor) -> Tensor:
-        """The mean of every eight: (N, inputs, n, n, n) -> blocks (N, n, n, n, 1, 1, 1, 4)."""
-        mean = F.linear(x.permute(0, 2, 3, 4, 1), self.weight.mean((2, 3, 4)).T, self.bias)
-        return mean.view(*mean.shape[:4], 1, 1, 1, 4)
 
     def blocks(self, x: Tensor) -> Tensor:
         """(N, inputs, n, n, n) -> the eight of every voxel, (N, n, n, n, 2, 2, 2, 4)."""
@@ -200,19 +195,19 @@ class Generator(nn.Module):
         kernel = config.generator_last_kernel
         self.last = Doubling(widths[-1]) if kernel == 2 else nn.ConvTranspose3d(widths[-1], 4, kernel, 2, 1)
 
-    def blocks(self, appearance: Tensor, coarse: bool = False) -> Tensor:
-        """The logits as viewnet.volume.squash takes them; with `coarse` at half the resolution where there is one."""
+    def blocks(self, appearance: Tensor) -> Tensor:
+        """The logits as viewnet.volume.squash takes them."""
         # What the first layer makes of the code is the same for all objects.
         x = self.code if self.adain else appearance[:, :, None, None, None]
         for stage in self.stages:
             x = stage(x.contiguous(memory_format=torch.channels_last_3d), appearance)
         if isinstance(self.last, Doubling):
-            return self.last.coarse(x) if coarse else self.last.blocks(x)
+            return self.last.blocks(x)
         logits = self.last(x).permute(0, 2, 3, 4, 1)
         return logits.reshape(*logits.shape[:4], 1, 1, 1, 4)
 
-    def forward(self, appearance: Tensor, coarse: bool = False) -> Tensor:
-        return joined(self.blocks(appearance, coarse))
+    def forward(self, appearance: Tensor) -> Tensor:
+        return joined(self.blocks(appearance))
 
 
 class HoloGANDecoder(nn.Module):

@@ -18,12 +18,14 @@ from viewnet.losses import PerceptualLoss, composite, cycle_loss, head_errors, p
 from viewnet.model import Hypotheses, ViewNet
 from viewnet.volume import halved
 
+SECTORS = 4
+"""Of azimuth: of viewpoints tried all around, the best of each is compared with the heads'."""
+
 
 @dataclass(frozen=True)
 class Stage:
     """What is at work at one point of training only. As it stands: nothing, as in evaluation."""
 
-    size: int | None = None  # the drawings' side in pixels; None: the configuration's
     search: Search | None = None  # what it finds is drawn instead of a head's viewpoint
     own: float = 1.0  # how much of its own shape each object has (ViewNet.imagine)
     trust: float = 0.0  # how much the selection counts in which head is drawn (TrainConfig.trust)
@@ -61,10 +63,9 @@ def reconstruct(
     augmented; (N + K N, 4, s, s) where it sees each more than once, all targets in turn. `behind` (B, 3, s, s): what
     the appearance network sees behind the object, if not the backdrop.
     """
-    stage = stage or Stage()
-    size = stage.size or model.config.render_size
+    stage, size = stage or Stage(), model.config.render_size
     with autocast(appearance.device, config):
-        code, shape = model.imagine(appearance, size < model.config.render_size, stage.own, behind)
+        code, shape = model.imagine(appearance, stage.own, behind)
         sightings = model.viewpoint(model.see(seen))
     hypotheses, others = sightings.part(slice(len(target))), sightings.part(slice(len(target), None))
     target = target if target.shape[-1] == size else resize(target, size)
@@ -72,7 +73,7 @@ def reconstruct(
         best, better, label, errors = _choose(model, shape, code, hypotheses, target, config, stage)
     drawn_from = look_at(better) if stage.search else hypotheses.frames[torch.arange(len(best)), best]
     with autocast(appearance.device, config):
-        drawn = model.draw(shape, code, drawn_from, size)
+        drawn = model.draw(shape, code, drawn_from)
     return Reconstruction(hypotheses, others, errors, best, better, label, drawn, target, shape, code)
 
 
@@ -123,8 +124,8 @@ def _choose(
         score = errors - stage.trust * spread * hypotheses.logits.log_softmax(1)
     if stage.search:
         grid = stage.search.grid(len(target), limits).to(vectors)
-        _, found = compare(model, shape, code, grid[:, :, None], None, target, config)
-        better, score = torch.cat([better, grid], 1), stage.search.perturb(torch.cat([score, found], 1))
+        tried, found = _compare_grid(model, shape, code, grid, target, config)
+        better, score = torch.cat([better, tried], 1), stage.search.perturb(torch.cat([score, found], 1))
     if config.balance and score.shape[1] > 1:
         score = _balanced(score, better, model.viewpoint.shares, limits, config.balance)
     winner = score.argmin(1)
@@ -149,13 +150,35 @@ def _compare_heads(
     """
     better = hypotheses.vectors
     if model.training and config.neighbours:
-        tried, coarse, small = _neighbours(better, config.neighbours), shape, target
-        if target.shape[-1] > 16 and model.config.decoder != "hologan":
-            coarse, small = halved(shape), resize(target, target.shape[-1] // 2)
+        tried = _neighbours(better, config.neighbours)
+        coarse, small = _half(model, shape, target)
         better, errors = compare(model, coarse, code, tried, hypotheses.ups, small, config)
         if coarse is shape or better.shape[1] == 1:
             return better, errors
     return compare(model, shape, code, better[:, :, None], hypotheses.ups, target, config)
+
+
+def _compare_grid(
+    model: ViewNet, shape: Tensor, code: Tensor, grid: Tensor, target: Tensor, config: TrainConfig
+) -> tuple[Tensor, Tensor]:
+    """Of viewpoints all around (N, T, 3) the best in each sector, (N, SECTORS, 3), and their errors (N, SECTORS).
+
+    Within a sector half the resolution will do. Sectors are compared at the full one: at half of it the fin that tells
+    an aeroplane's tail from its nose is gone, and a group of aeroplanes that is laid wrong then stays so.
+    """
+    coarse, small = _half(model, shape, target)
+    if coarse is shape or grid.shape[1] <= SECTORS:
+        return grid, compare(model, shape, code, grid[:, :, None], None, target, config)[1]
+    whole = torch.cat([grid, grid[:, : -grid.shape[1] % SECTORS]], 1)
+    best, _ = compare(model, coarse, code, whole.unflatten(1, (SECTORS, -1)), None, small, config)
+    return compare(model, shape, code, best[:, :, None], None, target, config)
+
+
+def _half(model: ViewNet, shape: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+    """Volumes and targets at half the resolution; themselves where that is too low, or the decoder has one only."""
+    if target.shape[-1] <= 16 or model.config.decoder == "hologan":
+        return shape, target
+    return halved(shape), resize(target, target.shape[-1] // 2)
 
 
 def _balanced(score: Tensor, views: Tensor, shares: Tensor, limits: tuple[float, float], strength: float) -> Tensor:
@@ -320,12 +343,9 @@ def step_loss(
 
 def _stage(model: ViewNet, config: TrainConfig, progress: float, generator: Chance) -> Stage:
     """What is at work when the share `progress` of training is done."""
-    # The HoloGAN decoder's layers paint one size only.
-    coarse = progress < config.coarse and model.config.decoder != "hologan"
     # Chance goes out half-way through the search.
     noise = max(0.0, 1 - 2 * progress / config.search) if config.search else 0.0
     return Stage(
-        size=model.config.render_size // 2 if coarse else None,
         search=Search(config.search_views, noise, generator) if progress < config.search else None,
         own=min(1.0, progress / config.shared_shape) if config.shared_shape else 1.0,
         # A selection that has seen little says little.
