@@ -25,10 +25,11 @@ from scipy import ndimage
 from viewnet.config import CATEGORIES, known
 from viewnet.data import frames
 from viewnet.data.clips import Clip, Frame
+from viewnet.data.cutting import Box, Crop, bounds, cut
 from viewnet.data.freiburg import Rejected
 from viewnet.data.masks import MaskSource
-from viewnet.data.pascal3d import Box, tally
-from viewnet.data.photos import Crop, cut, described
+from viewnet.data.pascal3d import tally
+from viewnet.data.photos import described
 from viewnet.data.shapenet import SPLITS
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
@@ -223,14 +224,6 @@ def _view(frame: Frame, name: str, picture: Image.Image, mask: np.ndarray | None
         raise ViewnetError("mask is empty (at the size of the views)")
     sharp = sharpness(cut(picture, box, Crop(SHARPNESS), mask)) if limits.blur else math.nan
     return _View(frame, name, pixels, sharp)
-
-
-def bounds(mask: np.ndarray) -> Box:
-    """The box about what a mask (H, W) uint8 covers. ViewnetError where that is nothing."""
-    columns, rows = (np.flatnonzero((mask > 127).any(axis)) for axis in (0, 1))
-    if not len(columns):
-        raise ViewnetError("mask is empty")
-    return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
 
 
 def sharpness(view: np.ndarray) -> float:

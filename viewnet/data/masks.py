@@ -91,7 +91,7 @@ class FromFiles:
             file = next((path for path in files if path.is_file()), None)
             if file is None:
                 raise ViewnetError("mask is missing")
-            alpha = _read(file)
+            alpha = read_mask(file)
             if alpha.shape != (picture.height, picture.width):
                 raise ViewnetError(f"mask has another size than its picture ({alpha.shape[1]} x {alpha.shape[0]})")
             return alpha
@@ -247,8 +247,8 @@ def _tensor(picture: Image.Image) -> torch.Tensor:
     return torch.from_numpy(np.array(picture)).permute(2, 0, 1).float() / 255
 
 
-def _read(file: Path) -> np.ndarray:
-    """Alpha (H, W) uint8 of a mask's file."""
+def read_mask(file: Path) -> np.ndarray:
+    """Alpha (H, W) uint8 of a mask's file, see `FromFiles`. ViewnetError where it does not decode."""
     try:
         with Image.open(file) as opened:
             opened.load()
