@@ -23,6 +23,7 @@ MARK = (213, 94, 0)  # of the predicted viewpoint
 INK = (40, 40, 40)
 STRIP = 48  # pixels: the height of the line below the pictures
 EDGE = 4
+SUFFIXES = (".gif", ".mp4")
 
 
 def turntable(drawer: Drawer, row: int, steps: int = 48, hold: int = 12, size: int = 192) -> list[np.ndarray]:
@@ -71,6 +72,12 @@ def revolve(
     return found
 
 
+def check(path: Path) -> None:
+    """ViewnetError for a file's name that `save` does not write."""
+    if path.suffix not in SUFFIXES:
+        raise ViewnetError(f"{path}: unknown kind of animation: name it {' or '.join(SUFFIXES)}")
+
+
 def save(frames: Sequence[np.ndarray], path: Path, rate: int = 16) -> Path:
     """Frames (H, W, 3) uint8, `rate` a second, as an animated .gif, or as .mp4 where PyAV is installed; returns `path`.
 
@@ -78,15 +85,14 @@ def save(frames: Sequence[np.ndarray], path: Path, rate: int = 16) -> Path:
     """
     if not len(frames):
         raise ViewnetError(f"{path}: no frames to write")
+    check(path)
     if path.suffix == ".gif":
         pictures = [Image.fromarray(frame) for frame in frames]
         with replacing(path) as temporary:
             duration = round(1000 / rate)
             pictures[0].save(temporary, save_all=True, append_images=pictures[1:], duration=duration, loop=0)
-    elif path.suffix == ".mp4":
-        _save_mp4(frames, path, rate)
     else:
-        raise ViewnetError(f"{path}: unknown kind of animation: name it .gif or .mp4")
+        _save_mp4(frames, path, rate)
     return path
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ Box = tuple[float, float, float, float]
 """Left, upper, right and lower edge in pixels from the picture's left upper corner."""
 LARGEST = 1024
 """Pixels along a side of a crop."""
+AROUND = 0.1
+"""Of a mask only what lies in its object's box counts, and so much of the box's sides around it."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,33 @@ def bounds(mask: np.ndarray) -> Box:
     if not len(columns):
         raise ViewnetError("mask is empty")
     return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
+
+
+def inside(mask: np.ndarray, box: Box) -> np.ndarray:
+    """A mask (H, W) without what lies beyond the box and AROUND it."""
+    x0, y0, x1, y1 = box
+    wide, high = AROUND * (x1 - x0), AROUND * (y1 - y0)
+    kept = np.zeros_like(mask)
+    rows = slice(max(0, math.floor(y0 - high)), math.ceil(y1 + high))
+    columns = slice(max(0, math.floor(x0 - wide)), math.ceil(x1 + wide))
+    kept[rows, columns] = mask[rows, columns]
+    return kept
+
+
+def coverage(mask: Image.Image) -> np.ndarray:
+    """The alpha (H, W) uint8 that a mask's picture stands for.
+
+    Pixels are shares of coverage up to the deepest white, or numbers of classes: in pictures of a palette, and where no
+    value is above 1, all but 0 is the object.
+    """
+    if mask.mode == "P":
+        return (np.array(mask) > 0).astype(np.uint8) * 255
+    if mask.mode.startswith("I"):
+        values = np.array(mask).astype(np.int64)
+        values = values if values.max(initial=0) <= 1 else values // 257
+    else:
+        values = np.array(mask.convert("L")).astype(np.int64)
+    return (values * 255 if values.max(initial=0) <= 1 else values).clip(0, 255).astype(np.uint8)
 
 
 def _rgb(picture: Image.Image) -> Image.Image:

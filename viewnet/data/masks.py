@@ -22,6 +22,7 @@ from torch import nn
 from viewnet import backbones
 from viewnet.config import CATEGORIES, known
 from viewnet.data.clips import Clip
+from viewnet.data.cutting import coverage
 from viewnet.errors import ViewnetError
 
 VERSION = 1
@@ -91,7 +92,7 @@ class FromFiles:
             file = next((path for path in files if path.is_file()), None)
             if file is None:
                 raise ViewnetError("mask is missing")
-            alpha = read_mask(file)
+            alpha = _read(file)
             if alpha.shape != (picture.height, picture.width):
                 raise ViewnetError(f"mask has another size than its picture ({alpha.shape[1]} x {alpha.shape[0]})")
             return alpha
@@ -247,18 +248,11 @@ def _tensor(picture: Image.Image) -> torch.Tensor:
     return torch.from_numpy(np.array(picture)).permute(2, 0, 1).float() / 255
 
 
-def read_mask(file: Path) -> np.ndarray:
-    """Alpha (H, W) uint8 of a mask's file, see `FromFiles`. ViewnetError where it does not decode."""
+def _read(file: Path) -> np.ndarray:
+    """Alpha (H, W) uint8 of a mask's file."""
     try:
         with Image.open(file) as opened:
             opened.load()
-            if opened.mode == "P":
-                return (np.array(opened) > 0).astype(np.uint8) * 255
-            if opened.mode.startswith("I"):
-                values = np.array(opened).astype(np.int64)
-                values = values if values.max(initial=0) <= 1 else values // 257
-            else:
-                values = np.array(opened.convert("L")).astype(np.int64)
+            return coverage(opened)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise ViewnetError(f"mask does not decode ({type(error).__name__})") from None
-    return (values * 255 if values.max(initial=0) <= 1 else values).clip(0, 255).astype(np.uint8)
