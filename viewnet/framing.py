@@ -22,7 +22,7 @@ objects: a built-in car's longer side is 0.71 of its view's on average."""
 HIDDEN = (128, 128, 128)
 """What stands where a picture is transparent, for networks that have always seen something behind the object."""
 BRIGHT = 0.1
-"""From this brightness on a picture's edge is not black."""
+"""A picture is not black along its edges where they are brighter than this on average."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +155,6 @@ def eight_bits(images: Tensor) -> Tensor:
 
 
 def bright(seen: Tensor) -> Tensor:
-    """(N,) bool: which pictures (N, 3, S, S) are not black along most of their edges."""
+    """(N,) bool: which pictures (N, 3, S, S) are not black along their edges."""
     edges = torch.cat([seen[:, :, [0, -1]].flatten(2), seen[:, :, :, [0, -1]].flatten(2)], 2)
-    return edges.mean(1).median(1).values > BRIGHT
+    return edges.mean((1, 2)) > BRIGHT
