@@ -21,7 +21,7 @@ from viewnet.data.cutting import Crop, bounds, cut
 from viewnet.data.photos import Listed, photo_store
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator
-from viewnet.framing import HIDDEN, Framing, viewed
+from viewnet.framing import HIDDEN, Framing, batches, viewed
 from viewnet.geometry import look_at
 from viewnet.pictures import Given, opened
 from viewnet.predict import predict
@@ -141,7 +141,7 @@ def test_pictures_that_are_ready_are_not_cut(overrides):
 
 def seen(estimator: ViewpointEstimator, images, masks=None) -> torch.Tensor:
     """What the viewpoint network sees of pictures that make one batch."""
-    (found,) = estimator._shown(images, masks, None, 99)
+    (found,) = batches(images, masks, None, estimator.framing, estimator.device, 99)
     return found.seen
 
 
@@ -291,7 +291,7 @@ def test_appearance_is_the_object_s_alone_before_what_is_there():
     mask = np.zeros((60, 90), bool)
     mask[10:50, 20:70] = True
     mask[10:20, 20:30] = False
-    shown = estimator._one(photograph(), mask, None)
+    (shown,) = batches(photograph(), mask, None, estimator.framing, estimator.device, 1)
     assert torch.allclose(shown.object[:, 3].mean(), torch.tensor(0.95), atol=0.01)
     assert torch.allclose(estimator.network.see(shown.object, shown.behind), shown.seen[:, :3], atol=0.005)
 

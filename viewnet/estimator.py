@@ -7,10 +7,8 @@ array([215.3])
 
 from __future__ import annotations
 
-import logging
 import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -26,17 +24,14 @@ from viewnet.config import RunConfig
 from viewnet.data.pairs import tight_crop
 from viewnet.errors import ViewnetError
 from viewnet.estimates import Viewpoints
-from viewnet.framing import Framing, Shown, View
+from viewnet.framing import Framing, Shown
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import Hypotheses, ViewNet
 from viewnet.painter import Imagined, Painter
 from viewnet.pictures import Picture, Pictures
-from viewnet.processes import processors
 
 if TYPE_CHECKING:
     import trimesh
-
-log = logging.getLogger(__name__)
 
 BATCH = 256
 
@@ -157,7 +152,7 @@ class ViewpointEstimator(Painter):
         Of pictures that were cut to their object, the drawing is too. `size` is S, in pixels (default: as learned).
         """
         drawn = []
-        for shown in self._shown(images, masks, boxes, BATCH):
+        for shown in self._shown(images, masks, boxes):
             found = self.draw(self._imagine(shown), self._answers(shown), size)
             cut = self.framing.crop != "none" and not shown.cutout.any()
             drawn.append(self.painted(tight_crop(found, found.shape[-1], margin=0.0) if cut else found))
@@ -184,7 +179,7 @@ class ViewpointEstimator(Painter):
                 raise ViewnetError(f"{name} {values!r}: expected degrees, one number or {count}")
             angles.append(torch.from_numpy(np.broadcast_to(given, (count,)).copy()))
         frames, drawn, done = self.own(look_at(view_vector(*angles))), [], 0
-        for shown in self._shown(images, masks, boxes, BATCH):
+        for shown in self._shown(images, masks, boxes):
             part = frames[done : done + len(shown.seen)]
             drawn.append(self.painted(self.draw(self._imagine(shown), part, size)))
             done += len(part)
@@ -277,61 +272,19 @@ class ViewpointEstimator(Painter):
 
     def _seen(self, images: Pictures, masks: Any, boxes: Any, batch_size: int) -> Iterator[Tensor]:
         """What the encoder takes of the pictures (n, 3, S, S), batch by batch."""
-        ready = framing.ready(images, self.framing) if masks is None and boxes is None else None
-        if ready is None:
-            for shown in self._shown(images, masks, boxes, batch_size):
-                yield self.network.see(shown.seen)
-            return
-        for start in range(0, len(ready), _count(batch_size)):
-            seen = framing.eight_bits(ready[start : start + batch_size].to(self.device))
-            if start == 0:
-                self._warn(framing.bright(seen[:1]), ["the first picture"])
-            yield seen
+        if masks is None and boxes is None and (ready := framing.ready(images, self.framing)) is not None:
+            return framing.ready_batches(ready, self.framing, self.device, batch_size)
+        return (self.network.see(shown.seen) for shown in self._shown(images, masks, boxes, batch_size))
 
-    def _shown(self, images: Pictures, masks: Any, boxes: Any, batch_size: int) -> Iterator[Shown]:
+    def _shown(self, images: Pictures, masks: Any, boxes: Any, batch_size: int = BATCH) -> Iterator[Shown]:
         """The pictures as the networks see them, batch by batch."""
-        each, warned = pictures.listed(images), False
-        alphas, places = pictures.masks_of(masks, len(each)), pictures.boxes_of(boxes, len(each))
-
-        def viewed(row: int) -> View:
-            try:
-                return framing.viewed(pictures.opened(each[row], alphas[row], places[row]), self.framing)
-            except ViewnetError as error:
-                raise ViewnetError(f"{_name(each[row], row)}: {error}") from None
-
-        for start in range(0, len(each), _count(batch_size)):
-            rows = range(start, min(start + batch_size, len(each)))
-            # Pictures are decoded and resized outside of the interpreter, so threads help.
-            with ThreadPoolExecutor(min(processors(), len(rows))) as pool:
-                shown = framing.shown(list(pool.map(viewed, rows)), self.framing, self.device)
-            if not warned:
-                unlike = framing.bright(shown.seen[:, :3]).cpu() & ~torch.from_numpy(shown.cutout)
-                warned = self._warn(unlike, [_name(each[row], row) for row in rows])
-            yield shown
-
-    def _warn(self, bright: Tensor, names: Sequence[str]) -> bool:
-        """Say which picture is unlike those of training; whether there is one."""
-        if not (self.framing.cutout and bright.any()):
-            return False
-        name = names[int(bright.int().argmax())]
-        log.warning("%s is not black around its object, as all pictures in training were: give a mask", name)
-        return True
+        return framing.batches(images, masks, boxes, self.framing, self.device, batch_size)
 
     def _one(self, image: Picture, mask: Any, box: Any) -> Shown:
         if len(each := pictures.listed(image)) != 1:
             raise ViewnetError(f"{len(each)} pictures: expected one")
         masks, boxes = (None if value is None else [value] for value in (mask, box))
         return next(self._shown(each, masks, boxes, 1))
-
-
-def _name(image: Picture, row: int) -> str:
-    return os.fspath(image) if isinstance(image, (str, os.PathLike)) else f"picture {row}"
-
-
-def _count(batch_size: int) -> int:
-    if not isinstance(batch_size, int) or batch_size < 1:
-        raise ViewnetError(f"batch_size {batch_size!r}: expected a whole number of 1 or more")
-    return batch_size
 
 
 def _array(values: Tensor | None) -> Any:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,7 +18,10 @@ from viewnet.config import RunConfig
 from viewnet.data.cutting import Crop, bounds, cut
 from viewnet.data.pairs import resize, tight_crop
 from viewnet.errors import ViewnetError
-from viewnet.pictures import Given, Pictures
+from viewnet.pictures import Given, Picture, Pictures, boxes_of, listed, masks_of, opened
+from viewnet.processes import processors
+
+log = logging.getLogger(__name__)
 
 MARGIN = 0.2
 """So much of an object's longer side is beyond it, on either side, where it is cut out as the rendering camera sees
@@ -134,15 +141,51 @@ def shown(views: Sequence[View], framing: Framing, device: torch.device) -> Show
     return Shown(seen.to(device), (whole * covered).to(device), behind.to(device), cutout)
 
 
+def batches(
+    images: Pictures, masks: Any, boxes: Any, framing: Framing, device: torch.device, batch_size: int
+) -> Iterator[Shown]:
+    """Pictures with their masks and boxes as the networks of `framing` are shown them, batch by batch.
+
+    Warns of the first that is unlike those of training. ViewnetError names the picture that is at fault.
+    """
+    each, warned = listed(images), False
+    alphas, places = masks_of(masks, len(each)), boxes_of(boxes, len(each))
+
+    def view(row: int) -> View:
+        try:
+            return viewed(opened(each[row], alphas[row], places[row]), framing)
+        except ViewnetError as error:
+            raise ViewnetError(f"{_name(each[row], row)}: {error}") from None
+
+    for start in range(0, len(each), _count(batch_size)):
+        rows = range(start, min(start + batch_size, len(each)))
+        # Pictures are decoded and resized outside of the interpreter, so threads help.
+        with ThreadPoolExecutor(min(processors(), len(rows))) as pool:
+            found = shown(list(pool.map(view, rows)), framing, device)
+        if not warned:
+            unlike = _bright(found.seen[:, :3]).cpu() & ~torch.from_numpy(found.cutout)
+            warned = _warn(framing, unlike, [_name(each[row], row) for row in rows])
+        yield found
+
+
+def ready_batches(images: Tensor, framing: Framing, device: torch.device, batch_size: int) -> Iterator[Tensor]:
+    """Of pictures that `ready` gives, in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does."""
+    for start in range(0, len(images), _count(batch_size)):
+        seen = _eight_bits(images[start : start + batch_size].to(device))
+        if start == 0:
+            _warn(framing, _bright(seen), [_name(picture, row) for row, picture in enumerate(seen)])
+        yield seen
+
+
 def ready(images: Pictures, framing: Framing) -> Tensor | None:
-    """(N, 3, S, S), for `eight_bits`, of an array of pictures that need no cutting; None of all else."""
+    """(N, 3, S, S), for `ready_batches`, of an array of pictures that need no cutting; None of all else."""
     if not isinstance(images, (np.ndarray, Tensor)) or images.ndim != 4 or not len(images):
         return None
     found = images if isinstance(images, Tensor) else torch.from_numpy(images).movedim(-1, 1)
     return found if found.shape[1:] == (3, framing.size, framing.size) else None
 
 
-def eight_bits(images: Tensor) -> Tensor:
+def _eight_bits(images: Tensor) -> Tensor:
     """Pictures in [0, 1] of uint8 or floating point in [0, 1], rounded as files are. ViewnetError for other values."""
     if images.dtype == torch.uint8:
         return images.float() / 255
@@ -154,7 +197,26 @@ def eight_bits(images: Tensor) -> Tensor:
     return (images.detach().float() * 255).round() / 255
 
 
-def bright(seen: Tensor) -> Tensor:
+def _bright(seen: Tensor) -> Tensor:
     """(N,) bool: which pictures (N, 3, S, S) are not black along their edges."""
     edges = torch.cat([seen[:, :, [0, -1]].flatten(2), seen[:, :, :, [0, -1]].flatten(2)], 2)
     return edges.mean((1, 2)) > BRIGHT
+
+
+def _warn(framing: Framing, bright: Tensor, names: Sequence[str]) -> bool:
+    """Say which picture is unlike those of training; whether there is one."""
+    if not (framing.cutout and bright.any()):
+        return False
+    name = names[int(bright.int().argmax())]
+    log.warning("%s is not black around its object, as all pictures in training were: give a mask", name)
+    return True
+
+
+def _name(image: Picture, row: int) -> str:
+    return os.fspath(image) if isinstance(image, (str, os.PathLike)) else f"picture {row}"
+
+
+def _count(batch_size: int) -> int:
+    if not isinstance(batch_size, int) or batch_size < 1:
+        raise ViewnetError(f"batch_size {batch_size!r}: expected a whole number of 1 or more")
+    return batch_size
