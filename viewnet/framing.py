@@ -188,13 +188,13 @@ def ready(images: Pictures, framing: Framing) -> Tensor | None:
 def _eight_bits(images: Tensor) -> Tensor:
     """Pictures in [0, 1] of uint8 or floating point in [0, 1], rounded as files are. ViewnetError for other values."""
     if images.dtype == torch.uint8:
-        return images.float() / 255
+        return images.float().div_(255)
     if not images.is_floating_point():
         raise ViewnetError(f"pictures are of {images.dtype}: expected uint8, or floating point in [0, 1]")
     low, high = (float(value) for value in images.detach().aminmax())
     if not (low >= 0 and high <= 1):  # not for NaN
         raise ViewnetError(f"pictures have values from {low:g} to {high:g}: expected 0 to 1, or uint8")
-    return (images.detach().float() * 255).round() / 255
+    return (images.detach().float() * 255).round_().div_(255)
 
 
 def _bright(seen: Tensor) -> Tensor:

@@ -192,7 +192,7 @@ def save(estimator: ViewpointEstimator, folder: Path, license: str | None = None
     }
     weights = {name: value.cpu().contiguous() for name, value in estimator.network.state_dict().items()}
     with replacing(folder / WEIGHTS) as temporary:
-        save_file(weights, temporary, metadata={"format": "pt", "config": _digest(values)})
+        save_file(weights, temporary, metadata={"config": _digest(values)})
     write_json(folder / CONFIG, values)
     write_text(folder / CARD, model_card.card(config, estimator.aligned, estimator.about, license))
 
