@@ -208,10 +208,22 @@ def test_filmed_objects_are_cut_out_as_frames_were():
 
 def test_pictures_unlike_those_of_training_are_named(caplog):
     bright, dark = photograph(), photograph() // 30
-    untrained().predict([dark, bright])
-    untrained().predict([dark, bright], [np.ones((60, 90), bool)] * 2)
+    untrained(**SQUARE).predict([dark, bright])
+    untrained(**SQUARE).predict([dark, bright], [np.ones((60, 90), bool)] * 2)
     untrained(**PHOTOS).predict(bright)
     assert [record.message.partition(" is not")[0] for record in caplog.records] == ["picture 1"]
+
+
+def test_networks_that_see_whole_views_say_so_of_what_is_cut(caplog):
+    dark, box = photograph() // 30, (5, 5, 50, 50)
+    untrained().predict(dark)
+    untrained(video=VideoConfig("car")).predict(dark, boxes=box)
+    untrained(**SQUARE).predict(dark, boxes=box)
+    assert not caplog.records
+    untrained().predict([dark, dark], boxes=[box, None], batch_size=1)
+    assert [record.message.partition(":")[0] for record in caplog.records] == [
+        "the network knows whole views as a rendering camera frames them"
+    ]
 
 
 def test_viewpoints_are_rows(store, pictures):

@@ -41,6 +41,7 @@ class Framing:
     cutout      whether they know objects cut out, over `backdrop`: then what a mask leaves out is not seen. Networks
                 trained before backgrounds, or on videos without masks, see a picture as it is, and a mask only says
                 where the object is
+    rendered    whether they see whole views as a rendering camera frames them
     view        how an object is cut out: about as large in the picture as in training
     whole       how a picture is cut that is not cut out: to the object's box, as photographs are that are scored
     """
@@ -49,6 +50,7 @@ class Framing:
     crop: str
     cutout: bool
     backdrop: float
+    rendered: bool
     view: Crop
     whole: Crop
 
@@ -62,7 +64,8 @@ class Framing:
         # objects enlarged the box is the edge; others know how large objects are in a picture.
         margin = 0.0 if masked and model.crop != "none" else view.margin
         whole = Crop(2 * model.input_size, margin, model.crop != "stretched")
-        return cls(model.input_size, model.crop, masked and data.backgrounds is None, model.backdrop, view, whole)
+        cutout, rendered = masked and data.backgrounds is None, video is None and model.crop == "none"
+        return cls(model.input_size, model.crop, cutout, model.backdrop, rendered, view, whole)
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,11 @@ def batches(
     """
     each, warned = listed(images), False
     alphas, places = masks_of(masks, len(each)), boxes_of(boxes, len(each))
+    if framing.rendered and not (masks is None and boxes is None):
+        log.warning(
+            "the network knows whole views as a rendering camera frames them: of pictures that are cut its answers are "
+            "worth little: train one with the recipe photos"
+        )
 
     def view(row: int) -> View:
         try:
@@ -171,7 +179,7 @@ def batches(
 def ready_batches(images: Tensor, framing: Framing, device: torch.device, batch_size: int) -> Iterator[Tensor]:
     """Of pictures that `ready` gives, in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does."""
     for start in range(0, len(images), _count(batch_size)):
-        seen = _eight_bits(images[start : start + batch_size].to(device))
+        seen = _in_unit(images[start : start + batch_size].to(device))
         if start == 0:
             _warn(framing, _bright(seen), [_name(picture, row) for row, picture in enumerate(seen)])
         yield seen
@@ -185,8 +193,8 @@ def ready(images: Pictures, framing: Framing) -> Tensor | None:
     return found if found.shape[1:] == (3, framing.size, framing.size) else None
 
 
-def _eight_bits(images: Tensor) -> Tensor:
-    """Pictures in [0, 1] of uint8 or floating point in [0, 1], rounded as files are. ViewnetError for other values."""
+def _in_unit(images: Tensor) -> Tensor:
+    """Pictures in [0, 1] of uint8 or floating point in [0, 1]. ViewnetError for other values."""
     if images.dtype == torch.uint8:
         return images.float().div_(255)
     if not images.is_floating_point():
@@ -194,7 +202,7 @@ def _eight_bits(images: Tensor) -> Tensor:
     low, high = (float(value) for value in images.detach().aminmax())
     if not (low >= 0 and high <= 1):  # not for NaN
         raise ViewnetError(f"pictures have values from {low:g} to {high:g}: expected 0 to 1, or uint8")
-    return (images.detach().float() * 255).round_().div_(255)
+    return images.detach().float()
 
 
 def _bright(seen: Tensor) -> Tensor:
