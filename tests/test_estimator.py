@@ -137,6 +137,10 @@ def test_pictures_that_are_ready_are_not_cut(overrides):
     at_once, one_by_one = estimator.predict(ready), estimator.predict(list(ready))
     assert same(at_once, one_by_one)
     assert same(estimator.predict(torch.tensor(ready / 255).movedim(-1, 1)), one_by_one)
+    assert same(estimator.predict((ready / 255).astype(">f4")), one_by_one)
+    backwards = ready[::-1]
+    backwards.flags.writeable = False
+    assert same(estimator.predict(backwards), one_by_one[::-1])
 
 
 def seen(estimator: ViewpointEstimator, images, masks=None) -> torch.Tensor:
@@ -349,7 +353,8 @@ def test_turntables_are_those_of_the_run(store, pictures, tmp_path):
         (np.full((4, 5, 3), 2.0), {}, "values from 2 to 2: expected 0 to 1"),
         (np.full((4, 5, 3), np.nan), {}, "values from nan to nan"),
         (np.full((2, 32, 32, 3), np.nan), {}, "pictures have values from nan"),
-        (np.zeros((2, 32, 32, 3), np.int32), {}, "pictures are of torch.int32"),
+        (np.zeros((2, 32, 32, 3), np.int32), {}, "picture 0: picture is of int32"),
+        (torch.zeros(2, 3, 32, 32, dtype=torch.int32), {}, "pictures are of torch.int32"),
         (photograph(), {"masks": np.zeros((60, 90), bool)}, "picture 0: mask is empty"),
         (photograph(), {"masks": np.ones((90, 60), bool)}, "mask is 60 x 90, its picture 90 x 60"),
         (photograph(), {"masks": [None, None]}, "masks: 2 for 1 pictures"),

@@ -23,6 +23,9 @@ from viewnet.processes import processors
 
 log = logging.getLogger(__name__)
 
+READY = (np.uint8, np.float16, np.float32, np.float64)
+"""Types of arrays that PyTorch takes as they are."""
+
 MARGIN = 0.2
 """So much of an object's longer side is beyond it, on either side, where it is cut out as the rendering camera sees
 objects: a built-in car's longer side is 0.71 of its view's on average."""
@@ -187,10 +190,14 @@ def ready_batches(images: Tensor, framing: Framing, device: torch.device, batch_
 
 def ready(images: Pictures, framing: Framing) -> Tensor | None:
     """(N, 3, S, S), for `ready_batches`, of an array of pictures that need no cutting; None of all else."""
-    if not isinstance(images, (np.ndarray, Tensor)) or images.ndim != 4 or not len(images):
+    if isinstance(images, Tensor):
+        found = images
+    elif isinstance(images, np.ndarray) and images.ndim == 4 and images.dtype in READY:
+        # PyTorch takes neither arrays that run backwards nor, without a warning, those that cannot be written.
+        found = torch.from_numpy(np.require(images, requirements=["C", "W"])).movedim(-1, 1)
+    else:
         return None
-    found = images if isinstance(images, Tensor) else torch.from_numpy(images).movedim(-1, 1)
-    return found if found.shape[1:] == (3, framing.size, framing.size) else None
+    return found if len(found) and found.shape[1:] == (3, framing.size, framing.size) else None
 
 
 def _in_unit(images: Tensor) -> Tensor:
