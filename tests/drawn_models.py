@@ -14,11 +14,11 @@ from viewnet.alignment import Procrustes
 from viewnet.config import RunConfig, make_config
 from viewnet.data.store import ViewStore
 from viewnet.drawing import Drawer
-from viewnet.evaluate import align
+from viewnet.evaluate import align, evaluate
 from viewnet.files import write_json
 from viewnet.model import ViewNet
 from viewnet.predict import predict
-from viewnet.runs import Run
+from viewnet.runs import SCHEMA, Run
 
 LOG = """epoch,step,seconds,loss,val_reconstruction,val_accuracy,pixels,masks
 1,9,1,2.5,0.4,20,0.5,2
@@ -37,6 +37,19 @@ def untrained_run(folder: Path, variant: str = "viewnet", seed: int = 0, **overr
     write_json(folder / "config.json", config.to_dict())
     (folder / "log.csv").write_text(LOG)
     return Run(config, folder)
+
+
+def finished_run(folder: Path, store: ViewStore | None, variant: str = "viewnet", **overrides: object) -> Run:
+    """`untrained_run` with what is said of it on `store`; None: on views that cannot be scored."""
+    run = untrained_run(folder, variant, **overrides)
+    result = {"schema": SCHEMA, "key": run.key, "variant": variant, "metrics": None}
+    if store is not None:
+        said = predict(run.folder, store)
+        said.to_parquet(folder / "predictions.parquet")
+        metrics = {kind: evaluate(said, kind, draws=20) for kind in ("procrustes", "linear")}
+        result |= {"views": store.identity, "metrics": metrics}
+    write_json(folder / "result.json", result)
+    return run
 
 
 def untrained_drawer(store: ViewStore, rotation: np.ndarray | None = None, **overrides: object) -> Drawer:

@@ -13,10 +13,10 @@ from video_data import write_frames, write_freiburg, write_video
 
 from viewnet.config import DataConfig, VideoConfig, make_config
 from viewnet.data import freiburg_standin
-from viewnet.data.clip_store import Limits, bounds, clip_store, describe, sharpness, summary
+from viewnet.data.clip_store import Limits, clip_store, describe, sharpness, summary
 from viewnet.data.clips import Clip, Frame
+from viewnet.data.cutting import Crop, bounds
 from viewnet.data.masks import FromAlpha, FromFiles
-from viewnet.data.photos import Crop
 from viewnet.data.prepare import video_views, view_store
 from viewnet.data.store import ViewStore, check_index
 from viewnet.errors import ViewnetError

@@ -9,7 +9,7 @@ from boxes import box_store
 from drawn_models import untrained_drawer, untrained_run
 from photo_data import make_photos
 
-from viewnet import drawing
+from viewnet import drawing, painter
 from viewnet.alignment import Identity
 from viewnet.errors import ViewnetError
 from viewnet.evaluate import align
@@ -96,8 +96,8 @@ def test_photographs_are_drawn_cut_to_their_object(tmp_path):
 
 def test_shown_is_before_a_wall():
     picture = torch.tensor([0.2, 0.0, 0.6, 0.4])[None, :, None, None]
-    assert drawing.shown(picture).tolist() == [[[[204, 153, 255]]]]
-    assert drawing.shown(picture, 0.0).tolist() == [[[[51, 0, 153]]]]
+    assert painter.shown(picture).tolist() == [[[[204, 153, 255]]]]
+    assert painter.shown(picture, 0.0).tolist() == [[[[51, 0, 153]]]]
 
 
 def test_what_draws_nothing_is_said(store, tmp_path):

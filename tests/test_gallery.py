@@ -7,7 +7,7 @@ from drawn_models import untrained_drawer, untrained_run
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from photo_data import make_photos
 
-from viewnet import drawing, figures, gallery
+from viewnet import drawing, figures, gallery, painter
 from viewnet.errors import ViewnetError
 
 
@@ -45,7 +45,7 @@ def test_reconstructions_stand_beside_their_picture(runs, store):
     assert [axes.get_title() for axes in figure.axes[:3]] == ["car", "ViewNet", "ViewNet +\ncycle"]
     drawer = drawing.Drawer.of(runs[1].folder, store)
     assert np.array_equal(shown[1][0], drawer.shown([6])[0])
-    assert np.array_equal(shown[1][2], drawing.shown(drawer.reconstruct([6]))[0])
+    assert np.array_equal(shown[1][2], painter.shown(drawer.reconstruct([6]))[0])
     assert inside(figure)
 
 
@@ -123,4 +123,4 @@ def test_figures_are_files(runs, store, tmp_path):
 def test_untrained_drawer_is_what_a_run_gives(store, tmp_path):
     """The two ways in which tests come by a drawer agree."""
     one, other = drawing.Drawer.of(untrained_run(tmp_path / "run").folder, store), untrained_drawer(store)
-    assert np.allclose(drawing.shown(one.reconstruct([0])), drawing.shown(other.reconstruct([0])), atol=2)
+    assert np.allclose(painter.shown(one.reconstruct([0])), painter.shown(other.reconstruct([0])), atol=2)

@@ -12,8 +12,9 @@ from PIL import Image
 
 from viewnet.config import PhotoConfig
 from viewnet.data import pascal3d, photos, prepare
+from viewnet.data.cutting import Crop, cut
 from viewnet.data.pascal3d_standin import write_stand_in
-from viewnet.data.photos import Crop, cut, read_folder, summary
+from viewnet.data.photos import read_folder, summary
 from viewnet.data.prepare import photo_views
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError

@@ -24,6 +24,17 @@ TRAINING = """examples:
   viewnet train car chair boat --cluster tcp://HOST:8786          many runs on a Dask cluster
 """
 
+PREDICTING = """examples:
+  viewnet predict car.jpg --model 0123456789ab                    all of the picture is the object
+  viewnet predict car.jpg --model 0123456789ab --box 40 60 380 250
+  viewnet predict a.jpg b.jpg --masks a_mask.png b_mask.png --model runs/viewnet/0123456789ab
+  viewnet predict *.png --json --model saved/car                  cut out: transparency is a mask
+"""
+TURNING = """examples:
+  viewnet turntable car.png --model 0123456789ab -o car.gif
+  viewnet turntable car.jpg --box 40 60 380 250 --model saved/car -o car.mp4 --size 256
+"""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit code: 0, 2 for what the user can mend (told in one line), 130 when interrupted."""
@@ -97,6 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     audit.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="where every number goes, as CSV files")
     audit.set_defaults(run=_audit)
+    _add_estimating(commands)
     bench = commands.add_parser(
         "bench",
         help="measure renderer and training step against a textbook version",
@@ -120,6 +132,45 @@ def _parser() -> argparse.ArgumentParser:
     )
     bench.set_defaults(run=_bench)
     return parser
+
+
+def _add_estimating(commands: Any) -> None:
+    """The commands for people's own pictures; viewnet.commands has their bodies."""
+    from viewnet import commands as bodies
+
+    where = "a finished run's key or folder (viewnet train prints it), a saved model's folder, or NAME/MODEL of the hub"
+    predict = commands.add_parser(
+        "predict",
+        help="tell from where pictures were taken",
+        description="The viewpoint of each picture: azimuth (0 shows the object's front, 90 its left side), elevation, "
+        "and how sure\nthe network is. The object's mask or box decides what of a picture is seen; its transparency is "
+        "a mask.",
+        epilog=PREDICTING,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    predict.add_argument("pictures", nargs="+", type=Path, metavar="PICTURE")
+    predict.add_argument("--masks", nargs="+", type=Path, metavar="FILE", help="one a picture, in their order")
+    predict.add_argument("--box", nargs=4, type=float, action="append", dest="boxes", metavar=("X0", "Y0", "X1", "Y1"),
+                         help="the object's edges in pixels; once for all pictures, or once for each")  # fmt: skip
+    predict.add_argument("--json", action="store_true", help="every hypothesis, as JSON")
+    predict.set_defaults(run=bodies.predict)
+    turntable = commands.add_parser(
+        "turntable",
+        help="show a picture's object from all around",
+        description="A picture and what the network makes of its object, turning once from the predicted viewpoint.",
+        epilog=TURNING,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    turntable.add_argument("picture", type=Path, metavar="PICTURE")
+    turntable.add_argument("--mask", type=Path, metavar="FILE")
+    turntable.add_argument("--box", nargs=4, type=float, metavar=("X0", "Y0", "X1", "Y1"))
+    turntable.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="ends in .gif or .mp4")
+    turntable.add_argument("--size", type=int, default=192, help="pixels along a side of a picture (default: 192)")
+    turntable.add_argument("--steps", type=int, default=48, help="pictures of the turn (default: 48)")
+    turntable.set_defaults(run=bodies.turntable)
+    for command in (predict, turntable):
+        command.add_argument("--model", required=True, metavar="WHERE", help=where)
+        command.add_argument("--device", help="cpu, cuda, cuda:1 ... (default: a GPU if there is one)")
 
 
 def _add_cluster(parser: argparse.ArgumentParser) -> None:

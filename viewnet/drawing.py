@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from viewnet import scene, volume
+from viewnet import scene
 from viewnet.alignment import Procrustes
 from viewnet.config import RunConfig
 from viewnet.data.pairs import Views, tight_crop, viewed
@@ -20,28 +20,18 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluate import Aligned, align
 from viewnet.files import read_json
 from viewnet.geometry import look_at, view_vector
-from viewnet.losses import composite
 from viewnet.model import ViewNet
+from viewnet.painter import Imagined, Painter, shown
 from viewnet.predict import load_model, predict
 from viewnet.predictions import Predictions
 from viewnet.runs import Run, name
 
 BATCH = 64
 SPLIT = "test"
-SILHOUETTE = 0.35
-"""The grey of silhouettes."""
 
 
 @dataclass(frozen=True)
-class Imagined:
-    """What appearance pictures became: codes (B, A) and volumes (B, 4, n, n, n), as ViewNet.imagine gives them."""
-
-    code: Tensor
-    shape: Tensor
-
-
-@dataclass(frozen=True)
-class Drawer:
+class Drawer(Painter):
     """A trained network before the test views of a store, and the rotation between its frame and the annotated one.
 
     Rows number the test views in the store's order, which is that of `aligned.predictions`.
@@ -67,16 +57,6 @@ class Drawer:
 
     def __len__(self) -> int:
         return len(self.aligned.predictions)
-
-    @property
-    def hologan(self) -> bool:
-        """Whether the decoder paints whole pictures: it has neither a mask nor a volume of colours."""
-        return self.network.config.decoder == "hologan"
-
-    @property
-    def device(self) -> torch.device:
-        """Where the network is."""
-        return self.network.focal.device
 
     @property
     def rotation(self) -> Tensor:
@@ -130,28 +110,6 @@ class Drawer:
             behind = scene.behind(self._scenery, len(rows), size, chance, self.device)
         return Imagined(*self.network.imagine(self.pictures(rows, size), behind=behind))
 
-    @torch.no_grad()
-    def draw(self, imagined: Imagined, frames: Tensor, size: int | None = None) -> Tensor:
-        """Pictures (N, 4, S, S), RGB times mask and mask, from camera frames (N, 3, 3) in the network's own frame.
-
-        N is a multiple of B, as in ViewNet.draw. A `size` above the configuration's shows volumes larger, with as many
-        steps along a ray as they were learned with; the HoloGAN decoder has one size only.
-        """
-        frames, learned = frames.float().to(self.device), self.network.config.render_size
-        if self.hologan or size is None or size == learned:
-            return self.network.draw(imagined.shape, imagined.code, frames)
-        return volume.render(imagined.shape, frames, self.network.focal, size, steps=learned)
-
-    def painted(self, drawn: Tensor) -> np.ndarray:
-        """`shown` before white; silhouettes where masks are all that was learned, since colours are then arbitrary."""
-        if self.config.train.target == "mask":
-            drawn = torch.cat([SILHOUETTE * drawn[:, 3:].expand(-1, 3, -1, -1), drawn[:, 3:]], 1)
-        return shown(drawn)
-
-    def own(self, frames: Tensor) -> Tensor:
-        """Camera frames (..., 3, 3) of the annotated frame as seen in the network's own."""
-        return self.rotation.T @ frames.float()
-
     def level(self, azimuth: Tensor, elevation: Tensor) -> Tensor:
         """Own camera frames (..., 3, 3), held level, of annotated azimuths (...) and own elevations (...), degrees."""
         return look_at(view_vector(azimuth - self.turn, elevation))
@@ -190,11 +148,3 @@ def drawers(runs: Sequence[Run], stores: Stores = own_views) -> list[Drawer]:
         if not run.trained:
             raise ViewnetError(f"{name(run.config)} draws nothing: choose a trained variant")
     return [Drawer.of(run.folder, stores(run)) for run in runs]
-
-
-def shown(pictures: Tensor, grey: float = 1.0) -> np.ndarray:
-    """Pictures (N, 4, H, W), RGB times mask and mask, before a grey wall: (N, H, W, 3) uint8."""
-    wall = torch.full((len(pictures), 3), grey, device=pictures.device)
-    colours = composite(pictures, wall).clamp(0, 1) * 255
-    array: np.ndarray = colours.round().to(torch.uint8).movedim(1, -1).cpu().numpy()
-    return array

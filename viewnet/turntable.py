@@ -4,51 +4,78 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
 
 from viewnet import geometry
-from viewnet.drawing import Drawer
 from viewnet.errors import ViewnetError
 from viewnet.files import replacing
+from viewnet.painter import Imagined, Painter
+
+if TYPE_CHECKING:
+    from viewnet.drawing import Drawer
 
 MARK = (213, 94, 0)  # of the predicted viewpoint
 INK = (40, 40, 40)
 STRIP = 48  # pixels: the height of the line below the pictures
 EDGE = 4
+SUFFIXES = (".gif", ".mp4")
 
 
 def turntable(drawer: Drawer, row: int, steps: int = 48, hold: int = 12, size: int = 192) -> list[np.ndarray]:
-    """Frames (H, W, 3) uint8: a test picture on the left, what the network makes of it turning once on the right.
-
-    The first `hold` frames stand at the predicted viewpoint, framed and named; then `steps` frames go round at its
-    elevation. The dial is seen from above, the object's front pointing down to the reader; azimuths are annotated ones
-    (after alignment). `size` is the side of a picture in pixels, an even number.
-    """
+    """`revolve` of a test picture and what the network makes of it. ViewnetError for a row that is not there."""
     if not 0 <= row < len(drawer):
         raise ViewnetError(f"picture {row}: there are {len(drawer)} test pictures: choose one from 0 on")
+    picture, answer, told = drawer.shown([row])[0], drawer.answers([row])[0], drawer.aligned.selected[row]
+    return revolve(drawer, picture, drawer.imagine([row]), answer, told, steps, hold, size)
+
+
+def revolve(
+    painter: Painter,
+    picture: np.ndarray,
+    imagined: Imagined,
+    answer: Tensor,
+    told: np.ndarray,
+    steps: int = 48,
+    hold: int = 12,
+    size: int = 192,
+) -> list[np.ndarray]:
+    """Frames (H, W, 3) uint8: a `picture` (S, S, 3) uint8 on the left, the one object `imagined` turning on the right.
+
+    The first `hold` frames stand at the predicted viewpoint, framed and named: the camera frame `answer` (3, 3) in the
+    network's own frame, and the view vector `told` (3,) that is said of it. Then `steps` frames go once round at its
+    elevation. The dial is seen from above, the object's front pointing down to the reader; azimuths are those of
+    `told`. `size` is the side of a picture in pixels. ViewnetError unless it is an even number of 64 or more, and for
+    no steps.
+    """
     if size < 64 or size % 2:
         raise ViewnetError(f"turntable: size {size}: expected an even number of 64 or more pixels")
-    own = torch.from_numpy(np.array(drawer.aligned.predictions.selected[row]))
-    start, elevation = geometry.azimuth_elevation(own)
+    if steps < 1 or hold < 0:
+        raise ViewnetError(f"turntable: steps {steps}, hold {hold}: expected 1 or more, and 0 or more")
+    start, elevation = geometry.azimuth_elevation(answer[:, 2])
     turned = start + torch.arange(steps) * (360 / steps)
     frames = geometry.look_at(geometry.view_vector(turned, elevation.expand(steps)))
-    frames[0] = drawer.answers([row])[0]
-    drawn = drawer.painted(drawer.draw(drawer.imagine([row]), frames, 2 * drawer.network.config.render_size))
-    picture = _scaled(drawer.shown([row])[0], size)
-    azimuth, height = (
-        float(a) for a in geometry.azimuth_elevation(torch.from_numpy(np.array(drawer.aligned.selected[row])))
-    )
+    frames[0] = answer
+    drawn = painter.painted(painter.draw(imagined, frames, 2 * painter.network.config.render_size))
+    left = _scaled(picture, size)
+    azimuth, height = (float(a) for a in geometry.azimuth_elevation(torch.from_numpy(np.array(told))))
     found = []
     for number in [*[0] * hold, *range(steps)]:
         angle = (azimuth + 360 / steps * number) % 360
-        told = "predicted viewpoint" if number == 0 else "turned"
-        text = f"{told}\nazimuth {round(angle) % 360}°, elevation {height:.0f}°"
-        found.append(_composed(picture, _scaled(drawn[number], size), text, angle, azimuth, number == 0))
+        named = "predicted viewpoint" if number == 0 else "turned"
+        text = f"{named}\nazimuth {round(angle) % 360}°, elevation {height:.0f}°"
+        found.append(_composed(left, _scaled(drawn[number], size), text, angle, azimuth, number == 0))
     return found
+
+
+def check(path: Path) -> None:
+    """ViewnetError for a file's name that `save` does not write."""
+    if path.suffix not in SUFFIXES:
+        raise ViewnetError(f"{path}: unknown kind of animation: name it {' or '.join(SUFFIXES)}")
 
 
 def save(frames: Sequence[np.ndarray], path: Path, rate: int = 16) -> Path:
@@ -58,15 +85,14 @@ def save(frames: Sequence[np.ndarray], path: Path, rate: int = 16) -> Path:
     """
     if not len(frames):
         raise ViewnetError(f"{path}: no frames to write")
+    check(path)
     if path.suffix == ".gif":
         pictures = [Image.fromarray(frame) for frame in frames]
         with replacing(path) as temporary:
             duration = round(1000 / rate)
             pictures[0].save(temporary, save_all=True, append_images=pictures[1:], duration=duration, loop=0)
-    elif path.suffix == ".mp4":
-        _save_mp4(frames, path, rate)
     else:
-        raise ViewnetError(f"{path}: unknown kind of animation: name it .gif or .mp4")
+        _save_mp4(frames, path, rate)
     return path
 
 

@@ -25,10 +25,11 @@ from scipy import ndimage
 from viewnet.config import CATEGORIES, known
 from viewnet.data import frames
 from viewnet.data.clips import Clip, Frame
+from viewnet.data.cutting import Crop, bounds, cut, inside
 from viewnet.data.freiburg import Rejected
 from viewnet.data.masks import MaskSource
-from viewnet.data.pascal3d import Box, tally
-from viewnet.data.photos import Crop, cut, described
+from viewnet.data.pascal3d import tally
+from viewnet.data.photos import described
 from viewnet.data.shapenet import SPLITS
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
@@ -38,8 +39,6 @@ from viewnet.progress import bar
 VERSION = 1
 """Raise it when a change alters what is cut out: it is part of every store's identity."""
 CROP = Crop(128, margin=0.05)
-AROUND = 0.1
-"""Of a mask only what lies in its annotated box counts, and so much of the box's sides around it."""
 SHARPNESS = 96
 """Pixels along a side of the cut-out whose sharpness is measured."""
 LOST_MASK = "mask"
@@ -213,7 +212,7 @@ def _view(frame: Frame, name: str, picture: Image.Image, mask: np.ndarray | None
     box = frame.box
     if mask is not None:
         if box is not None:
-            mask = _inside(mask, box)
+            mask = inside(mask, box)
         box = bounds(mask)
     x0, y0, x1, y1 = box or (0, 0, *picture.size)
     if min(x1 - x0, y1 - y0) < limits.side:
@@ -225,14 +224,6 @@ def _view(frame: Frame, name: str, picture: Image.Image, mask: np.ndarray | None
     return _View(frame, name, pixels, sharp)
 
 
-def bounds(mask: np.ndarray) -> Box:
-    """The box about what a mask (H, W) uint8 covers. ViewnetError where that is nothing."""
-    columns, rows = (np.flatnonzero((mask > 127).any(axis)) for axis in (0, 1))
-    if not len(columns):
-        raise ViewnetError("mask is empty")
-    return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
-
-
 def sharpness(view: np.ndarray) -> float:
     """The Laplacian's variance over the picture's own, within the object of a view (S, S, 4) uint8."""
     grey = view[..., :3].mean(axis=2)
@@ -241,16 +232,6 @@ def sharpness(view: np.ndarray) -> float:
     if not inner.any():
         return 0.0
     return float(ndimage.laplace(grey)[inner].var() / max(grey[inner].var(), 1.0))
-
-
-def _inside(mask: np.ndarray, box: Box) -> np.ndarray:
-    x0, y0, x1, y1 = box
-    wide, high = AROUND * (x1 - x0), AROUND * (y1 - y0)
-    kept = np.zeros_like(mask)
-    rows = slice(max(0, math.floor(y0 - high)), math.ceil(y1 + high))
-    columns = slice(max(0, math.floor(x0 - wide)), math.ceil(x1 + wide))
-    kept[rows, columns] = mask[rows, columns]
-    return kept
 
 
 def _row(clip: Clip, view: _View, root: Path) -> tuple[Any, ...]:

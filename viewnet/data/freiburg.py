@@ -20,8 +20,9 @@ from PIL import Image
 
 from viewnet.config import known
 from viewnet.data.clips import Clip, Frame
+from viewnet.data.cutting import Box
 from viewnet.data.frames import pictures
-from viewnet.data.pascal3d import Box, tally
+from viewnet.data.pascal3d import tally
 from viewnet.errors import ViewnetError
 
 CATEGORY = "car"

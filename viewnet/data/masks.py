@@ -22,6 +22,7 @@ from torch import nn
 from viewnet import backbones
 from viewnet.config import CATEGORIES, known
 from viewnet.data.clips import Clip
+from viewnet.data.cutting import coverage
 from viewnet.errors import ViewnetError
 
 VERSION = 1
@@ -252,13 +253,6 @@ def _read(file: Path) -> np.ndarray:
     try:
         with Image.open(file) as opened:
             opened.load()
-            if opened.mode == "P":
-                return (np.array(opened) > 0).astype(np.uint8) * 255
-            if opened.mode.startswith("I"):
-                values = np.array(opened).astype(np.int64)
-                values = values if values.max(initial=0) <= 1 else values // 257
-            else:
-                values = np.array(opened.convert("L")).astype(np.int64)
+            return coverage(opened)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise ViewnetError(f"mask does not decode ({type(error).__name__})") from None
-    return (values * 255 if values.max(initial=0) <= 1 else values).clip(0, 255).astype(np.uint8)

@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from viewnet.data.cutting import Box
 from viewnet.data.objectron_schema import Sequence
-from viewnet.data.pascal3d import Box
 from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation
 

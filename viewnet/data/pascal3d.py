@@ -23,6 +23,7 @@ import scipy.io
 from PIL import Image
 
 from viewnet.config import CATEGORIES, known
+from viewnet.data.cutting import Box
 from viewnet.errors import ViewnetError
 
 SUBSETS = ("imagenet", "pascal")
@@ -34,7 +35,6 @@ LISTS = Path("Image_sets")
 VOC = Path("PASCAL/VOCdevkit/VOC2012/ImageSets/Main")
 
 Keep = Literal["all", "easy", "first"]
-Box = tuple[float, float, float, float]
 
 # What copies of the data set call their pictures.
 _SUFFIXES = (".JPEG", ".jpg", ".jpeg", ".JPG", ".png", ".PNG")

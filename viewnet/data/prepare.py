@@ -29,6 +29,7 @@ from viewnet.data import (
     video_folder,
 )
 from viewnet.data.clips import Clip
+from viewnet.data.cutting import Crop
 from viewnet.data.shapenet import SHARES, ModelFile, find_models, take
 from viewnet.data.store import ViewStore, identity_of
 from viewnet.errors import ViewnetError
@@ -136,7 +137,7 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
     one photograph in both.
     """
     known(config.category, CATEGORIES, "category")
-    crop = photos.Crop(config.size, config.margin, config.square, config.pad)
+    crop = Crop(config.size, config.margin, config.square, config.pad)
     root = None if config.root is None else Path(config.root)
     made_by: dict[str, Any] = {"category": config.category, "crop": photos.described(crop)}
     listed = root is not None and (root / photos.LIST).is_file() and not (root / "Annotations").is_dir()
@@ -218,7 +219,7 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     known(config.category, CATEGORIES, "category")
     if config.count < 0:
         raise ViewnetError(f"count {config.count}: expected 1 or more frames a clip, or 0 for all")
-    crop = photos.Crop(config.size, config.margin, config.square)
+    crop = Crop(config.size, config.margin, config.square)
     limits = clip_store.Limits(config.side, config.blur)
     source = _mask_source(config)
     root = video_stand_in(config, workers, progress) if config.root is None else Path(config.root)

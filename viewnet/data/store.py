@@ -19,12 +19,15 @@ import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from viewnet.errors import ViewnetError
+
+if TYPE_CHECKING:
+    # Loaded where it is needed: to estimate a viewpoint this module is imported, but no store is opened.
+    import pandas as pd
 
 FORMAT = 1
 COLUMNS = {
@@ -52,6 +55,8 @@ class ViewStore:
     @classmethod
     def open(cls, folder: Path | str) -> ViewStore:
         """Open and check a store. Raises ViewnetError naming the file and what is wrong with it."""
+        import pandas as pd
+
         folder = Path(folder)
         if not folder.is_dir():
             raise ViewnetError(f"{folder}: no such view store: make it first (viewnet.data.prepare.view_store)")
@@ -84,6 +89,8 @@ class ViewStore:
     @property
     def rejected(self) -> pd.DataFrame:
         """What could not be used: model_id, path, reason."""
+        import pandas as pd
+
         return pd.read_csv(self.folder / "rejected.csv", dtype=str, keep_default_na=False)
 
     def split(self, name: str) -> np.ndarray:
@@ -127,6 +134,8 @@ def write_store(
     one batch at a time. Raises ViewnetError where `folder` exists, the index is not valid, or batches and index
     differ in length.
     """
+    import pandas as pd
+
     if folder.exists():
         raise ViewnetError(f"{folder}: exists already: remove it or name another folder")
     check_index(index, len(index), folder / "index.parquet")
@@ -167,6 +176,8 @@ def _write_images(file: Path, batches: Iterable[np.ndarray], count: int, folder:
 
 def check_index(index: pd.DataFrame, count: int, file: Path) -> None:
     """Raise ViewnetError unless `index` is a valid index of `count` views; `file` is named in the message."""
+    import pandas as pd
+
     if missing := [name for name in COLUMNS if name not in index.columns]:
         raise ViewnetError(f"{file}: no column {missing[0]}: {_AGAIN}")
     if unknown := [str(name) for name in index.columns if name not in COLUMNS]:

@@ -1,0 +1,122 @@
+"""Cutting a picture to the object in it: a box, made square, in one size."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from viewnet.errors import ViewnetError
+
+Box = tuple[float, float, float, float]
+"""Left, upper, right and lower edge in pixels from the picture's left upper corner."""
+LARGEST = 1024
+"""Pixels along a side of a crop."""
+AROUND = 0.1
+"""Of a mask only what lies in its object's box counts, and so much of the box's sides around it."""
+
+
+@dataclass(frozen=True)
+class Crop:
+    """How photographs are cut.
+
+    size     pixels along a side
+    margin   so much of the box's longer side is seen beyond it, on either side
+    square   whether the shorter side is made as long as the other (the object keeps its shape) or stretched
+    colour   of what lies beyond the photograph's edges, 0 to 255
+    """
+
+    size: int = 64
+    margin: float = 0.0
+    square: bool = True
+    colour: tuple[int, int, int] = (0, 0, 0)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.size <= LARGEST:
+            raise ViewnetError(f"crop: size {self.size}: expected 1 to {LARGEST} pixels")
+        if not 0 <= self.margin <= 2:
+            raise ViewnetError(f"crop: margin {self.margin}: expected 0 to 2 sides of the box")
+        if any(not 0 <= value <= 255 for value in self.colour):
+            raise ViewnetError(f"crop: colour {self.colour}: expected three numbers from 0 to 255")
+
+
+def cut(picture: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None = None) -> np.ndarray:
+    """The part of a picture in `box` (pixels from its left upper corner; None: all of it), (size, size, 4) uint8.
+
+    With a `mask` (H, W) uint8 of the picture's size that is its alpha, and what lies beyond the picture's edges is
+    transparent; colours stay straight, and black where alpha is 0. Raises ViewnetError for a box that has no part in
+    the picture.
+    """
+    width, height = picture.size
+    x0, y0, x1, y1 = box or (0.0, 0.0, float(width), float(height))
+    x0, y0, x1, y1 = max(x0, 0.0), max(y0, 0.0), min(x1, float(width)), min(y1, float(height))
+    if x1 - x0 < 1 or y1 - y0 < 1:
+        raise ViewnetError(f"box has no part in the picture ({width} x {height})")
+    half_x, half_y = (x1 - x0) / 2, (y1 - y0) / 2
+    beyond = 2 * crop.margin * max(half_x, half_y)
+    half_x, half_y = half_x + beyond, half_y + beyond
+    if crop.square:
+        half_x = half_y = max(half_x, half_y)
+    centre_x, centre_y = (x0 + x1) / 2, (y0 + y1) / 2
+    seen = (centre_x - half_x, centre_y - half_y, centre_x + half_x, centre_y + half_y)
+    # Whole pixels around it, the picture's own or the colour's; the exact edges are cut when it is resized.
+    left, upper = int(np.floor(seen[0])), int(np.floor(seen[1]))
+    right, lower = int(np.ceil(seen[2])), int(np.ceil(seen[3]))
+    part = (max(left, 0), max(upper, 0), min(right, width), min(lower, height))
+    inside, place = _rgb(picture.crop(part)), (part[0] - left, part[1] - upper)
+    exact = (seen[0] - left, seen[1] - upper, seen[2] - left, seen[3] - upper)
+    if mask is not None:
+        inside.putalpha(Image.fromarray(mask).crop(part))
+        cutout = Image.new("RGBA", (right - left, lower - upper))
+        cutout.paste(inside, place)
+        # Colours are weighted by their alpha while they are averaged.
+        return np.array(cutout.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact))
+    canvas = Image.new("RGB", (right - left, lower - upper), crop.colour)
+    canvas.paste(inside, place)
+    # Averages over as many pixels as become one, without the ringing of sharper filters at the colour's edge.
+    small = canvas.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact, reducing_gap=4.0)
+    return np.dstack([np.asarray(small), np.full((crop.size, crop.size), 255, np.uint8)])
+
+
+def bounds(mask: np.ndarray) -> Box:
+    """The box about what a mask (H, W) uint8 covers. ViewnetError where that is nothing."""
+    columns, rows = (np.flatnonzero((mask > 127).any(axis)) for axis in (0, 1))
+    if not len(columns):
+        raise ViewnetError("mask is empty")
+    return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
+
+
+def inside(mask: np.ndarray, box: Box) -> np.ndarray:
+    """A mask (H, W) without what lies beyond the box and AROUND it."""
+    x0, y0, x1, y1 = box
+    wide, high = AROUND * (x1 - x0), AROUND * (y1 - y0)
+    kept = np.zeros_like(mask)
+    rows = slice(max(0, math.floor(y0 - high)), math.ceil(y1 + high))
+    columns = slice(max(0, math.floor(x0 - wide)), math.ceil(x1 + wide))
+    kept[rows, columns] = mask[rows, columns]
+    return kept
+
+
+def coverage(mask: Image.Image) -> np.ndarray:
+    """The alpha (H, W) uint8 that a mask's picture stands for.
+
+    Pixels are shares of coverage up to the deepest white, or numbers of classes: in pictures of a palette, and where no
+    value is above 1, all but 0 is the object.
+    """
+    if mask.mode == "P":
+        return (np.array(mask) > 0).astype(np.uint8) * 255
+    if mask.mode.startswith("I"):
+        values = np.array(mask).astype(np.int64)
+        values = values if values.max(initial=0) <= 1 else values // 257
+    else:
+        values = np.array(mask.convert("L")).astype(np.int64)
+    return (values * 255 if values.max(initial=0) <= 1 else values).clip(0, 255).astype(np.uint8)
+
+
+def _rgb(picture: Image.Image) -> Image.Image:
+    """In three channels; grey of 16 bits is brought to 8, which `convert` would cut off."""
+    if picture.mode.startswith("I;16") or picture.mode == "I":
+        picture = Image.fromarray((np.asarray(picture).astype(np.int64) // 257).clip(0, 255).astype(np.uint8))
+    return picture.convert("RGB")

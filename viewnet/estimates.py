@@ -1,0 +1,126 @@
+"""What an estimator says of pictures: viewpoints, and how sure it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from viewnet import geometry
+
+if TYPE_CHECKING:
+    import pandas as pd  # loaded by those who ask for a table
+
+Floats = NDArray[np.float64]
+LINES = 12
+"""Pictures that a summary names."""
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """The viewpoint of one picture: a row of `Viewpoints`, whose fields say what these are."""
+
+    azimuth: float
+    elevation: float
+    vector: Floats
+    frame: Floats
+    hypotheses: Floats
+    probabilities: Floats
+    choice: int
+    confidence: float
+    aligned: bool
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Viewpoints:
+    """The viewpoints of N pictures, M hypotheses each, all in one frame (see viewnet.geometry).
+
+    azimuth        (N,) degrees in [0, 360): 0 shows the object's front, 90 its left side
+    elevation      (N,) degrees in [-90, 90]
+    vector         (N, 3) unit view vectors, from the object to the camera
+    frame          (N, 3, 3) camera frames, columns right, up and back; level unless in-plane rotation was learned
+    hypotheses     (N, M, 3) unit view vectors, one of which is `vector`
+    probabilities  (N, M) of each hypothesis, of being the best
+    choice         (N,) which hypothesis is the answer: the most probable
+    confidence     (N,) its probability
+    aligned        whether the frame is the annotated one; if not it is the network's own, whose azimuth 0 and whose up
+                   are arbitrary, so that only differences between viewpoints tell something
+    """
+
+    azimuth: Floats
+    elevation: Floats
+    vector: Floats
+    frame: Floats
+    hypotheses: Floats
+    probabilities: Floats
+    choice: NDArray[np.int64]
+    confidence: Floats
+    aligned: bool
+
+    @classmethod
+    def of(cls, hypotheses: ArrayLike, logits: ArrayLike, ups: ArrayLike | None, aligned: bool) -> Viewpoints:
+        """From unit view vectors (N, M, 3), logits (N, M) and, with in-plane rotation, unit up vectors (N, M, 3)."""
+        vectors, scores = np.array(hypotheses, dtype=np.float64), np.array(logits, dtype=np.float64)
+        shares = np.exp(scores - scores.max(1, keepdims=True))
+        shares /= shares.sum(1, keepdims=True)
+        rows, choice = np.arange(len(scores)), scores.argmax(1)
+        chosen = torch.from_numpy(vectors[rows, choice])
+        up = None if ups is None else torch.from_numpy(np.array(ups, dtype=np.float64)[rows, choice])
+        azimuth, elevation = geometry.azimuth_elevation(chosen)
+        return cls(
+            azimuth.numpy(),
+            elevation.numpy(),
+            chosen.numpy(),
+            geometry.look_at(chosen, up).numpy(),
+            vectors,
+            shares,
+            choice,
+            shares[rows, choice],
+            aligned,
+        )
+
+    def __len__(self) -> int:
+        return len(self.azimuth)
+
+    @overload
+    def __getitem__(self, rows: int) -> Viewpoint: ...
+
+    @overload
+    def __getitem__(self, rows: slice | ArrayLike) -> Viewpoints: ...
+
+    def __getitem__(self, rows: Any) -> Viewpoint | Viewpoints:
+        """The viewpoint of one picture, or those that a slice, a mask (N,) or a list of positions names."""
+        arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "aligned"}
+        if not isinstance(rows, (int, np.integer)):
+            rows = rows if isinstance(rows, slice) else np.asarray(rows)
+            return Viewpoints(**{name: values[rows] for name, values in arrays.items()}, aligned=self.aligned)
+        one = {name: values[rows] for name, values in arrays.items()}
+        plain = {name: value.item() if np.ndim(value) == 0 else value for name, value in one.items()}
+        return Viewpoint(**plain, aligned=self.aligned)
+
+    def __iter__(self) -> Iterator[Viewpoint]:
+        return (self[row] for row in range(len(self)))
+
+    def to_frame(self) -> pd.DataFrame:
+        """A row a picture: azimuth, elevation, confidence, choice; azimuth_m, elevation_m, probability_m of all m."""
+        import pandas as pd
+
+        columns: dict[str, Any] = {
+            name: getattr(self, name) for name in ("azimuth", "elevation", "confidence", "choice")
+        }
+        angles = geometry.azimuth_elevation(torch.from_numpy(self.hypotheses))
+        for m in range(self.hypotheses.shape[1]):
+            columns |= {f"azimuth_{m}": angles[0][:, m].numpy(), f"elevation_{m}": angles[1][:, m].numpy()}
+            columns[f"probability_{m}"] = self.probabilities[:, m]
+        return pd.DataFrame(columns)
+
+    def __repr__(self) -> str:
+        where = "the annotated frame" if self.aligned else "the network's own frame: not aligned"
+        lines = [f"{len(self)} viewpoint{'s' * (len(self) != 1)} in {where}", "  azimuth  elevation  confidence"]
+        for row in self[:LINES]:
+            lines.append(f"  {row.azimuth:6.1f}°    {row.elevation:6.1f}°       {100 * row.confidence:4.0f} %")
+        return "\n".join([*lines, f"  and {len(self) - LINES} more"] if len(self) > LINES else lines)
