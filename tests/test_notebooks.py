@@ -18,6 +18,8 @@ PATHS = sorted(FOLDER.glob("*.ipynb"))
 IGNORED = "nbval-ignore-output"
 MEASURED = {"run", "table", "measured", "gain", "difference", "constant"}
 """Cells whose outputs depend on what was trained: the only ones that are not compared."""
+WRITTEN = {("your_method", "method")}
+"""Cells in which a reader writes code: the only ones with a class of their own."""
 
 
 def read(path: Path) -> nbformat.NotebookNode:
@@ -83,7 +85,11 @@ class TestForm:
         assert len(code) <= 12
         for cell in code:
             for node in ast.walk(ast.parse(cell.source)):
-                assert not isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.For, ast.While, ast.Try))
+                assert not isinstance(node, (ast.For, ast.While, ast.Try))
+                if (path.stem, cell.id) not in WRITTEN:
+                    assert not isinstance(node, (ast.FunctionDef, ast.ClassDef))
+                else:
+                    assert len(cell.source.splitlines()) <= 16
         assert any("assert " in cell.source for cell in code)
 
     def test_nothing_of_a_machine_is_in_it(self, path):

@@ -93,6 +93,16 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--splits", metavar="FOLDER", help="lists <synset>_train.txt, _val.txt and _test.txt for it")
     _add_cluster(train)
     train.set_defaults(run=_train)
+    data = commands.add_parser(
+        "data",
+        help="what data the project reads, where it is had, and what a copy of it holds",
+        description="Say which data sets and weights are read, how a copy is named, its terms and where it is had; "
+        "with `check`, what a folder holds. Nothing is downloaded.",
+    )
+    data.add_argument("what", nargs="?", choices=["check"], help="check: read a folder instead")
+    data.add_argument("folder", nargs="?", type=Path, metavar="FOLDER", help="the folder to check")
+    data.add_argument("--json", action="store_true", help="as JSON")
+    data.set_defaults(run=_data)
     audit = commands.add_parser(
         "audit",
         help="hold the printed numbers of constants against a list of viewpoints",
@@ -242,6 +252,17 @@ def _bench(options: argparse.Namespace) -> None:
     found = bench.measure(settings)
     print(bench_report.as_text(found))
     print(*bench_report.write(found, options.output or paths.tables() / "benchmarks"), sep="\n")
+
+
+def _data(options: argparse.Namespace) -> None:
+    from viewnet import data_sets
+
+    if options.what and options.folder is None:
+        raise ViewnetError("data check: name the folder to check")
+    found = data_sets.check(options.folder) if options.what else None
+    print(json.dumps(data_sets.as_dict(found), indent=2) if options.json else data_sets.as_text(found))
+    if found is not None and found.problems and not any(found.counts.values()):
+        raise ViewnetError(f"{found.folder}: nothing in it can be used")
 
 
 def _audit(options: argparse.Namespace) -> None:

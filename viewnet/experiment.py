@@ -29,7 +29,7 @@ from viewnet.errors import ViewnetError
 from viewnet.layouts import LAYOUTS
 from viewnet.predictions import Predictions
 from viewnet.runs import UNTRAINED, Run, ensure, transferred, untrained
-from viewnet.tables import Table
+from viewnet.tables import Entry, Table, own_predictions
 
 DEFAULT_PROFILE = "tiny"
 
@@ -42,6 +42,7 @@ class Design:
     categories: tuple[str, ...] = SHAPENET_CATEGORIES
     profile: str = DEFAULT_PROFILE
     photographs: bool = False  # scored on photographs: see viewnet.photo_experiment
+    tables: tuple[str, ...] = ()  # makes several tables, to which methods are added: see viewnet.method_experiment
     videos: str = ""  # and trained on videos of this data set: see viewnet.video_experiment and objectron_experiment
 
 
@@ -57,6 +58,10 @@ DESIGNS = {
     "learned_volumes": Design(("viewnet",)),
     "failures": Design(("viewnet",)),
     "reconstructions": Design(("viewnet", "viewnet_cycle"), photographs=True),
+    # It shows how, in a minute.
+    "your_method": Design(
+        profile="smoke", photographs=True, tables=("table1_shapenet", "table3_pascal3d", "table5_dva")
+    ),
     # Nothing is trained for it, so the default is the paper's size.
     "architecture": Design(categories=(), profile="paper"),
     "audit_metrics": Design(categories=(), profile="paper"),
@@ -120,11 +125,13 @@ class Experiment:
         """Every run of the experiment, whatever is missing trained first (viewnet.runs.ensure)."""
         return ensure(self.configs, self.workers, progress)
 
-    def table(self, runs: Sequence[Run]) -> Table:
-        """The table of these runs; with `eval_root`, scored on all its models and not on the own test split."""
-        if self.eval_root is None:
-            return Table.build(self.name, runs, self.categories, note=self.note)
-        return Table.build(self.name, runs, self.categories, self._elsewhere, self.note)
+    def table(self, runs: Sequence[Run], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
+        """The table of these runs; with `eval_root`, scored on all its models and not on the own test split.
+
+        Rows of `added`, entries of other methods, stand below (viewnet.method); `remarks` are told under it.
+        """
+        predictions = own_predictions if self.eval_root is None else self._elsewhere
+        return Table.build(self.name, runs, self.categories, predictions, self.note, remarks, added)
 
     def _elsewhere(self, run: Run) -> Predictions:
         from viewnet.data.prepare import view_store
@@ -172,8 +179,9 @@ def experiment(
     workers     trainings side by side; 0: what the machine has room for
 
     Notebooks that score on photographs take some of these and others: see viewnet.photo_experiment.photo_experiment,
-    and for those that train on videos viewnet.video_experiment.video_experiment and
-    viewnet.objectron_experiment.objectron_experiment.
+    for those that train on videos viewnet.video_experiment.video_experiment and
+    viewnet.objectron_experiment.objectron_experiment, and for methods of a reader's own
+    viewnet.method_experiment.method_experiment.
 
     What is not the plain default goes into a subfolder of `output` that says so ("smoke", "tiny-car"), so that no
     table replaces one of another kind. Raises ViewnetError naming the parameter and its valid values.
@@ -185,6 +193,8 @@ def experiment(
         others: dict[str, Any] = {"variant": variant, "eval_root": eval_root, "viewpoints": viewpoints}
         if design.videos:
             others |= {"splits": splits, "categories": "" if given.pop("categories") == "all" else categories}
+        elif design.tables:
+            others |= {"splits": splits, "recipe": "" if given.pop("recipe") == "default" else recipe}
         else:
             given["splits"] = splits
         if unwanted := [other for other, value in others.items() if value]:
@@ -234,6 +244,10 @@ def _on_photographs(design: Design) -> Callable[..., Experiment]:
         from viewnet.video_experiment import video_experiment
 
         return video_experiment
+    if design.tables:
+        from viewnet.method_experiment import method_experiment
+
+        return method_experiment
     from viewnet.photo_experiment import photo_experiment
 
     return photo_experiment

@@ -46,8 +46,8 @@ def side_by_side(table: Table) -> str:
         )
         out.write(_line([escape(row), *(part for pair in pairs for part in pair)]))
     out.write("\\bottomrule\n")
-    if table.note:
-        out.write(f"\\multicolumn{{{width + 1}}}{{l}}{{\\footnotesize ours: {escape(table.note)}}} \\\\\n")
+    for line in _told(table):
+        out.write(f"\\multicolumn{{{width + 1}}}{{l}}{{\\footnotesize {line}}} \\\\\n")
     out.write("\\end{tabular}\n")
     return out.getvalue()
 
@@ -87,8 +87,7 @@ def blocks(table: Table) -> str:
             if variant is not None:
                 out.write(_line([name, *(f"\\textit{{{ours}}}" for _, ours in pairs)]))
     out.write("\\bottomrule\n\\end{tabular}\n")
-    told = [f"ours: {table.note}" if table.note else "", *table.remarks]
-    if lines := [escape(line) for line in told if line]:
+    if lines := _told(table):
         box = "\\\\\n".join(lines)
         out.write(f"\n\\smallskip\\noindent\\parbox{{\\linewidth}}{{\\footnotesize\\raggedright {box}}}\n")
     if wide:
@@ -118,6 +117,11 @@ def measured(cells: pd.DataFrame, headings: Mapping[str, str], digits: Mapping[s
     return out.getvalue()
 
 
+def _told(table: Table) -> list[str]:
+    """What stands below a table, line by line."""
+    return [escape(line) for line in (f"ours: {table.note}" if table.note else "", *table.remarks) if line]
+
+
 def escape(plain: str) -> str:
     """Plain text for LaTeX."""
     return plain.translate(_specials())
@@ -125,7 +129,10 @@ def escape(plain: str) -> str:
 
 @functools.cache
 def _specials() -> dict[int, str]:
-    return str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"~": r"\textasciitilde{}", "\\": r"\textbackslash{}"})
+    return str.maketrans(
+        {c: f"\\{c}" for c in "&%$#_{}"}
+        | {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}"}
+    )
 
 
 def _pair(table: Table, row: str, category: str, metric: str, best: Cells) -> tuple[str, str]:

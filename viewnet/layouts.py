@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 
 from viewnet.config import SHAPENET_CATEGORIES
+from viewnet.errors import ViewnetError
 
 HEADLINE = ("acc30", "median")
 """The two measures of the paper's tables."""
+ADDED = "method"
+"""The variant of rows that a reader's own methods fill (viewnet.method)."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,15 @@ class Layout:
     def labels(self, variant: str) -> list[str]:
         """The rows that a variant fills."""
         return [label for label, mine in self.rows if mine == variant]
+
+    def extended(self, labels: Iterable[str]) -> Layout:
+        """The same with a row below for each of `labels`. ViewnetError for one that is a row, or is in print."""
+        rows = dict(self.rows)
+        for label in labels:
+            if label in rows or label in self.printed_as.values():
+                raise ViewnetError(f"row {label!r}: there is one of that name already: choose another label")
+            rows[label] = ADDED
+        return replace(self, rows=tuple(rows.items()))
 
 
 def alignment_of(label: str) -> str | None:

@@ -99,12 +99,12 @@ class PhotoExperiment(Experiment):
 
         return {c: views(self.photo_config(c), self.workers, progress) for c in self.categories}
 
-    def table(self, runs: Sequence[Run]) -> Table:
-        """The table of these runs and of the untrained predictors."""
+    def table(self, runs: Sequence[Run], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
+        """The table of these runs and of the untrained predictors; `added` and `remarks` as in Experiment."""
         stores = self.stores()
         found = self.entries(runs, stores)
-        remarks = self.remarks(stores)
-        return Table.of(self.name, found, self.categories, self.note, remarks, self.called, self.unasked)
+        told = [*self.remarks(stores), *remarks]
+        return Table.of(self.name, found, self.categories, self.note, told, self.called, self.unasked, added)
 
     @property
     def unasked(self) -> tuple[str, ...]:

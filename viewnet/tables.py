@@ -93,6 +93,7 @@ class Table:
     provenance: dict[str, Any]
     remarks: tuple[str, ...] = ()  # more lines to stand under it
     labels: dict[str, str] = field(default_factory=dict)  # label -> the layout's, where a row is called otherwise
+    added: tuple[str, ...] = ()  # rows of other methods, below the layout's
 
     @classmethod
     def build(
@@ -102,9 +103,11 @@ class Table:
         categories: Sequence[str] | None = None,
         predictions: Callable[[Run], Predictions] = own_predictions,
         note: str = "",
+        remarks: Sequence[str] = (),
+        added: Sequence[Entry] = (),
     ) -> Table:
         """From finished runs. Raises ViewnetError as `entries` and `of` do."""
-        return cls.of(name, entries(name, runs, predictions), categories, note)
+        return cls.of(name, entries(name, runs, predictions), categories, note, remarks, added=added)
 
     @classmethod
     def of(
@@ -116,14 +119,19 @@ class Table:
         remarks: Sequence[str] = (),
         called: dict[str, str] | None = None,
         unasked: Collection[str] = (),
+        added: Sequence[Entry] = (),
     ) -> Table:
         """From entries. Several of one row and category are seeds and are averaged; `called` renames rows.
 
-        Rows in `unasked` have numbers in print only.
-        Raises ViewnetError for entries that have no place in the table and for two of the same row, category and seed.
+        Rows in `unasked` have numbers in print only. Entries in `added` are of other methods (viewnet.method): their
+        rows stand below the layout's and have no numbers in print.
+        Raises ViewnetError for entries that have no place in the table, for two of the same row, category and seed, and
+        for an added row that is called like another.
         """
-        layout = LAYOUTS[known(name, LAYOUTS, "table")]
-        categories, called = tuple(categories or layout.categories), called or {}
+        others, called = tuple(dict.fromkeys(entry.row for entry in added)), called or {}
+        layout = LAYOUTS[known(name, LAYOUTS, "table")].extended(others)
+        layout.extended(called.values())
+        categories, found = tuple(categories or layout.categories), [*found, *added]
         for entry in found:
             known(entry.row, (label for label, variant in layout.rows if variant), f"row of {name}")
             known(entry.category, categories, f"column of {name}")
@@ -157,12 +165,13 @@ class Table:
             {e.key: e.origin for e in found},
             tuple(remarks),
             {new: old for old, new in called.items()},
+            others,
         )
 
     @property
     def layout(self) -> Layout:
         """What the table was asked to show."""
-        return LAYOUTS[self.name]
+        return LAYOUTS[self.name].extended(self.added)
 
     @property
     def rows(self) -> tuple[str, ...]:

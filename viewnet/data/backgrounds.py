@@ -33,7 +33,7 @@ VERSION = 1
 LARGEST = 1024
 """Pixels along a side."""
 
-_CLASSES = "ClassName.txt"
+CLASSES = "ClassName.txt"
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +101,12 @@ def list_pictures(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, st
         )
     found: dict[str, int] = {}
     missing: list[tuple[str, str]] = []
-    if (root / _CLASSES).is_file():
-        lines = (root / _CLASSES).read_text(encoding="utf-8").splitlines()
+    if (root / CLASSES).is_file():
+        lines = (root / CLASSES).read_text(encoding="utf-8").splitlines()
         for number, name in enumerate(line.strip() for line in lines if line.strip()):
             inside = Path(name.lstrip("/"))
             if ".." in inside.parts:
-                raise ViewnetError(f"{root / _CLASSES}: line {name!r}: expected a folder such as /a/abbey")
+                raise ViewnetError(f"{root / CLASSES}: line {name!r}: expected a folder such as /a/abbey")
             if not (root / inside).is_dir():
                 missing.append((name, "no such class folder"))
                 continue
@@ -117,7 +117,7 @@ def list_pictures(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, st
     else:
         found = {path.relative_to(root).as_posix(): 0 for path in _walk(root, {root.resolve()})}
     if not found:
-        told = f", and {len(missing)} of the folders in {_CLASSES} are missing" if missing else ""
+        told = f", and {len(missing)} of the folders in {CLASSES} are missing" if missing else ""
         raise ViewnetError(f"{root}: no pictures in it ({', '.join(SUFFIXES)}){told}: name a folder that has some")
     return sorted(found.items()), missing
 

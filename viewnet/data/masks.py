@@ -163,7 +163,7 @@ def predicted(network: str, category: str, weights: Path | None = None) -> Predi
     path = weights or backbones.weights_file(full)
     if not path.is_file():
         raise ViewnetError(
-            f"no {network} weights at {path}: download {_url(full)} to that place, name another file by "
+            f"no {network} weights at {path}: download {weights_url(full)} to that place, name another file by "
             f"{backbones.variable(full)}, or use masks from files or from the pictures' alpha"
         )
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -234,10 +234,13 @@ def _fill(network: nn.Module, path: Path, full: str) -> None:
             raise ValueError(f"{missing[0]} is missing")
     except Exception as error:  # torch raises whatever a damaged file makes it stumble over
         problem = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ViewnetError(f"{path} does not hold {full} weights ({problem}): download {_url(full)} anew") from error
+        raise ViewnetError(
+            f"{path} does not hold {full} weights ({problem}): download {weights_url(full)} anew"
+        ) from error
 
 
-def _url(full: str) -> str:
+def weights_url(full: str) -> str:
+    """Where the weights of a torchvision network are had."""
     from torchvision import models
 
     return str(next(iter(models.get_model_weights(full))).url)
