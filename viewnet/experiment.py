@@ -32,6 +32,7 @@ from viewnet.runs import UNTRAINED, Run, ensure, transferred, untrained
 from viewnet.tables import Table
 
 DEFAULT_PROFILE = "tiny"
+MOST_SEEDS = 1000
 
 
 @dataclass(frozen=True)
@@ -312,7 +313,7 @@ def _seeds(value: Any) -> tuple[int, ...]:
         except ValueError:
             raise problem from None
         value = numbers if "," in value else numbers[0]
-    if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
+    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SEEDS:
         return tuple(range(value))
     if (
         isinstance(value, (list, tuple))

@@ -22,6 +22,7 @@ from torch import nn
 from viewnet import backbones
 from viewnet.config import CATEGORIES, known
 from viewnet.data.clips import Clip
+from viewnet.data.pictures import opened
 from viewnet.errors import ViewnetError
 
 VERSION = 1
@@ -91,10 +92,7 @@ class FromFiles:
             file = next((path for path in files if path.is_file()), None)
             if file is None:
                 raise ViewnetError("mask is missing")
-            alpha = _read(file)
-            if alpha.shape != (picture.height, picture.width):
-                raise ViewnetError(f"mask has another size than its picture ({alpha.shape[1]} x {alpha.shape[0]})")
-            return alpha
+            return _read(file, picture.width, picture.height)
 
         return read
 
@@ -231,6 +229,10 @@ def _fill(network: nn.Module, path: Path, full: str) -> None:
         missing = network.load_state_dict(dict(state), strict=False, assign=True).missing_keys
         if missing:
             raise ValueError(f"{missing[0]} is missing")
+        for name, weight in network.state_dict().items():
+            kind = torch.int64 if name.endswith("num_batches_tracked") else torch.float32
+            if (weight.dtype, weight.layout, weight.device.type) != (kind, torch.strided, "cpu"):
+                raise ValueError(f"{name} is {weight.dtype} and not plain {kind}")
     except Exception as error:  # torch raises whatever a damaged file makes it stumble over
         problem = (str(error).splitlines() or [type(error).__name__])[0]
         raise ViewnetError(f"{path} does not hold {full} weights ({problem}): download {_url(full)} anew") from error
@@ -247,18 +249,17 @@ def _tensor(picture: Image.Image) -> torch.Tensor:
     return torch.from_numpy(np.array(picture)).permute(2, 0, 1).float() / 255
 
 
-def _read(file: Path) -> np.ndarray:
-    """Alpha (H, W) uint8 of a mask's file."""
-    try:
-        with Image.open(file) as opened:
-            opened.load()
-            if opened.mode == "P":
-                return (np.array(opened) > 0).astype(np.uint8) * 255
-            if opened.mode.startswith("I"):
-                values = np.array(opened).astype(np.int64)
-                values = values if values.max(initial=0) <= 1 else values // 257
-            else:
-                values = np.array(opened.convert("L")).astype(np.int64)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ViewnetError(f"mask does not decode ({type(error).__name__})") from None
+def _read(file: Path, width: int, height: int) -> np.ndarray:
+    """Alpha (H, W) uint8 of a mask's file, which must be of that size."""
+    with opened(file, "mask") as picture:
+        if picture.size != (width, height):
+            raise ViewnetError(f"mask has another size than its picture ({picture.width} x {picture.height})")
+        picture.load()
+        if picture.mode == "P":
+            return (np.array(picture) > 0).astype(np.uint8) * 255
+        if picture.mode.startswith("I"):
+            values = np.array(picture).astype(np.int64)
+            values = values if values.max(initial=0) <= 1 else values // 257
+        else:
+            values = np.array(picture.convert("L")).astype(np.int64)
     return (values * 255 if values.max(initial=0) <= 1 else values).clip(0, 255).astype(np.uint8)

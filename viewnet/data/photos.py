@@ -22,8 +22,10 @@ from PIL import Image, ImageOps
 
 from viewnet.config import CATEGORIES, known
 from viewnet.data.pascal3d import Box, tally
+from viewnet.data.pictures import opened
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
+from viewnet.files import read_csv
 from viewnet.processes import processors
 from viewnet.progress import bar
 
@@ -35,6 +37,8 @@ SPLITS = ("val", "test")
 """Photographs on which viewpoints are calibrated, and which are scored."""
 LARGEST = 1024
 """Pixels along a side of a crop."""
+MOST_PIXELS = 2**28
+"""Of what is cut before it is made small: 1 GB. A picture of some kB can be very long, and the square about it huge."""
 
 _CORNERS = ("x0", "y0", "x1", "y1")
 
@@ -117,6 +121,8 @@ def cut(picture: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | No
     # Whole pixels around it, the picture's own or the colour's; the exact edges are cut when it is resized.
     left, upper = int(np.floor(seen[0])), int(np.floor(seen[1]))
     right, lower = int(np.ceil(seen[2])), int(np.ceil(seen[3]))
+    if (right - left) * (lower - upper) > MOST_PIXELS:
+        raise ViewnetError(f"box is too large to be cut ({right - left} x {lower - upper} pixels with its margin)")
     part = (max(left, 0), max(upper, 0), min(right, width), min(lower, height))
     inside, place = _rgb(picture.crop(part)), (part[0] - left, part[1] - upper)
     exact = (seen[0] - left, seen[1] - upper, seen[2] - left, seen[3] - upper)
@@ -136,8 +142,11 @@ def cut(picture: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | No
 def _rgb(picture: Image.Image) -> Image.Image:
     """In three channels; grey of 16 bits is brought to 8, which `convert` would cut off."""
     if picture.mode.startswith("I;16") or picture.mode == "I":
-        picture = Image.fromarray((np.asarray(picture).astype(np.int64) // 257).clip(0, 255).astype(np.uint8))
-    return picture.convert("RGB")
+        picture = Image.fromarray((np.asarray(picture) // 257).clip(0, 255).astype(np.uint8))
+    try:
+        return picture.convert("RGB")
+    except ValueError:
+        raise ViewnetError(f"picture is not of colours or grey levels (mode {picture.mode})") from None
 
 
 def photo_store(
@@ -238,12 +247,7 @@ def read_folder(root: Path, category: str) -> list[Listed]:
     """
     known(category, CATEGORIES, "category")
     path = Path(root) / LIST
-    try:
-        frame = pd.read_csv(path, dtype={"file": str, "split": str})
-    except FileNotFoundError as error:
-        raise ViewnetError(f"{path}: no such file") from error
-    except (OSError, ValueError) as error:
-        raise ViewnetError(f"{path}: not a readable CSV file ({error})") from error
+    frame = read_csv(path, dtype={"file": str, "split": str})
     boxed = any(name in frame.columns for name in _CORNERS)
     for name in ("file", "azimuth_deg", "elevation_deg", "split", *(_CORNERS if boxed else ())):
         if name not in frame.columns:
@@ -311,16 +315,14 @@ def _decoded(photograph: Photograph, crop: Crop, upright: bool) -> tuple[np.ndar
     """The crop, and a digest of the picture's bytes."""
     try:
         content = photograph.picture.read_bytes()
-        with Image.open(io.BytesIO(content)) as picture:
-            picture.load()
-            turned = ImageOps.exif_transpose(picture) if upright else picture
-            return cut(turned, photograph.box, crop), hashlib.sha256(content).digest()
-    except ViewnetError:
-        raise
     except FileNotFoundError:
         raise ViewnetError("no such picture") from None
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ViewnetError(f"picture does not decode ({type(error).__name__})") from None
+    except (OSError, ValueError) as error:
+        raise ViewnetError(f"picture cannot be read ({type(error).__name__})") from None
+    with opened(io.BytesIO(content)) as picture:
+        picture.load()
+        turned = ImageOps.exif_transpose(picture) if upright else picture.copy()
+    return cut(turned, photograph.box, crop), hashlib.sha256(content).digest()
 
 
 def _within(path: Path, root: Path) -> str:
