@@ -40,8 +40,8 @@ def _store(folder: Path) -> None:
 
 
 def _open(folder: Path) -> object:
-    store = check_store(ViewStore.open(folder))
-    return store, photos.summary(store), store.identity
+    store = ViewStore.open(folder)
+    return f"{photos.summary(store)}; {check_store(store)}; {store.identity}"
 
 
 def _predictions(folder: Path) -> None:

@@ -77,8 +77,8 @@ def fresh(make: Callable[[], Any]) -> Any:
         return make()
 
 
-def check_store(store: ViewStore) -> ViewStore:
-    """What everything that reads view stores relies on."""
+def check_store(store: ViewStore) -> str:
+    """What everything that reads view stores relies on. Returns what was left out, in words."""
     index = store.index
     assert len(store) == len(index) > 0 and store.images.dtype == np.uint8
     assert int(np.asarray(store.images[-1]).max()) <= 255
@@ -87,7 +87,7 @@ def check_store(store: ViewStore) -> ViewStore:
     assert index.loc[known, "elevation"].between(-90, 90).all()
     assert list(store.rejected.columns) == ["model_id", "path", "reason"]
     assert not any("\n" in reason or len(reason) > 2000 for reason in store.rejected["reason"])
-    return store
+    return "; ".join(store.rejected["reason"])
 
 
 # ---- CAD models
@@ -167,7 +167,7 @@ def _turned() -> Image.Exif:
 def _backgrounds(root: Path) -> object:
     found = fresh(lambda: backgrounds.load(str(root), 8, 10, progress=False))
     assert found.pictures.shape == (len(found), 3, 8, 8) and len(found) + len(found.rejected) >= len(PICTURES)
-    return found
+    return "; ".join(reason for _, reason in found.rejected)
 
 
 def _kept(root: Path) -> None:
@@ -201,8 +201,8 @@ def _photo_store(root: Path) -> object:
     config = PhotoConfig("car", str(root), size=8)
 
     def read() -> object:
-        store = check_store(photo_views(config, 1, progress=False))
-        return store, photos.summary(store)
+        store = photo_views(config, 1, progress=False)
+        return f"{photos.summary(store)}; {check_store(store)}"
 
     return fresh(read)
 
@@ -255,8 +255,8 @@ def _clips(category: str, masks: str = "files") -> Callable[[Path], object]:
         config = VideoConfig(category, str(root), masks=masks, **_SMALL)  # type: ignore[arg-type]
 
         def make() -> object:
-            store = check_store(video_views(config, 1, progress=False))
-            return store, clip_store.summary(store)
+            store = video_views(config, 1, progress=False)
+            return f"{clip_store.summary(store)}; {check_store(store)}"
 
         return fresh(make)
 
@@ -302,6 +302,12 @@ READERS = (
         {"annotations/*/*/0.pbdata": None, "index/*": None, "videos/*/*/0/*0.jpg": None, "masks/*/*/0/*0.png": None},
         ("{folder}",),
     ),
-    Reader("videos", _video_folder, _clips("car", "none"), {"*.mp4": None, "*.avi": None, "splits.csv": None}, ("{folder}",)),
+    Reader(
+        "videos",
+        _video_folder,
+        _clips("car", "none"),
+        {"*.mp4": None, "*.avi": None, "splits.csv": None},
+        ("{folder}",),
+    ),
     Reader("frames with alpha", _video_folder, _clips("car", "alpha"), {"c/*.png": None}, ("{folder}",)),
 )

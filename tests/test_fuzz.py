@@ -9,14 +9,19 @@ import shutil
 from pathlib import Path
 
 import pytest
-from hostile import CASES
-from hypothesis import HealthCheck, Phase, given, settings
+from damage import hostile_text
+from hostile import CANARY, CASES
+from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 from kept_readers import KEPT
 from readers import READERS, Reader, contents
 from survival import Broken, survives
 
+from viewnet.config import VARIANTS, make_config
 from viewnet.errors import ViewnetError
+from viewnet.experiment import experiment
+from viewnet.model import ViewNet
+from viewnet.predict import _least
 
 EVERY = {reader.name: reader for reader in (*READERS, *KEPT)}
 
@@ -69,8 +74,32 @@ def test_files_made_to_do_harm(written, tmp_path, case):
     folder = shutil.copytree(written(reader), tmp_path / "input")
     file = case.spoil(folder)
     outcome = survives(lambda: reader.read(folder), reader.places(folder, file))
-    told = str(outcome.error) if outcome.error else case.told(outcome.result)
-    assert case.says in told
+    assert case.says in (str(outcome.error) if outcome.error else str(outcome.result))
+    assert not (tmp_path / CANARY).exists()
+
+
+TEXTS = ("profile", "categories", "seeds", "recipe", "variant", "data_root", "splits", "viewpoints", "output")
+
+
+@given(
+    st.dictionaries(st.sampled_from(TEXTS), st.one_of(hostile_text, st.sampled_from(["9" * 12, "0," * 3])), min_size=1)
+)
+@example({"seeds": "9" * 12})
+@example({"data_root": "~nobody-of-this-name/x"})
+@example({"data_root": "a\0b"})
+@example({"output": "~nobody-of-this-name"})
+@example({"viewpoints": "a" * 5000})
+def test_parameters_of_notebooks(values):
+    names = [*values, *(name.removesuffix("s") for name in values), "categor"]
+    survives(lambda: experiment("table2_ablation", **values), names)
+
+
+@pytest.mark.parametrize("profile", ["smoke", "tiny", "small"])
+def test_no_network_is_taken_for_a_larger_one_than_its_checkpoint(profile):
+    for variant in VARIANTS:
+        config = make_config(variant, profile=profile).model
+        weights = sum(weight.numel() for weight in ViewNet(config).state_dict().values())
+        assert _least(config) <= weights < 100 * _least(config), variant
 
 
 def test_what_breaks_the_promise_is_seen(tmp_path):

@@ -72,7 +72,8 @@ def histogram() -> pd.DataFrame:
     path = folder() / "pascal3d_viewpoints.csv"
     frame = read_csv(path)
     bins = [str(azimuth) for azimuth in range(0, 360, 30)]
-    numbers = frame.reindex(columns=[*bins, "elevation_mean", "elevation_sd"]).apply(pd.to_numeric, errors="coerce")
+    named = frame.reindex(columns=[*bins, "elevation_mean", "elevation_sd"])
+    numbers = named.apply(pd.to_numeric, errors="coerce").astype(np.float64)
     complete = np.isfinite(numbers).all(axis=None) and (numbers.drop(columns="elevation_mean") >= 0).all(axis=None)
     if not complete or "category" not in frame.columns or not (numbers[bins].sum(axis=1) > 0).all():
         raise ViewnetError(f"{path}: expected category, counts {', '.join(bins)}, elevation_mean and elevation_sd")

@@ -7,6 +7,7 @@ had is a ViewnetError that begins with "mask", the reason why its frame is not u
 from __future__ import annotations
 
 import hashlib
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -224,6 +225,10 @@ def _deeplab(category: str, path: Path, device: torch.device) -> Segmenter:
 def _fill(network: nn.Module, path: Path, full: str) -> None:
     """Give a network the weights of a file; what it has no place for, such as layers for training, is not used."""
     try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                if any(part.compress_type != zipfile.ZIP_STORED for part in archive.infolist()):
+                    raise ValueError("it is compressed, and so may claim any size")
         state = torch.load(path, map_location="cpu", weights_only=True)
         # As plain values, without the file's versions, names of all versions are taken.
         missing = network.load_state_dict(dict(state), strict=False, assign=True).missing_keys

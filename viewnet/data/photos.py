@@ -143,10 +143,7 @@ def _rgb(picture: Image.Image) -> Image.Image:
     """In three channels; grey of 16 bits is brought to 8, which `convert` would cut off."""
     if picture.mode.startswith("I;16") or picture.mode == "I":
         picture = Image.fromarray((np.asarray(picture) // 257).clip(0, 255).astype(np.uint8))
-    try:
-        return picture.convert("RGB")
-    except ValueError:
-        raise ViewnetError(f"picture is not of colours or grey levels (mode {picture.mode})") from None
+    return picture.convert("RGB")
 
 
 def photo_store(
