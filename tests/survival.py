@@ -20,7 +20,7 @@ ROOM = 3 * 2**30
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a call ended: its result or the ViewnetError it raised, seconds, and bytes at the peak beside those before."""
+    """How a call ended: its result or the ViewnetError it raised, seconds, bytes at the peak beside those before."""
 
     result: object
     error: ViewnetError | None

@@ -99,7 +99,7 @@ def test_no_network_is_taken_for_a_larger_one_than_its_checkpoint(profile):
     for variant in VARIANTS:
         config = make_config(variant, profile=profile).model
         weights = sum(weight.numel() for weight in ViewNet(config).state_dict().values())
-        assert _least(config) <= weights < 100 * _least(config), variant
+        assert _least(config) <= weights < 200 * _least(config), variant
 
 
 def test_what_breaks_the_promise_is_seen(tmp_path):

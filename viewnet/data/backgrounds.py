@@ -234,7 +234,7 @@ def _read(folder: Path, identity: str, size: int) -> Backgrounds:
             rejected = [(path, reason) for path, reason in csv.reader(file)][1:]
     except (OSError, ValueError, csv.Error) as error:
         raise ViewnetError(f"{folder / 'rejected.csv'}: damaged ({error}): {again}") from None
-    if pictures.dtype != np.uint8 or pictures.shape != (len(pictures), 3, size, size) or not len(pictures):
+    if pictures.dtype != np.uint8 or pictures.shape[1:] != (3, size, size) or not pictures.size:
         raise ViewnetError(f"{folder}: damaged ({pictures.dtype} {pictures.shape} pictures): {again}")
     if classes.dtype != np.int64 or classes.shape != pictures.shape[:1]:
         raise ViewnetError(f"{folder}: damaged ({classes.dtype} {classes.shape} classes): {again}")
