@@ -20,7 +20,7 @@ ROOM = 3 * 2**30
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a call ended: its result or the ViewnetError it raised, seconds, bytes at the peak beside those before."""
+    """How a call ended: its result or the ViewnetError it raised, processor seconds, bytes at the peak."""
 
     result: object
     error: ViewnetError | None
@@ -42,7 +42,7 @@ def survives(call: Callable[[], object], names: Iterable[str]) -> Outcome:
     result, error = None, None
     before, soft = _status("VmRSS"), resource.getrlimit(resource.RLIMIT_AS)
     Path("/proc/self/clear_refs").write_text("5")
-    begun = time.perf_counter()
+    begun = time.process_time()
     resource.setrlimit(resource.RLIMIT_AS, (_status("VmSize") + ROOM, soft[1]))
     try:
         with warnings.catch_warnings():
@@ -54,7 +54,7 @@ def survives(call: Callable[[], object], names: Iterable[str]) -> Outcome:
         raise Broken(f"{type(raised).__name__}: {(str(raised).splitlines() or [''])[0][:300]}") from raised
     finally:
         resource.setrlimit(resource.RLIMIT_AS, soft)
-    seconds, peak = time.perf_counter() - begun, _status("VmHWM") - before
+    seconds, peak = time.process_time() - begun, _status("VmHWM") - before
     if error is not None:
         _check(str(error), names)
     if peak > PEAK:
