@@ -4,8 +4,8 @@
 
 Strategies and readers are those of the tests (tests/readers.py, tests/kept_readers.py), which draw a few cases each and
 the same every time; here are as many as asked for. Writes a row a reader: cases, results, named errors, failures, the
-slowest case in processor seconds, and the most memory in MiB beside what was there before. Failures are printed, the first file
-of each is kept in the folder that VIEWNET_FUZZ_KEEP names, and the exit status is 1.
+slowest case in processor seconds, and the most memory in MiB beside what was there before. Failures are printed, the
+first file of each is kept in the folder that VIEWNET_FUZZ_KEEP names, and the exit status is 1.
 """
 
 from __future__ import annotations
