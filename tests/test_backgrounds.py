@@ -142,7 +142,7 @@ def test_made_once_and_kept(tmp_path, monkeypatch):
     monkeypatch.setattr(backgrounds, "_cut", None)
     assert (load(str(tmp_path / "p"), 4).pictures == first.pictures).all()
     (tmp_path / "data/backgrounds" / first.identity / "classes.npy").write_bytes(b"")
-    with pytest.raises(ViewnetError, match=f"{first.identity}: damaged .*: remove the folder"):
+    with pytest.raises(ViewnetError, match=f"{first.identity}/classes.npy: not a whole array .*: remove the folder"):
         load(str(tmp_path / "p"), 4)
 
 

@@ -157,7 +157,7 @@ def test_problems_are_told_in_one_line_before_a_kernel_starts(arguments, message
 def test_unknown_notebooks_are_told(capsys):
     assert cli.main(["notebook", "table9"]) == 2
     assert (
-        "unknown notebook 'table9': choose one of alignment_study, architecture, audit_metrics, failures, figure3_azimuth"
+        "unknown notebook 'table9': choose one of alignment_study, architecture, audit_metrics, failures, figure3"
         in capsys.readouterr().err
     )
 

@@ -121,7 +121,7 @@ DAMAGE = {
     **{f"no {name}": (lambda folder, name=name: (folder / name).unlink(), f"{name}: missing") for name in FILES},
     "cut array": (truncate("views.npy"), "not a whole array"),
     "cut index": (truncate("index.parquet"), "cannot be read"),
-    "cut meta": (truncate("meta.json"), "not a view store's description"),
+    "cut meta": (truncate("meta.json"), "meta.json: not JSON"),
     "no array": (lambda folder: (folder / "views.npy").write_bytes(b"text"), "not a whole array"),
     "floats": (damage_array(lambda x: x.astype(np.float32)), r"float32 \(6, 8, 8, 4\): expected uint8"),
     "three channels": (damage_array(lambda x: x[..., :3]), r"expected uint8 \(N, H, W, 4\)"),

@@ -221,7 +221,7 @@ def _setting(text: str) -> tuple[str, Any]:
         raise ViewnetError(f"-s {text}: expected NAME=VALUE, such as epochs=3")
     try:
         return name, json.loads(value)
-    except ValueError:
+    except (ValueError, RecursionError):
         return name, value
 
 

@@ -51,7 +51,8 @@ class Drawer(Painter):
         """
         network, config = load_model(folder)
         kept, result = folder / "predictions.parquet", folder / "result.json"
-        own = kept.is_file() and result.is_file() and read_json(result).get("views") == store.identity
+        told = read_json(result) if result.is_file() else None
+        own = kept.is_file() and isinstance(told, dict) and told.get("views") == store.identity
         said = Predictions.from_parquet(kept) if own else predict(folder, store)
         return cls(network, config, store, align(said))
 

@@ -32,6 +32,7 @@ from viewnet.runs import UNTRAINED, Run, ensure, transferred, untrained
 from viewnet.tables import Entry, Table, own_predictions
 
 DEFAULT_PROFILE = "tiny"
+MOST_SEEDS = 1000
 
 
 @dataclass(frozen=True)
@@ -221,7 +222,7 @@ def experiment(
         data_root=folder_named(data_root, "data_root"),
         splits=folder_named(splits, "splits"),
         eval_root=folder_named(eval_root, "eval_root"),
-        viewpoints=Path(viewpoints).expanduser() if viewpoints else None,
+        viewpoints=_place(viewpoints, "viewpoints") if viewpoints else None,
         label=label_of(common.fields["profile"], parts),
     )
 
@@ -292,7 +293,7 @@ def shared(
             "recipe": recipe,
             "categories": chosen,
             "seeds": _seeds(seeds),
-            "output": Path(output).expanduser() if output else paths.tables(),
+            "output": _place(output, "output") if output else paths.tables(),
             "workers": workers or None,
         },
         ([profile] if profile != design.profile else []) + ([recipe] if recipe != recipes[profile] else []),
@@ -326,7 +327,7 @@ def _seeds(value: Any) -> tuple[int, ...]:
         except ValueError:
             raise problem from None
         value = numbers if "," in value else numbers[0]
-    if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
+    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SEEDS:
         return tuple(range(value))
     if (
         isinstance(value, (list, tuple))
@@ -344,7 +345,17 @@ def folder_named(value: str, what: str) -> str | None:
         raise ViewnetError(f"{what} {value!r}: expected a folder")
     if not value:
         return None
-    folder = Path(value).expanduser().resolve()
+    folder = _place(value, what).resolve()
     if not folder.is_dir():
         raise ViewnetError(f"{what} {value}: no such folder")
     return str(folder)
+
+
+def _place(value: str, what: str) -> Path:
+    """A path, "~" in it replaced. ViewnetError for what is none."""
+    try:
+        place = Path(value).expanduser()
+        place.resolve().exists()
+    except (OSError, ValueError, RuntimeError, TypeError):  # too long, a zero in it, the home of nobody, no text
+        raise ViewnetError(f"{what} {value!r:.300}: not the name of a file or folder") from None
+    return place

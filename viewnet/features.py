@@ -18,7 +18,7 @@ from torch import Tensor
 from viewnet import backbones, paths, provenance
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
-from viewnet.files import replacing
+from viewnet.files import load_array, replacing
 
 AUTO = ("vgg16", "squeezenet1_1", "pixels")
 SIZE = 128
@@ -124,10 +124,7 @@ def _parts(count: int) -> list[NDArray[np.intp]]:
 
 
 def _read(path: Path, count: int) -> Features:
-    try:
-        found = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise ViewnetError(f"{path}: not a whole array ({error}): delete it and it is made again") from error
-    if found.ndim != 2 or len(found) != count:
-        raise ViewnetError(f"{path}: {found.shape} for {count} pictures: delete it and it is made again")
+    found = load_array(path, "delete it and it is made again")
+    if found.ndim != 2 or len(found) != count or found.dtype != np.float32 or not np.isfinite(found).all():
+        raise ViewnetError(f"{path}: {found.dtype} {found.shape} for {count} pictures: delete it and it is made again")
     return found

@@ -9,8 +9,9 @@ import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 from filelock import FileLock, Timeout
 
 from viewnet.errors import ViewnetError
@@ -57,8 +58,40 @@ def read_json(path: Path) -> Any:
         return json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ViewnetError(f"{path}: cannot be read ({error.strerror})") from error
+    except RecursionError:
+        raise ViewnetError(f"{path}: not JSON that can be read (too many brackets within each other)") from None
     except ValueError as error:
         raise ViewnetError(f"{path}: not JSON ({error})") from error
+
+
+def read_csv(path: Path, **options: Any) -> Any:
+    """A CSV file by pandas, as a DataFrame; ViewnetError where there is none or it cannot be read."""
+    # pandas is slow to import and this module is imported by every rendering process.
+    import pandas as pd
+
+    try:
+        return pd.read_csv(path, **options)
+    except FileNotFoundError:
+        raise ViewnetError(f"{path}: no such file") from None
+    except (OSError, ValueError, OverflowError) as error:
+        problem = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise ViewnetError(f"{path}: not a readable CSV file ({problem})") from None
+
+
+def load_array(path: Path, again: str, mmap_mode: Literal["r"] | None = None) -> np.ndarray:
+    """The array of a .npy file, of numbers only; ViewnetError, which ends in `again`, for anything else.
+
+    Nothing is unpickled, and no more room is asked for than the file has.
+    """
+    try:
+        # As a map first: the header may claim any size, and a map cannot be longer than its file.
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in "biufc":
+            raise ValueError("no array of numbers")
+        return array if mmap_mode else np.array(array)
+    except Exception as error:  # NumPy raises whatever a damaged header makes it stumble over
+        problem = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise ViewnetError(f"{path}: not a whole array ({problem}): {again}") from None
 
 
 @contextlib.contextmanager

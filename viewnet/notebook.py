@@ -30,10 +30,16 @@ def find(name: str) -> Path:
 
 
 def parameters(path: Path) -> dict[str, dict[str, str]]:
-    """The declared parameters of a notebook: name -> inferred_type_name, default and help, as text."""
+    """The declared parameters of a notebook: name -> inferred_type_name, default and help, as text.
+
+    Nothing in it is executed. Raises ViewnetError for a file that is no notebook.
+    """
     import papermill
 
-    return {name: dict(found) for name, found in papermill.inspect_notebook(str(path)).items()}
+    try:
+        return {name: dict(found) for name, found in papermill.inspect_notebook(str(path)).items()}
+    except Exception as error:  # papermill and nbformat raise whatever a damaged file makes them stumble over
+        raise ViewnetError(f"{path}: not a notebook that can be read ({type(error).__name__})") from None
 
 
 def checked(path: Path, values: Sequence[tuple[str, str]]) -> tuple[dict[str, Any], Experiment]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from viewnet import scene
-from viewnet.config import RunConfig
+from viewnet.config import ModelConfig, RunConfig
 from viewnet.data.pairs import viewed
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
@@ -22,6 +24,18 @@ from viewnet.predictions import Predictions
 from viewnet.step import reconstruct
 
 BATCH = 256
+LARGEST = 256
+"""Voxels along a side: the prior on them is in no file, however large the volume."""
+
+
+def _least(config: ModelConfig) -> int:
+    """How many weights the largest layer of a network has at least, counted before there is room made for it."""
+    encoder, generator = config.encoder_channels, config.generator_channels
+    layers = [*pairwise(encoder), *pairwise(generator), (12, config.balance_bands)]
+    layers += [(min(encoder), outputs) for outputs in (config.heads, config.appearance_size)]
+    if config.decoder == "adain":
+        layers.append((config.code_size, generator[0]))
+    return max(a * b for a, b in layers)
 
 
 def load_model(folder: Path) -> tuple[ViewNet, RunConfig]:
@@ -32,12 +46,15 @@ def load_model(folder: Path) -> tuple[ViewNet, RunConfig]:
     try:
         with safe_open(path, framework="pt") as file:
             config = RunConfig.from_dict(json.loads((file.metadata() or {})["config"]))
+            there = sum(math.prod(file.get_slice(name).get_shape()) for name in file.keys())  # noqa: SIM118
+        if _least(config.model) > there or config.model.volume_size > LARGEST:
+            raise ValueError("its configuration is of a larger network")
         model = ViewNet(config.model)
         model.load_state_dict(load_file(path), strict=True)
     except ViewnetError as error:
         raise ViewnetError(f"{path} is of another version ({error}): train the run again") from error
     except Exception as error:
-        problem = str(error).splitlines()[0]
+        problem = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise ViewnetError(f"{path} is not a whole checkpoint ({problem}): train the run again") from error
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     return model.to(device).eval(), config

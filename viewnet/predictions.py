@@ -121,7 +121,7 @@ class Predictions:
             frame = pd.read_parquet(path)
         except FileNotFoundError as error:
             raise ViewnetError(f"{path}: no such file") from error
-        except (OSError, ValueError) as error:  # pyarrow's errors are ValueErrors
+        except Exception as error:  # The parquet reader raises its own types on damaged files.
             raise ViewnetError(f"{path}: not a readable parquet file: delete it and make it again") from error
         heads = sum(name.startswith("logit_") for name in frame.columns)
         vectors = [f"h{m}_{axis}" for m in range(heads) for axis in "xyz"]
@@ -178,6 +178,9 @@ def _checked_ids(ids: pd.DataFrame) -> pd.DataFrame:
     for name in ("view", "azimuth", "elevation"):
         if not pd.api.types.is_numeric_dtype(ids[name]):
             raise ViewnetError(f"predictions: column {name!r} holds values that are not numbers")
+    views = ids["view"].to_numpy(dtype=np.float64)
+    if not (np.abs(views) < 2**53).all() or (views % 1).any():
+        raise ViewnetError("predictions: column 'view' holds values that are not whole numbers")
     kinds = {"model_id": str, "category": str, "split": str, "view": np.int64}
     ids = ids.astype({**kinds, "azimuth": np.float64, "elevation": np.float64})
     if not np.isfinite(ids[["azimuth", "elevation"]].to_numpy()).all():
@@ -191,7 +194,10 @@ def _checked_ids(ids: pd.DataFrame) -> pd.DataFrame:
 
 
 def _floats(values: ArrayLike, name: str) -> Floats:
-    array = np.array(values, dtype=np.float64)
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ViewnetError(f"predictions: {name} hold values that are not numbers") from None
     if not np.isfinite(array).all():
         rows = np.nonzero(~np.isfinite(array))[0]
         raise ViewnetError(f"predictions: {name} of row {rows[0]} are not finite ({len(set(rows.tolist()))} such rows)")

@@ -10,6 +10,7 @@ import pandas as pd
 from viewnet import paths
 from viewnet.config import known
 from viewnet.errors import ViewnetError
+from viewnet.files import read_csv
 
 TABLES = ("table1_shapenet", "table2_ablation", "table3_pascal3d", "table4_dva", "table5_freiburg", "objectron")
 DIGITS = {"acc30": 0, "median": 1, "dva": 0, "confidence_index": 2}
@@ -29,10 +30,7 @@ def load(table: str) -> pd.DataFrame:
     confidence_index), category, value (the text as printed; "" where the paper has a dash), bold, source.
     """
     path = folder() / f"{known(table, TABLES, 'table')}.csv"
-    try:
-        frame = pd.read_csv(path, dtype=str, keep_default_na=False)
-    except (OSError, ValueError) as error:
-        raise ViewnetError(f"{path}: cannot be read ({error})") from error
+    frame = read_csv(path, dtype=str, keep_default_na=False)
     if tuple(frame.columns) != COLUMNS:
         raise ViewnetError(f"{path}: columns are {', '.join(frame.columns)}, expected {', '.join(COLUMNS)}")
     return frame.assign(bold=frame["bold"] == "1")
@@ -41,7 +39,10 @@ def load(table: str) -> pd.DataFrame:
 def architecture(part: str) -> pd.DataFrame:
     """The supplement's table of the "encoder" or the "generator", a row a layer: layer, channels, kernel, stride."""
     known(part, ("encoder", "generator"), "part")
-    frame = pd.read_csv(folder() / "architecture.csv", dtype=str, keep_default_na=False)
+    path = folder() / "architecture.csv"
+    frame = read_csv(path, dtype=str, keep_default_na=False)
+    if missing := [name for name in ("part", "layer", "channels", "kernel", "stride") if name not in frame.columns]:
+        raise ViewnetError(f"{path}: column {missing[0]!r} is missing")
     return frame[frame["part"] == part].drop(columns="part").reset_index(drop=True)
 
 

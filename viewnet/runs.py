@@ -30,7 +30,7 @@ import pandas as pd
 from viewnet import baselines, evaluate, paths, provenance, start
 from viewnet.config import DataConfig, ModelConfig, RunConfig, TrainConfig, VideoConfig
 from viewnet.errors import ViewnetError
-from viewnet.files import locked, read_json, write_json
+from viewnet.files import locked, read_csv, read_json, write_json
 from viewnet.predictions import Predictions, joined
 
 log = logging.getLogger(__name__)
@@ -121,12 +121,14 @@ class Run:
     @property
     def result(self) -> dict[str, Any]:
         """The content of result.json."""
-        return read_json(self.folder / "result.json")
+        return _result(self.folder / "result.json")
 
     @property
     def scored(self) -> bool:
         """Whether its own views could be scored: there are predictions, and metrics in `result`."""
-        return self.result["metrics"] is not None
+        if "metrics" not in (found := self.result):
+            raise ViewnetError(f"{self.folder / 'result.json'}: no metrics: the run is not finished, train it again")
+        return found["metrics"] is not None
 
     @property
     def predictions(self) -> Predictions:
@@ -140,7 +142,7 @@ class Run:
         """A row a validation: epoch, step, seconds, losses, val_accuracy, val_reconstruction."""
         if not (self.folder / "log.csv").is_file():
             raise ViewnetError(f"{self.folder}: no log.csv: {name(self.config)} needs no training, or it was removed")
-        return pd.read_csv(self.folder / "log.csv")
+        return read_log(self.folder / "log.csv")
 
 
 def name(config: RunConfig) -> str:
@@ -247,12 +249,28 @@ class Job:
     views: Path
 
 
+def _result(path: Path) -> dict[str, Any]:
+    if not isinstance(found := read_json(path), dict):
+        raise ViewnetError(f"{path}: not a run's result: delete it, and what is missing of the run is made again")
+    return found
+
+
+def read_log(path: Path) -> pd.DataFrame:
+    """A training's log, all of its columns numbers; ViewnetError for anything else."""
+    found = read_csv(path)
+    if wrong := [name for name in found.columns if not pd.api.types.is_numeric_dtype(found[name])]:
+        raise ViewnetError(f"{path}: column {str(wrong[0])[:60]!r} holds values that are not numbers")
+    if missing := {"epoch", "step", "seconds"} - set(found.columns):
+        raise ViewnetError(f"{path}: column {min(missing)!r} is missing")
+    return found
+
+
 def is_complete(folder: Path) -> bool:
     """Whether a run is finished by the present code."""
     if not (folder / "result.json").is_file():
         return False
-    result = read_json(folder / "result.json")
-    if not (result.get("schema") == SCHEMA and "metrics" in result and result["code"] == _codes()):
+    result = _result(folder / "result.json")
+    if not (result.get("schema") == SCHEMA and "metrics" in result and result.get("code") == _codes()):
         return False
     return result["metrics"] is None or (folder / "predictions.parquet").is_file()
 
@@ -276,7 +294,7 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
         folder.mkdir(parents=True, exist_ok=True)
         write_json(folder / "config.json", config.to_dict())
         views = steps.open(job.views)
-        result = read_json(folder / "result.json") if (folder / "result.json").is_file() else {}
+        result = _result(folder / "result.json") if (folder / "result.json").is_file() else {}
         predictions: Predictions | None = None
         scored = can_be_scored(views.index)
         if config.variant in UNTRAINED:
@@ -324,7 +342,7 @@ def _train(
     if not (folder / "checkpoint.safetensors").is_file():
         raise ViewnetError(f"{folder}: training left no checkpoint")
     seconds = time.perf_counter() - begun
-    if (folder / "log.csv").is_file() and len(kept := pd.read_csv(folder / "log.csv")) and "seconds" in kept:
+    if (folder / "log.csv").is_file() and len(kept := read_log(folder / "log.csv")) and "seconds" in kept:
         seconds = max(seconds, float(kept["seconds"].iloc[-1]))  # what was spent before an interruption counts too
     return {
         "started": started.isoformat(timespec="seconds"),

@@ -9,6 +9,7 @@ import pandas as pd
 
 from viewnet.config import CATEGORIES
 from viewnet.errors import ViewnetError
+from viewnet.files import read_csv
 from viewnet.published import folder
 
 REQUIRED = ("category", "azimuth_deg", "elevation_deg")
@@ -24,12 +25,7 @@ def read(path: Path) -> tuple[pd.DataFrame, dict[str, int]]:
     many rows were left out for which reason. Raises ViewnetError for a file that cannot be read, a missing column, and
     a list in which nothing is usable.
     """
-    try:
-        frame = pd.read_csv(path, dtype={"category": str, "subset": str, "split": str})
-    except FileNotFoundError as error:
-        raise ViewnetError(f"{path}: no such file") from error
-    except (OSError, ValueError) as error:
-        raise ViewnetError(f"{path}: not a readable CSV file ({error})") from error
+    frame = read_csv(path, dtype={"category": str, "subset": str, "split": str})
     if missing := [name for name in REQUIRED if name not in frame.columns]:
         raise ViewnetError(
             f"{path}: column {missing[0]!r} is missing: expected {', '.join(REQUIRED)}, and if there are "
@@ -37,7 +33,7 @@ def read(path: Path) -> tuple[pd.DataFrame, dict[str, int]]:
         )
     for name, value in OPTIONAL.items():
         frame[name] = frame[name].fillna(value) if name in frame.columns else value
-    azimuth = pd.to_numeric(frame["azimuth_deg"], errors="coerce").to_numpy(dtype=np.float64)
+    azimuth = pd.to_numeric(frame["azimuth_deg"], errors="coerce").to_numpy(dtype=np.float64, copy=True)
     elevation = pd.to_numeric(frame["elevation_deg"], errors="coerce").to_numpy(dtype=np.float64)
     reasons = {
         "of another category": ~frame["category"].isin(CATEGORIES).to_numpy(),
@@ -53,10 +49,11 @@ def read(path: Path) -> tuple[pd.DataFrame, dict[str, int]]:
     if left.all():
         told = ", ".join(f"{count} {reason}" for reason, count in counts.items() if count)
         raise ViewnetError(f"{path}: no usable viewpoint ({told or 'the list is empty'})")
+    azimuth[left] = 0.0  # of rows that are not kept: infinity has no remainder
     kept = pd.DataFrame(
         {
             "category": frame["category"],
-            "azimuth": azimuth % 360,
+            "azimuth": azimuth % 360 % 360,  # a tiny negative angle is 360 after rounding
             "elevation": elevation,
             "subset": frame["subset"],
             "split": frame["split"],
@@ -72,8 +69,17 @@ def histogram() -> pd.DataFrame:
     Columns "0", "30" ... "330" count azimuths in bins of 30 degrees from there; elevation_mean and elevation_sd are in
     degrees.
     """
-    frame = pd.read_csv(folder() / "pascal3d_viewpoints.csv").set_index("category")
-    return frame.loc[list(CATEGORIES)]
+    path = folder() / "pascal3d_viewpoints.csv"
+    frame = read_csv(path)
+    bins = [str(azimuth) for azimuth in range(0, 360, 30)]
+    named = frame.reindex(columns=[*bins, "elevation_mean", "elevation_sd"])
+    numbers = named.apply(pd.to_numeric, errors="coerce").astype(np.float64)
+    complete = np.isfinite(numbers).all(axis=None) and (numbers.drop(columns="elevation_mean") >= 0).all(axis=None)
+    if not complete or "category" not in frame.columns or not (numbers[bins].sum(axis=1) > 0).all():
+        raise ViewnetError(f"{path}: expected category, counts {', '.join(bins)}, elevation_mean and elevation_sd")
+    if missing := [name for name in CATEGORIES if (frame["category"] == name).sum() != 1]:
+        raise ViewnetError(f"{path}: {missing[0]} is missing or there twice")
+    return frame.set_index("category").loc[list(CATEGORIES)]
 
 
 def drawn(rng: np.random.Generator, count: int = 600) -> pd.DataFrame:

@@ -292,12 +292,12 @@ def _latest(job: runs.Job) -> str:
     try:
         with (job.folder / "log.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
-    except OSError:
+    except (OSError, ValueError, csv.Error):  # or one that is damaged: this is only for display
         rows = []
     if not rows or "epoch" not in rows[-1]:
         return title
     last = rows[-1]
-    words = f"{title} {last['epoch']}/{config.train.epochs}"
+    words = f"{title} {str(last['epoch'])[:9].strip()}/{config.train.epochs}"
     for column, word in (("loss", "loss"), ("val_accuracy", "acc")):
         try:
             words += f" {word} {float(last[column]):.3g}"

@@ -20,9 +20,10 @@ from PIL import Image
 
 from viewnet import paths
 from viewnet.data import scenes
+from viewnet.data.pictures import opened
 from viewnet.data.store import identity_of
 from viewnet.errors import ViewnetError
-from viewnet.files import locked
+from viewnet.files import load_array, locked
 from viewnet.progress import bar
 
 DRAWN = "drawn"
@@ -87,7 +88,7 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
                 pictures, classes, rejected = _cut_all(Path(source), classed, size, count, seed, progress)
                 rejected = missing + rejected
             _write(folder, pictures, classes, rejected)
-    return _read(folder, identity)
+    return _read(folder, identity, size)
 
 
 def list_pictures(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, str]]]:
@@ -102,11 +103,14 @@ def list_pictures(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, st
     found: dict[str, int] = {}
     missing: list[tuple[str, str]] = []
     if (root / CLASSES).is_file():
-        lines = (root / CLASSES).read_text(encoding="utf-8").splitlines()
+        try:
+            lines = (root / CLASSES).read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise ViewnetError(f"{root / CLASSES}: cannot be read ({error}): expected a folder a line") from None
         for number, name in enumerate(line.strip() for line in lines if line.strip()):
             inside = Path(name.lstrip("/"))
-            if ".." in inside.parts:
-                raise ViewnetError(f"{root / CLASSES}: line {name!r}: expected a folder such as /a/abbey")
+            if ".." in inside.parts or len(name) > 200 or not name.isprintable():
+                raise ViewnetError(f"{root / CLASSES}: line {name[:60]!r}: expected a folder such as /a/abbey")
             if not (root / inside).is_dir():
                 missing.append((name, "no such class folder"))
                 continue
@@ -167,8 +171,8 @@ def _cut_all(
                 break
             try:
                 pictures.append(_cut(root / path, size, _generator(seed, path)).transpose(2, 0, 1))
-            except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-                rejected.append((path, f"picture does not decode ({type(error).__name__})"))
+            except ViewnetError as error:
+                rejected.append((path, str(error)))
             else:
                 classes.append(number)
                 shown.update()
@@ -196,7 +200,7 @@ def _generator(seed: int, path: str) -> np.random.Generator:
 
 def _cut(path: Path, size: int, rng: np.random.Generator) -> np.ndarray:
     """A square of a picture, 0.7 to 1 of its shorter side wide, somewhere in it: (size, size, 3)."""
-    with Image.open(path) as picture:
+    with opened(path) as picture:
         # A JPEG is read at a fraction of its size where that is large enough: much sooner.
         picture.draft("RGB", (3 * size, 3 * size))
         whole = picture.convert("RGB")
@@ -222,13 +226,16 @@ def _write(folder: Path, pictures: np.ndarray, classes: np.ndarray, rejected: li
         raise
 
 
-def _read(folder: Path, identity: str) -> Backgrounds:
+def _read(folder: Path, identity: str, size: int) -> Backgrounds:
+    again = "remove the folder, and it is made again"
+    pictures, classes = (load_array(folder / f"{name}.npy", again) for name in ("pictures", "classes"))
     try:
-        pictures, classes = (np.load(folder / f"{name}.npy", allow_pickle=False) for name in ("pictures", "classes"))
         with (folder / "rejected.csv").open(newline="", encoding="utf-8") as file:
-            rejected = [(row["path"], row["reason"]) for row in csv.DictReader(file)]
-    except (OSError, ValueError, EOFError, KeyError) as error:
-        raise ViewnetError(f"{folder}: damaged ({error}): remove the folder, and it is made again") from None
-    if pictures.ndim != 4 or len(pictures) != len(classes):
-        raise ViewnetError(f"{folder}: damaged ({pictures.shape} pictures): remove the folder, and it is made again")
+            rejected = [(path, reason) for path, reason in csv.reader(file)][1:]
+    except (OSError, ValueError, csv.Error) as error:
+        raise ViewnetError(f"{folder / 'rejected.csv'}: damaged ({error}): {again}") from None
+    if pictures.dtype != np.uint8 or pictures.shape[1:] != (3, size, size) or not pictures.size:
+        raise ViewnetError(f"{folder}: damaged ({pictures.dtype} {pictures.shape} pictures): {again}")
+    if classes.dtype != np.int64 or classes.shape != pictures.shape[:1]:
+        raise ViewnetError(f"{folder}: damaged ({classes.dtype} {classes.shape} classes): {again}")
     return Backgrounds(pictures, classes, identity, rejected)

@@ -14,6 +14,8 @@ Box = tuple[float, float, float, float]
 """Left, upper, right and lower edge in pixels from the picture's left upper corner."""
 LARGEST = 1024
 """Pixels along a side of a crop."""
+MOST_PIXELS = 2**28
+"""Of what is cut before it is made small: 1 GB. A picture of some kB can be very long, and the square about it huge."""
 AROUND = 0.1
 """Of a mask only what lies in its object's box counts, and so much of the box's sides around it."""
 
@@ -47,7 +49,7 @@ def cut(picture: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | No
 
     With a `mask` (H, W) uint8 of the picture's size that is its alpha, and what lies beyond the picture's edges is
     transparent; colours stay straight, and black where alpha is 0. Raises ViewnetError for a box that has no part in
-    the picture.
+    the picture, and where more than MOST_PIXELS would be cut.
     """
     width, height = picture.size
     x0, y0, x1, y1 = box or (0.0, 0.0, float(width), float(height))
@@ -64,6 +66,8 @@ def cut(picture: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | No
     # Whole pixels around it, the picture's own or the colour's; the exact edges are cut when it is resized.
     left, upper = int(np.floor(seen[0])), int(np.floor(seen[1]))
     right, lower = int(np.ceil(seen[2])), int(np.ceil(seen[3]))
+    if (right - left) * (lower - upper) > MOST_PIXELS:
+        raise ViewnetError(f"box is too large to be cut ({right - left} x {lower - upper} pixels with its margin)")
     part = (max(left, 0), max(upper, 0), min(right, width), min(lower, height))
     inside, place = _rgb(picture.crop(part)), (part[0] - left, part[1] - upper)
     exact = (seen[0] - left, seen[1] - upper, seen[2] - left, seen[3] - upper)

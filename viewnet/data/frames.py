@@ -13,10 +13,15 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from viewnet.data.backgrounds import SUFFIXES
+from viewnet.data.pictures import MOST_PIXELS, opened
 from viewnet.errors import ViewnetError
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp")
 """How names of video files end."""
+CONTAINERS = (
+    "mov", "mp4", "m4a", "3gp", "3g2", "mj2", "matroska", "webm", "avi", "mpeg", "mpegts", "mpegvideo", "asf",
+)  # fmt: skip
+"""What a video file may hold, in FFmpeg's names; among its others are lists that have it open further files."""
 PICKS = ("random", "evenly")
 
 Pick = Literal["random", "evenly"]
@@ -88,11 +93,11 @@ def _of_folder(folder: Path, wanted: list[int]) -> Iterator[Still]:
             yield number, f"{number:06d}", ViewnetError("no such frame")
             continue
         try:
-            with Image.open(files[number]) as opened:
-                opened.load()
-                picture: Image.Image | ViewnetError = ImageOps.exif_transpose(opened)
-        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-            picture = ViewnetError(f"picture does not decode ({type(error).__name__})")
+            with opened(files[number]) as still:
+                still.load()
+                picture: Image.Image | ViewnetError = ImageOps.exif_transpose(still)
+        except ViewnetError as error:
+            picture = error
         yield number, files[number].stem, picture
 
 
@@ -102,16 +107,25 @@ def _of_video(file: Path, wanted: list[int]) -> Iterator[Still]:
         for number, frame in enumerate(_decoded(container)):
             if number in left:
                 left.remove(number)
-                yield number, f"{number:06d}", upright(frame.to_image(), frame.rotation)
+                yield number, f"{number:06d}", _picture(frame)
             if not left:
                 return
     for number in sorted(left):
         yield number, f"{number:06d}", ViewnetError("frame does not decode")
 
 
+def _picture(frame: av.VideoFrame) -> Image.Image | ViewnetError:
+    try:
+        return upright(frame.to_image(), frame.rotation)
+    except (av.FFmpegError, ValueError, MemoryError) as error:  # of a form or size that cannot be converted
+        return ViewnetError(f"frame does not decode ({type(error).__name__})")
+
+
 def _decoded(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
     """All frames that can be decoded: a damaged packet costs what depends on it, not the rest."""
-    packets = container.demux(container.streams.video[0])
+    stream = container.streams.video[0]
+    stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
+    packets = container.demux(stream)
     while True:
         try:
             packet = next(packets)
@@ -136,7 +150,7 @@ def upright(picture: Image.Image, rotation: float) -> Image.Image:
 
 def _opened(file: Path) -> av.container.InputContainer:
     try:
-        container = av.open(str(file))
+        container = av.open(str(file), options={"format_whitelist": ",".join(CONTAINERS), "protocol_whitelist": "file"})
     except (av.FFmpegError, OSError, ValueError) as error:
         raise ViewnetError(f"video cannot be read ({type(error).__name__})") from None
     if not container.streams.video:

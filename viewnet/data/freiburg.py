@@ -16,13 +16,12 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from PIL import Image
-
 from viewnet.config import known
 from viewnet.data.clips import Clip, Frame
 from viewnet.data.cutting import Box
 from viewnet.data.frames import pictures
 from viewnet.data.pascal3d import tally
+from viewnet.data.pictures import size
 from viewnet.errors import ViewnetError
 
 CATEGORY = "car"
@@ -139,11 +138,7 @@ def _parsed(line: str) -> tuple[str, Box, float]:
 
 def _cut(box: Box, picture: Path) -> Box:
     """The part of a box that lies in its picture."""
-    try:
-        with Image.open(picture) as opened:
-            width, height = opened.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ViewnetError(f"picture does not decode ({type(error).__name__})") from None
+    width, height = size(picture)
     x0, y0, x1, y1 = max(box[0], 0.0), max(box[1], 0.0), min(box[2], float(width)), min(box[3], float(height))
     if x1 - x0 < 1 or y1 - y0 < 1:
         raise ViewnetError(f"box has no part in the picture ({width} x {height})")

@@ -7,6 +7,7 @@ had is a ViewnetError that begins with "mask", the reason why its frame is not u
 from __future__ import annotations
 
 import hashlib
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +24,7 @@ from viewnet import backbones
 from viewnet.config import CATEGORIES, known
 from viewnet.data.clips import Clip
 from viewnet.data.cutting import coverage
+from viewnet.data.pictures import opened
 from viewnet.errors import ViewnetError
 
 VERSION = 1
@@ -92,10 +94,7 @@ class FromFiles:
             file = next((path for path in files if path.is_file()), None)
             if file is None:
                 raise ViewnetError("mask is missing")
-            alpha = _read(file)
-            if alpha.shape != (picture.height, picture.width):
-                raise ViewnetError(f"mask has another size than its picture ({alpha.shape[1]} x {alpha.shape[0]})")
-            return alpha
+            return _read(file, picture.width, picture.height)
 
         return read
 
@@ -227,11 +226,19 @@ def _deeplab(category: str, path: Path, device: torch.device) -> Segmenter:
 def _fill(network: nn.Module, path: Path, full: str) -> None:
     """Give a network the weights of a file; what it has no place for, such as layers for training, is not used."""
     try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                if any(part.compress_type != zipfile.ZIP_STORED for part in archive.infolist()):
+                    raise ValueError("it is compressed, and so may claim any size")
         state = torch.load(path, map_location="cpu", weights_only=True)
         # As plain values, without the file's versions, names of all versions are taken.
         missing = network.load_state_dict(dict(state), strict=False, assign=True).missing_keys
         if missing:
             raise ValueError(f"{missing[0]} is missing")
+        for name, weight in network.state_dict().items():
+            kind = torch.int64 if name.endswith("num_batches_tracked") else torch.float32
+            if (weight.dtype, weight.layout, weight.device.type) != (kind, torch.strided, "cpu"):
+                raise ValueError(f"{name} is {weight.dtype} and not plain {kind}")
     except Exception as error:  # torch raises whatever a damaged file makes it stumble over
         problem = (str(error).splitlines() or [type(error).__name__])[0]
         raise ViewnetError(
@@ -251,11 +258,10 @@ def _tensor(picture: Image.Image) -> torch.Tensor:
     return torch.from_numpy(np.array(picture)).permute(2, 0, 1).float() / 255
 
 
-def _read(file: Path) -> np.ndarray:
-    """Alpha (H, W) uint8 of a mask's file."""
-    try:
-        with Image.open(file) as opened:
-            opened.load()
-            return coverage(opened)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ViewnetError(f"mask does not decode ({type(error).__name__})") from None
+def _read(file: Path, width: int, height: int) -> np.ndarray:
+    """Alpha (H, W) uint8 of a mask's file, which must be of that size."""
+    with opened(file, "mask") as picture:
+        if picture.size != (width, height):
+            raise ViewnetError(f"mask has another size than its picture ({picture.width} x {picture.height})")
+        picture.load()
+        return coverage(picture)

@@ -17,6 +17,8 @@ class UnusableModel(ViewnetError):
     """A CAD model that cannot be rendered; `reason` says why in a few words, `path` which file."""
 
     def __init__(self, path: Path, reason: str) -> None:
+        # What a file says may be of any length, and what is no UTF-8 in it could not be written to a list.
+        reason = reason[:300].encode("utf-8", "backslashreplace").decode()
         super().__init__(f"{path}: {reason}")
         self.path, self.reason = path, reason
 

@@ -8,17 +8,23 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 from PIL import Image
 
+from viewnet.data import pictures
 from viewnet.data.mesh import GREY, UnusableModel
+from viewnet.data.pictures import opened
+from viewnet.errors import ViewnetError
 
 # Pictures are 64 to 224 pixels wide: a larger texture would only alias, and cost memory.
 TEXTURE_SIZE = 256
-MAX_TEXTURE_PIXELS = 2**26
+FORMATS = (*pictures.FORMATS, "TGA")
+MAX_BYTES = 64 * 2**20
+MAX_SCALE = 1e6
 
 # Options of a texture that do not change what we draw, and how many words follow them.
 _OPTIONS = {
@@ -49,6 +55,8 @@ class Entry:
 def _inside(obj: Path, folder: Path, name: str) -> Path:
     """The file that `name` in an OBJ or MTL means, which must lie in the model's folder."""
     relative = name.replace("\\", "/")
+    if "\0" in name or any(len(part.encode("utf-8", "surrogateescape")) > 255 for part in relative.split("/")):
+        raise UnusableModel(obj, f"path '{name}' names no file")
     if PurePosixPath(relative).is_absolute() or PureWindowsPath(name).drive:
         raise UnusableModel(obj, f"absolute path '{name}'")
     file = (obj.parent / relative).resolve()
@@ -57,14 +65,29 @@ def _inside(obj: Path, folder: Path, name: str) -> Path:
     return file
 
 
-def read_library(obj: Path, folder: Path, names: str) -> dict[str, Entry]:
-    """The materials of a `mtllib` line, which names one file (perhaps with spaces) or several."""
-    file = _inside(obj, folder, names)
-    if not file.is_file():
-        parts = names.split()
-        if len(parts) > 1:
-            return {k: v for part in parts for k, v in read_library(obj, folder, part).items()}
+def read_libraries(obj: Path, folder: Path, lines: Iterable[str]) -> dict[str, Entry]:
+    """The materials of `mtllib` lines, each of which names one file (perhaps with spaces) or several."""
+    files = [file for names in lines for file in _files(obj, folder, names)]
+    library: dict[str, Entry] = {}
+    # Each once, however often it is named: what counts of a material is where it is defined last.
+    for file in reversed(dict.fromkeys(reversed(files))):
+        library.update(_read(obj, folder, file))
+    return library
+
+
+def _files(obj: Path, folder: Path, names: str) -> list[Path]:
+    file = _inside(obj, folder, names) if len(names) <= 4096 else None
+    if file and file.is_file():
+        return [file]
+    parts = names.split()
+    if len(parts) < 2:
         raise UnusableModel(obj, f"missing material library '{names}'")
+    return [found for part in parts for found in _files(obj, folder, part)]
+
+
+def _read(obj: Path, folder: Path, file: Path) -> dict[str, Entry]:
+    if (size := file.stat().st_size) > MAX_BYTES:
+        raise UnusableModel(obj, f"{size} bytes in {file.name}, more than {MAX_BYTES}")
     library: dict[str, Entry] = {}
     entry = Entry()
     for line in file.read_text(encoding="utf-8", errors="surrogateescape").splitlines():
@@ -86,7 +109,7 @@ def read_library(obj: Path, folder: Path, names: str) -> dict[str, Entry]:
         except UnusableModel:
             raise
         except ValueError:
-            raise UnusableModel(obj, f"cannot understand '{line.strip()}' in {file.name}") from None
+            raise UnusableModel(obj, f"cannot understand '{line.strip()[:60]}' in {file.name}") from None
     return library
 
 
@@ -100,6 +123,8 @@ def _clip(value: float) -> float:
 def _texture_options(rest: str) -> tuple[tuple[float, float], tuple[float, float], str]:
     """Scale, offset and file name of a `map_Kd` line; the other options do not change what we draw."""
     scale, offset = (1.0, 1.0), (0.0, 0.0)
+    if len(rest) > 4096:  # no path is longer
+        raise ValueError(rest)
     while match := re.match(r"(-[a-z]+)\s+", rest):
         option = match.group(1)
         if option in ("-s", "-o", "-t"):
@@ -107,6 +132,8 @@ def _texture_options(rest: str) -> tuple[tuple[float, float], tuple[float, float
             if found is None:
                 raise ValueError(rest)
             numbers = [float(x) for x in found.group(1).split()]
+            if max(map(abs, numbers)) > MAX_SCALE:
+                raise ValueError(rest)
             u, v = numbers[0], numbers[1] if len(numbers) > 1 else (1.0 if option == "-s" else 0.0)
             if option == "-s":
                 scale = (u, v)
@@ -128,15 +155,11 @@ def read_texture(obj: Path, folder: Path, file: Path) -> np.ndarray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(file) as picture:
-                if picture.width * picture.height > MAX_TEXTURE_PIXELS:
-                    raise UnusableModel(obj, f"texture '{name}' has more than {MAX_TEXTURE_PIXELS} pixels")
+            with opened(file, f"texture '{name}'", FORMATS) as picture:
                 picture.draft("RGB", (TEXTURE_SIZE, TEXTURE_SIZE))
                 alpha = "A" in picture.getbands() or "transparency" in picture.info
                 small = picture.convert("RGBA" if alpha else "RGB")
                 small.thumbnail((TEXTURE_SIZE, TEXTURE_SIZE), Image.Resampling.BOX)
                 return np.array(small)
-    except UnusableModel:
-        raise
-    except Exception as error:  # Pillow's decoders raise errors of many types on broken files.
-        raise UnusableModel(obj, f"broken texture '{name}' ({type(error).__name__})") from None
+    except ViewnetError as error:
+        raise UnusableModel(obj, f"broken {error}") from None

@@ -15,10 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from viewnet.data.mesh import Material, Mesh, UnusableModel
-from viewnet.data.mtl import Entry, read_library, read_texture
+from viewnet.data.mtl import Entry, read_libraries, read_texture
 
 MAX_BYTES = 512 * 2**20
 MAX_FACES = 2_000_000
+MAX_TEXTURED = 1000
+# Of a vertex, as exporters write it: 0 to 1, or to 255 or 65535.
+MAX_COLOUR = 65536.0
+# Of a texture coordinate: with a texture's scale it still is a number of single precision.
+MAX_UV = 1e30
 # Faces less opaque than this are not drawn; the others are drawn opaque.
 MIN_OPACITY = 0.05
 
@@ -42,18 +47,19 @@ def read_obj(path: Path, folder: Path | None = None) -> Mesh:
     if not np.isfinite(vertices).all():
         raise UnusableModel(path, "a vertex is NaN or infinite")
     coloured = counts.min() == counts.max() and counts[0] in (6, 7)
-    colours = values.reshape(len(counts), -1)[:, 3:6].astype(np.float32) if coloured else None
+    colours = values.reshape(len(counts), -1)[:, 3:6] if coloured else None
+    if colours is not None and not (np.abs(colours) <= MAX_COLOUR).all():
+        raise UnusableModel(path, "a vertex's colour is out of range")
 
     corner_v, corner_t, sizes = _corners(lines, len(vertices))
     corners, owner = _fans(path, sizes)
     names, polygon_material = _assign(lines.words("usemtl"), len(sizes))
-    library: dict[str, Entry] = {}
-    for _, name in lines.words("mtllib"):
-        library.update(read_library(path, folder, name))
+    library = read_libraries(path, folder, dict.fromkeys(name for _, name in lines.words("mtllib")))
     faces, material = corner_v[corners], polygon_material[owner]
 
     edge, other = (vertices[faces[:, i]] - vertices[faces[:, 0]] for i in (1, 2))
-    keep = (np.cross(edge, other) != 0).any(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large is told when it is brought to scale
+        keep = (np.cross(edge, other) != 0).any(axis=1)
     opacity = np.array([1.0, *(library[name].shown if name in library else 1.0 for name in names)])
     if (visible := keep & (opacity >= MIN_OPACITY)[material]).any():
         # Some exporters write opacity where transparency belongs, so a file that hides everything means the opposite.
@@ -63,7 +69,8 @@ def read_obj(path: Path, folder: Path | None = None) -> Mesh:
     if not keep.all():
         faces, material, corners = faces[keep], material[keep], corners[keep]
     materials, uv = _materials(path, folder, names, library, material, lines, corner_t[corners])
-    return Mesh(vertices, faces.astype(np.int32), material.astype(np.int32), materials, uv, colours)
+    shades = None if colours is None else colours.astype(np.float32)
+    return Mesh(vertices, faces.astype(np.int32), material.astype(np.int32), materials, uv, shades)
 
 
 class _Lines:
@@ -246,6 +253,9 @@ def _materials(
         for number, name in enumerate(names, start=1)
         if used[number] and (entry := library.get(name)) and entry.texture and (corners[material == number] >= 0).any()
     }
+    if len(textured) > MAX_TEXTURED:
+        raise UnusableModel(path, f"{len(textured)} materials with textures, more than {MAX_TEXTURED}")
+    pictures: dict[Path, np.ndarray] = {}
     uv = _uv(lines, corners) if textured else None
     materials = [Material()]
     for number, name in enumerate(names, start=1):
@@ -254,7 +264,8 @@ def _materials(
             continue
         entry, texture = library[name], None
         if uv is not None and number in textured:
-            texture = read_texture(path, folder, textured[number])
+            file = textured[number]
+            texture = pictures[file] = pictures[file] if file in pictures else read_texture(path, folder, file)
             if entry.scale != (1.0, 1.0) or entry.offset != (0.0, 0.0):
                 mine = material == number
                 uv[mine] = uv[mine] * np.array(entry.scale) + np.array(entry.offset)
@@ -267,7 +278,7 @@ def _uv(lines: _Lines, corners: np.ndarray) -> np.ndarray:
     if counts.min() < 2:
         raise UnusableModel(lines.path, "a texture coordinate with fewer than two numbers")
     table = values[(np.cumsum(counts) - counts)[:, None] + np.arange(2)]
-    if not np.isfinite(table).all():
+    if not (np.abs(table) <= MAX_UV).all():
         raise UnusableModel(lines.path, "a texture coordinate is NaN or infinite")
     # The last row serves index -1, a corner without coordinates.
     return np.concatenate([table, np.zeros((1, 2))]).astype(np.float32)[corners]

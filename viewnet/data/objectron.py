@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
+from viewnet.data import pictures
 from viewnet.data.clips import Clip, Frame
 from viewnet.data.frames import natural
 from viewnet.data.objectron_record import Record, View, read_record
@@ -150,7 +150,7 @@ def _source(folder: Path, record: Record) -> Path | _Pictures:
 def _frame(view: View, source: Path | _Pictures) -> Frame:
     if isinstance(source, _Pictures):
         number, file = source.places[view.number]
-        size = _size(file)
+        size = pictures.size(file)
         width, height = view.size if view.size and view.upright is not None else size
         if (size[0] - size[1]) * (width - height) < 0:
             raise ViewnetError("picture is not turned as its annotation")
@@ -163,15 +163,6 @@ def _frame(view: View, source: Path | _Pictures) -> Frame:
     if x1 - x0 < 1 or y1 - y0 < 1:
         raise ViewnetError("object smaller than a pixel")
     return Frame(number, view.azimuth, view.elevation, (x0, y0, x1, y1))
-
-
-def _size(picture: Path) -> tuple[int, int]:
-    """Width and height, from the file's header."""
-    try:
-        with Image.open(picture) as opened:
-            return opened.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ViewnetError(f"picture does not decode ({type(error).__name__})") from None
 
 
 def _lists(root: Path, name: str) -> dict[str, set[str]] | None:

@@ -19,10 +19,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import scipy.io
-from PIL import Image
 
 from viewnet.config import CATEGORIES, known
+from viewnet.data import matlab, pictures
 from viewnet.data.cutting import Box
 from viewnet.errors import ViewnetError
 
@@ -146,11 +145,16 @@ def listed(root: Path, category: str, subset: str, split: str) -> list[str]:
         lines = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         raise ViewnetError(f"{path}: cannot be read ({error}): expected a text file, one image a line") from None
-    states = [[], ["-1"], ["0"], ["1"]] if subset == "pascal" else [[]]
-    if bad := [" ".join(line) for line in lines if line[1:] not in states]:
+    states = [["-1"], ["0"], ["1"]] if subset == "pascal" else []
+    if bad := [" ".join(line) for line in lines if line[1:] not in [[], *states] or not _is_name(line[0])]:
         expected = "an image and -1, 0 or 1" if subset == "pascal" else "the name of one image"
-        raise ViewnetError(f"{path}: line {bad[0]!r}: expected {expected}")
+        raise ViewnetError(f"{path}: line {bad[0][:60]!r}: expected {expected}")
     return [line[0] for line in lines if line[1:] != ["-1"]]
+
+
+def _is_name(text: str) -> bool:
+    """Whether a text names a file of a folder, and none elsewhere."""
+    return len(text) <= 200 and text.isprintable() and not set(text) & set("/\\") and text not in (".", "..")
 
 
 def list_file(root: Path, category: str, subset: str, split: str) -> Path:
@@ -179,7 +183,7 @@ def _read_image(
     path, picture = annotation_file(root, category, subset, image), picture_file(root, category, subset, image)
     name, where = f"{subset}/{image}", path.relative_to(root).as_posix()
     try:
-        size = _size(picture)
+        size = pictures.size(picture)
     except ViewnetError as error:
         report.rejected.append((name, picture.relative_to(root).as_posix(), str(error)))
         return []
@@ -212,27 +216,17 @@ def _read_image(
     return found
 
 
-def _size(picture: Path) -> tuple[int, int]:
-    """Width and height, from the file's header."""
-    try:
-        with Image.open(picture) as opened:
-            return opened.size
-    except FileNotFoundError:
-        raise ViewnetError("no such picture") from None
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ViewnetError(f"picture does not decode ({type(error).__name__})") from None
-
-
 def _record(path: Path) -> tuple[list[Any], tuple[float, float] | None]:
     """The objects of a record, and the width and height of the picture that was annotated where it has them."""
     if not path.is_file():
         raise ViewnetError("no such annotation")
     try:
-        record = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)["record"]
-    except KeyError:
-        raise ViewnetError("annotation without a record") from None
-    except Exception as error:  # SciPy raises whatever a damaged file makes it stumble over.
-        raise ViewnetError(f"annotation cannot be read ({type(error).__name__}: {error})") from None
+        found = matlab.load(path)
+    except ViewnetError as error:
+        raise ViewnetError(f"annotation cannot be read ({error})") from None
+    if "record" not in found:
+        raise ViewnetError("annotation without a record")
+    record = found["record"]
     if not hasattr(record, "objects"):
         raise ViewnetError("annotation without objects")
     # One object is a structure, several are an array of them, none is an empty array.

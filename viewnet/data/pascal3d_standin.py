@@ -25,6 +25,7 @@ from viewnet.data import scenes
 from viewnet.data.backgrounds import list_pictures
 from viewnet.data.mesh import Mesh
 from viewnet.data.pascal3d import EXTENSIONS, LISTS, SPLITS, VOC, annotation_file, parts, picture_file
+from viewnet.data.pictures import opened
 from viewnet.data.shapenet import ModelFile, load_model
 from viewnet.errors import ViewnetError
 from viewnet.files import write_text
@@ -276,12 +277,10 @@ def _background(backgrounds: Sequence[Path], rng: np.random.Generator) -> Image.
         return Image.fromarray(scenes.draw(rng, *SIZE))
     path = backgrounds[int(rng.integers(len(backgrounds)))]
     try:
-        with Image.open(path) as opened:
-            picture = opened.convert("RGB")
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ViewnetError(
-            f"{path}: does not decode ({type(error).__name__}): remove it from the backgrounds"
-        ) from None
+        with opened(path) as found:
+            picture = found.convert("RGB")
+    except ViewnetError as error:
+        raise ViewnetError(f"{path}: {error}: remove it from the backgrounds") from None
     scale = min(picture.width / SIZE[0], picture.height / SIZE[1]) * rng.uniform(0.7, 1)
     wide, high = SIZE[0] * scale, SIZE[1] * scale
     left, upper = rng.random(2) * [picture.width - wide, picture.height - high]

@@ -18,13 +18,15 @@ from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
-from PIL import Image, ImageOps
+from PIL import ImageOps
 
 from viewnet.config import CATEGORIES, known
 from viewnet.data.cutting import Box, Crop, cut
 from viewnet.data.pascal3d import tally
+from viewnet.data.pictures import opened
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
+from viewnet.files import read_csv
 from viewnet.processes import processors
 from viewnet.progress import bar
 
@@ -168,12 +170,7 @@ def read_folder(root: Path, category: str) -> list[Listed]:
     """
     known(category, CATEGORIES, "category")
     path = Path(root) / LIST
-    try:
-        frame = pd.read_csv(path, dtype={"file": str, "split": str})
-    except FileNotFoundError as error:
-        raise ViewnetError(f"{path}: no such file") from error
-    except (OSError, ValueError) as error:
-        raise ViewnetError(f"{path}: not a readable CSV file ({error})") from error
+    frame = read_csv(path, dtype={"file": str, "split": str})
     boxed = any(name in frame.columns for name in _CORNERS)
     for name in ("file", "azimuth_deg", "elevation_deg", "split", *(_CORNERS if boxed else ())):
         if name not in frame.columns:
@@ -241,16 +238,14 @@ def _decoded(photograph: Photograph, crop: Crop, upright: bool) -> tuple[np.ndar
     """The crop, and a digest of the picture's bytes."""
     try:
         content = photograph.picture.read_bytes()
-        with Image.open(io.BytesIO(content)) as picture:
-            picture.load()
-            turned = ImageOps.exif_transpose(picture) if upright else picture
-            return cut(turned, photograph.box, crop), hashlib.sha256(content).digest()
-    except ViewnetError:
-        raise
     except FileNotFoundError:
         raise ViewnetError("no such picture") from None
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ViewnetError(f"picture does not decode ({type(error).__name__})") from None
+    except (OSError, ValueError) as error:
+        raise ViewnetError(f"picture cannot be read ({type(error).__name__})") from None
+    with opened(io.BytesIO(content)) as picture:
+        picture.load()
+        turned = ImageOps.exif_transpose(picture) if upright else picture.copy()
+    return cut(turned, photograph.box, crop), hashlib.sha256(content).digest()
 
 
 def _within(path: Path, root: Path) -> str:

@@ -18,6 +18,7 @@ from viewnet.config import SYNSETS, known
 from viewnet.data.mesh import Mesh, UnusableModel
 from viewnet.data.obj import read_obj
 from viewnet.errors import ViewnetError
+from viewnet.files import read_csv
 
 SPLITS = ("train", "val", "test")
 SHARES = (0.7, 0.1, 0.2)
@@ -116,7 +117,8 @@ def load_model(model: ModelFile) -> Mesh:
     used, faces = np.unique(mesh.faces, return_inverse=True)
     vertices = mesh.vertices[used] @ FRAMES[model.layout].T
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    diagonal = float(np.linalg.norm(high - low))
+    with np.errstate(over="ignore"):
+        diagonal = float(np.linalg.norm(high - low))
     if not 1e-30 < diagonal < 1e30:
         raise UnusableModel(model.path, f"size {diagonal:g}")
     return replace(
@@ -182,16 +184,13 @@ def _rank(seed: int, purpose: str, name: str) -> bytes:
 
 def _read_csv(file: Path, synset: str) -> dict[str, str]:
     """Model id -> split of one category of an official list."""
-    # pandas is slow to import and this module is imported by every rendering process.
-    import pandas as pd
-
     # Ids and synsets are text: as numbers they would lose leading zeros, and "1e5" its meaning.
-    table = pd.read_csv(file, dtype=str, keep_default_na=False)
+    table = read_csv(file, dtype=str, keep_default_na=False)
     if missing := [name for name in ("synsetId", "modelId", "split") if name not in table.columns]:
         raise ViewnetError(f"{file}: no column {missing[0]}: expected id, synsetId, subSynsetId, modelId, split")
     table = table[table["synsetId"] == synset]
     if wrong := sorted(set(table["split"]) - set(SPLITS)):
-        raise ViewnetError(f"{file}: split {wrong[0]!r}: expected one of {', '.join(SPLITS)}")
+        raise ViewnetError(f"{file}: split {wrong[0][:60]!r}: expected one of {', '.join(SPLITS)}")
     return _unique(file, list(zip(table["modelId"], table["split"], strict=True)))
 
 
@@ -204,7 +203,11 @@ def _read_lists(folder: Path, synset: str) -> dict[str, str]:
             raise ViewnetError(
                 f"{file}: no such list: expected {synset}_train.txt, {synset}_val.txt, {synset}_test.txt"
             )
-        pairs += [(name, split) for line in file.read_text(encoding="utf-8").splitlines() if (name := line.strip())]
+        try:
+            lines = file.read_text(encoding="utf-8").splitlines()
+        except (OSError, ValueError) as error:
+            raise ViewnetError(f"{file}: cannot be read ({error}): expected a text file, one id a line") from None
+        pairs += [(name, split) for line in lines if (name := line.strip())]
     counts = Counter(split for _, split in pairs)
     chair, train, val, name = _DPC_CHAIR
     if (synset, counts["train"], counts["val"]) == (chair, train, val) and (name, "val") not in pairs:
@@ -216,5 +219,7 @@ def _unique(source: Path, pairs: list[tuple[str, str]]) -> dict[str, str]:
     listed: dict[str, str] = {}
     for name, split in pairs:
         if listed.setdefault(name, split) != split:
-            raise ViewnetError(f"{source}: model {name} is in both {listed[name]} and {split}: keep it in one split")
+            raise ViewnetError(
+                f"{source}: model {name[:60]} is in both {listed[name]} and {split}: keep it in one split"
+            )
     return listed

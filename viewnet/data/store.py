@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from viewnet.errors import ViewnetError
+from viewnet.files import load_array, read_csv, read_json
 
 if TYPE_CHECKING:
     # Loaded where it is needed: to estimate a viewpoint this module is imported, but no store is opened.
@@ -64,10 +65,7 @@ class ViewStore:
             if not (folder / name).is_file():
                 raise ViewnetError(f"{folder / name}: missing from the view store: {_AGAIN}")
         meta = _read_meta(folder / "meta.json")
-        try:
-            images = np.load(folder / "views.npy", mmap_mode="r", allow_pickle=False)
-        except (ValueError, OSError, EOFError) as error:
-            raise ViewnetError(f"{folder / 'views.npy'}: not a whole array ({error}): {_AGAIN}") from None
+        images = load_array(folder / "views.npy", _AGAIN, mmap_mode="r")
         if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 4 or min(images.shape) < 1:
             raise ViewnetError(
                 f"{folder / 'views.npy'}: {images.dtype} {images.shape}: expected uint8 (N, H, W, 4): {_AGAIN}"
@@ -89,9 +87,11 @@ class ViewStore:
     @property
     def rejected(self) -> pd.DataFrame:
         """What could not be used: model_id, path, reason."""
-        import pandas as pd
-
-        return pd.read_csv(self.folder / "rejected.csv", dtype=str, keep_default_na=False)
+        path = self.folder / "rejected.csv"
+        table = read_csv(path, dtype=str, keep_default_na=False)
+        if tuple(table.columns) != REJECTED:
+            raise ViewnetError(f"{path}: columns are not {', '.join(REJECTED)}: {_AGAIN}")
+        return table
 
     def split(self, name: str) -> np.ndarray:
         """Row numbers (n,) of the views of a split. Raises ViewnetError where it has none."""
@@ -206,8 +206,10 @@ def check_index(index: pd.DataFrame, count: int, file: Path) -> None:
 
 def _read_meta(file: Path) -> dict[str, Any]:
     try:
-        meta = json.loads(file.read_text(encoding="utf-8"))
-        fields = meta["format"], meta["identity"], meta["made_by"]
+        meta = read_json(file)
+        fields = meta["format"], meta["identity"], dict(meta["made_by"])
+    except ViewnetError as error:
+        raise ViewnetError(f"{error}: {_AGAIN}") from None
     except (ValueError, KeyError, TypeError) as error:
         raise ViewnetError(f"{file}: not a view store's description ({type(error).__name__}): {_AGAIN}") from None
     if fields[0] != FORMAT:

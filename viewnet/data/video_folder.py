@@ -14,14 +14,13 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import pandas as pd
-
 from viewnet.config import CATEGORIES, known
 from viewnet.data import frames
 from viewnet.data.clips import Clip, Frame
 from viewnet.data.freiburg import Rejected
 from viewnet.data.shapenet import SHARES, SPLITS
 from viewnet.errors import ViewnetError
+from viewnet.files import read_csv
 
 LIST = "splits.csv"
 MASKS = "masks"
@@ -95,16 +94,13 @@ def _listed(root: Path) -> dict[str, str]:
     path = root / LIST
     if not path.is_file():
         return {}
-    try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False)
-    except (OSError, ValueError) as error:
-        raise ViewnetError(f"{path}: not a readable CSV file ({error})") from error
+    table = read_csv(path, dtype=str, keep_default_na=False)
     for column in ("clip", "split"):
         if column not in table.columns:
             raise ViewnetError(f"{path}: column {column!r} is missing")
     for number, row in enumerate(table.itertuples(), start=1):
         if row.split not in SPLITS:
-            raise ViewnetError(f"{path}: row {number}: split {row.split!r}: expected one of {', '.join(SPLITS)}")
+            raise ViewnetError(f"{path}: row {number}: split {row.split[:60]!r}: expected one of {', '.join(SPLITS)}")
     if (again := table["clip"].duplicated()).any():
-        raise ViewnetError(f"{path}: clip {table['clip'][again].iloc[0]!r} is listed twice")
+        raise ViewnetError(f"{path}: clip {table['clip'][again].iloc[0][:60]!r} is listed twice")
     return dict(zip(table["clip"], table["split"], strict=True))

@@ -11,6 +11,7 @@ import numpy as np
 
 from viewnet.data.mesh import UnusableModel
 from viewnet.data.shapenet import ModelFile, load_model
+from viewnet.errors import ViewnetError
 from viewnet.render import Backend, render_frames
 
 
@@ -51,6 +52,13 @@ def draw_chunk(chunk: Chunk) -> int:
 
 
 def read_chunk(file: Path) -> tuple[np.ndarray, dict[str, str]]:
-    """Pictures and rejected models (id -> reason) of a chunk's file."""
-    with np.load(file, allow_pickle=False) as stored:
-        return stored["images"], json.loads(str(stored["rejected"]))
+    """Pictures and rejected models (id -> reason) of a chunk's file. ViewnetError where it is damaged."""
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            images, rejected = stored["images"], json.loads(str(stored["rejected"]))
+        if images.dtype != np.uint8 or images.ndim != 4 or not isinstance(rejected, dict):
+            raise ValueError(f"{images.dtype} {images.shape} pictures")
+        return images, {str(name): str(reason) for name, reason in rejected.items()}
+    except Exception as error:  # a damaged archive raises whatever is stumbled over
+        problem = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise ViewnetError(f"{file}: damaged ({problem}): remove it, and it is drawn again") from None

@@ -197,7 +197,7 @@ def _plan(models: Sequence[ModelFile], partial: Path, made_by: dict[str, Any]) -
     """Model numbers and file of each chunk. What `partial` holds of another request is thrown away."""
     plan = json.dumps({"identity": identity_of(made_by), "chunk": CHUNK})
     note = partial / "plan.json"
-    if partial.exists() and not (note.is_file() and note.read_text() == plan):
+    if partial.exists() and not (note.is_file() and note.read_bytes() == plan.encode()):
         shutil.rmtree(partial)
     if not partial.exists():
         partial.mkdir()

@@ -1,0 +1,84 @@
+"""What every reader promises, whatever its file holds: a result or a ViewnetError that names it, in bounded memory."""
+
+from __future__ import annotations
+
+import resource
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from viewnet.errors import ViewnetError
+
+PEAK = 2**30
+"""Bytes of memory that reading one small file may hold beside what was there before."""
+ROOM = 3 * 2**30
+"""Bytes of address space it may ask for: beyond, the machine is protected by a MemoryError."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a call ended: its result or the ViewnetError it raised, processor seconds, bytes at the peak."""
+
+    result: object
+    error: ViewnetError | None
+    seconds: float
+    peak: int
+
+
+class Broken(AssertionError):
+    """A reader did not keep its promise."""
+
+
+def survives(call: Callable[[], object], names: Iterable[str]) -> Outcome:
+    """Make the call; Broken where it ends in anything but a result or a ViewnetError with one of `names` in it.
+
+    NumPy's warnings of overflow and invalid values, and Pillow's of bombs, count as failures too: something was
+    computed with a value that should have been refused.
+    """
+    names = list(names)
+    result, error = None, None
+    before, soft = _status("VmRSS"), resource.getrlimit(resource.RLIMIT_AS)
+    Path("/proc/self/clear_refs").write_text("5")
+    begun = time.process_time()
+    resource.setrlimit(resource.RLIMIT_AS, (_status("VmSize") + ROOM, soft[1]))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            result = call()
+    except ViewnetError as raised:
+        error = raised
+    except Exception as raised:
+        raise Broken(f"{type(raised).__name__}: {(str(raised).splitlines() or [''])[0][:300]}") from raised
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, soft)
+    seconds, peak = time.process_time() - begun, _status("VmHWM") - before
+    if error is not None:
+        _check(str(error), names)
+    if peak > PEAK:
+        raise Broken(f"{peak >> 20} MiB of memory")
+    if threading.active_count() > 64:
+        raise Broken(f"{threading.active_count()} threads left behind")
+    return Outcome(result, error, seconds, peak)
+
+
+def _check(message: str, names: list[str]) -> None:
+    """One line of a readable length that can be printed and names the file."""
+    if not any(name in message for name in names):
+        raise Broken(f"names none of {names}: {message[:300]!r}")
+    if len(message) > 2000:
+        raise Broken(f"a message of {len(message)} characters: {message[:300]!r}")
+    try:
+        message.encode()
+    except UnicodeEncodeError as error:
+        raise Broken(f"a message that cannot be written: {message[:300]!r}") from error
+
+
+def _status(name: str) -> int:
+    """Bytes of a line of this process's status."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(name + ":"):
+            return int(line.split()[1]) * 1024
+    raise KeyError(name)
