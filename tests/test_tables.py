@@ -288,7 +288,7 @@ def test_printed_numbers_agree_with_each_other():
 def test_unreadable_prints_are_named(tmp_path, monkeypatch):
     (tmp_path / "paper_tables" / "published").mkdir(parents=True)
     monkeypatch.setenv("VIEWNET_ROOT", str(tmp_path))
-    with pytest.raises(ViewnetError, match=r"table1_shapenet\.csv: cannot be read"):
+    with pytest.raises(ViewnetError, match=r"table1_shapenet\.csv: no such file"):
         published.load("table1_shapenet")
     (tmp_path / "paper_tables" / "published" / "table1_shapenet.csv").write_text("row,value\nMVC,1\n")
     with pytest.raises(ViewnetError, match=r"columns are row, value, expected row, metric"):

@@ -256,11 +256,13 @@ def _result(path: Path) -> dict[str, Any]:
 
 
 def read_log(path: Path) -> pd.DataFrame:
-    """A training's log, all of its columns numbers; ViewnetError for anything else."""
+    """A training's log, all of its columns numbers, or no rows; ViewnetError for anything else."""
     found = read_csv(path)
+    if found.empty:  # nothing has been validated yet
+        return found
     if wrong := [name for name in found.columns if not pd.api.types.is_numeric_dtype(found[name])]:
         raise ViewnetError(f"{path}: column {str(wrong[0])[:60]!r} holds values that are not numbers")
-    if missing := {"epoch", "step", "seconds"} - set(found.columns):
+    if missing := {"epoch", "step", "seconds", "loss", "val_accuracy"} - set(found.columns):
         raise ViewnetError(f"{path}: column {min(missing)!r} is missing")
     return found
 
