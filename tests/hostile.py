@@ -257,6 +257,14 @@ CAD = (
     ("texture of 100000 x 100000", put(PNG, HUGE), BOMB),
     ("texture that is a program", put(PNG, EPS), "does not decode (UnidentifiedImageError)"),
 )
+
+
+def long_picture(folder: Path) -> Path:
+    """A picture of some hundred bytes, the square about which has 3.6 billion pixels."""
+    put("viewpoints.csv", instead(b"test,2,3,20,22\nd", b"test,0,0,60000,2\nd"))(folder)
+    return put("images/c.png", LONG)(folder)
+
+
 PASCAL = "Annotations/*/n0_0.mat"
 DATA = (
     ("ShapeNet's lists", "list that is no text", put("lists/*_val.txt", b"\xff\xfe\0"), "val.txt: cannot be read"),
@@ -268,7 +276,7 @@ DATA = (
     ("pictures", "class with a long name", put("ClassName.txt", b"a" * 5000), "expected a folder such as"),
     ("pictures", "classes that are no text", put("ClassName.txt", b"\xff\xfe"), "cannot be read"),
     ("photographs", "large picture", put("images/c.png", LARGE), ""),
-    ("photographs", "long picture", put("images/c.png", lambda _: LONG), "has no part"),
+    ("photographs", "long picture", long_picture, "too large to be cut"),
     ("photographs", "picture elsewhere", put("viewpoints.csv", instead(b"a.png", b"../../a.png")), "name of a picture"),
     ("photographs", "picture with a zero", put("viewpoints.csv", instead(b"a.png", b'"a\0.png"')), ""),
     ("photographs", "angle of 1e400", put("viewpoints.csv", instead(b"30.5", b"1e400")), "expected a number"),
