@@ -359,7 +359,7 @@ def test_turntables_are_those_of_the_run(store, pictures, tmp_path):
         (photograph(), {"masks": np.ones((90, 60), bool)}, "mask is 60 x 90, its picture 90 x 60"),
         (photograph(), {"masks": [None, None]}, "masks: 2 for 1 pictures"),
         (photograph(), {"masks": [np.zeros((2, 2, 2))]}, r"mask is \(2, 2, 2\): expected \(H, W\)"),
-        (photograph(), {"masks": "nowhere.png"}, "no such mask: nowhere.png"),
+        (photograph(), {"masks": "nowhere.png"}, "no such mask nowhere.png"),
         (photograph(), {"boxes": (5, 5, 5, 9)}, r"box .* x0 below x1"),
         (photograph(), {"boxes": [(1, 2, 3)]}, r"box \(1, 2, 3\): expected four numbers"),
         (photograph(), {"boxes": [(1, 2, 3, 4)] * 2}, "boxes: 2 for 1 pictures"),

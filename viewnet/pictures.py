@@ -6,12 +6,14 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image, ImageOps
 from torch import Tensor
 
+from viewnet.data import pictures
 from viewnet.data.cutting import Box, bounds, coverage, inside
 from viewnet.errors import ViewnetError
 
@@ -114,17 +116,15 @@ def opened(image: Picture, mask: Any = None, box: Box | None = None) -> Given:
 def _picture(image: Picture) -> Image.Image:
     if isinstance(image, (np.ndarray, Tensor)):
         return Image.fromarray(_pixels(image))
-    try:
-        if isinstance(image, (str, os.PathLike)):
-            with Image.open(image) as file:
-                file.load()
-                return ImageOps.exif_transpose(file)
-        if isinstance(image, Image.Image):
+    if isinstance(image, (str, os.PathLike)):
+        with pictures.opened(Path(image)) as file:
+            file.load()
+            return ImageOps.exif_transpose(file)
+    if isinstance(image, Image.Image):
+        try:
             return ImageOps.exif_transpose(image)
-    except FileNotFoundError:
-        raise ViewnetError("no such picture") from None
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ViewnetError(f"picture does not decode ({type(error).__name__})") from None
+        except (OSError, ValueError, SyntaxError) as error:  # of a picture that PIL has not decoded yet
+            raise ViewnetError(f"picture does not decode ({type(error).__name__})") from None
     raise ViewnetError(f"got {type(image).__name__}: expected a PIL picture, a path, a numpy array or a torch tensor")
 
 
@@ -156,14 +156,9 @@ def _eight_bits(image: np.ndarray) -> np.ndarray:
 def _mask(mask: Any) -> np.ndarray:
     """(H, W) uint8, see viewnet.data.cutting.coverage."""
     if isinstance(mask, (str, os.PathLike)):
-        try:
-            with Image.open(mask) as file:
-                file.load()
-                return coverage(file)
-        except FileNotFoundError:
-            raise ViewnetError(f"no such mask: {mask}") from None
-        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-            raise ViewnetError(f"mask {mask} does not decode ({type(error).__name__})") from None
+        with pictures.opened(Path(mask), f"mask {mask}") as file:
+            file.load()
+            return coverage(file)
     if isinstance(mask, Image.Image):
         return coverage(mask)
     array = mask.detach().cpu().numpy() if isinstance(mask, Tensor) else np.asarray(mask)
