@@ -47,6 +47,9 @@ class Design:
     videos: str = ""  # and trained on videos of this data set: see viewnet.video_experiment and objectron_experiment
 
 
+_ABLATION = tuple(variant for variant in LAYOUTS["table2_ablation"].variants if variant in VARIANTS)
+"""The rows of Table 2 that are trained."""
+
 DESIGNS = {
     **{
         n: Design(layout.variants, layout.categories, photographs=layout.blocks, videos=layout.videos)
@@ -54,8 +57,9 @@ DESIGNS = {
     },
     "alignment_study": Design(LAYOUTS["table3_pascal3d"].variants, photographs=True),
     "figure3_azimuth": Design(("viewnet",)),
-    "training_curves": Design(LAYOUTS["table2_ablation"].variants[:-2]),
-    "novel_views": Design(("viewnet", "viewnet_cycle", *LAYOUTS["table2_ablation"].variants[2:-2])),
+    "training_curves": Design(_ABLATION),
+    # The supplement's figure is of the other four.
+    "novel_views": Design(("viewnet", "viewnet_cycle", *(v for v in _ABLATION if v not in ("viewnet", "single_head")))),
     "learned_volumes": Design(("viewnet",)),
     "failures": Design(("viewnet",)),
     "reconstructions": Design(("viewnet", "viewnet_cycle"), photographs=True),
@@ -94,7 +98,7 @@ class Experiment:
 
     @property
     def figures(self) -> Path:
-        """Where pictures go that are no part of a table: a folder of their own within `folder`'s."""
+        """Where pictures go that are no part of a table; told apart as in `folder`."""
         return self.output / "figures" / self.label
 
     @property

@@ -10,15 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from viewnet import baselines, features
-from viewnet.config import RECIPES, PhotoConfig, RunConfig, VideoConfig, known
+from viewnet import baselines
+from viewnet.config import RunConfig, VideoConfig, known
 from viewnet.data import objectron
 from viewnet.data.objectron_standin import WEAK
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.experiment import DESIGNS, folder_named, label_of, shared
 from viewnet.layouts import LAYOUTS
-from viewnet.photo_experiment import PROFILE_RECIPE, SMOKE_COUNT, SMOKE_MODELS
+from viewnet.photo_experiment import PROFILE_RECIPE, photographs_of, scenery_of
 from viewnet.runs import Run, ensure
 from viewnet.tables import Entry
 from viewnet.video_experiment import MASKS, SHAPENET, SMOKE_SIZE, VideoExperiment
@@ -120,7 +120,7 @@ def objectron_experiment(
     known(category, objectron.CLASSES, "category")
     common = shared(design, PROFILE_RECIPE, profile, [category], seeds, recipe, output, workers)
     chosen = common.fields["profile"]
-    behind = backgrounds if backgrounds == "drawn" else folder_named(backgrounds, "backgrounds") or "drawn"
+    behind = scenery_of(backgrounds)
     root = folder_named(video_root, "video_root")
     if weak_masks and root is None:
         raise ViewnetError(f"weak_masks {weak_masks}: the stand-in has masks of its own: give video_root, or leave it")
@@ -133,14 +133,8 @@ def objectron_experiment(
         videos=STAND_IN_VIDEOS,
         frames=STAND_IN_FRAMES,
     )
-    photographs = PhotoConfig(
-        category=category,
-        root=folder_named(data_root, "data_root"),
-        size=features.SIZE,
-        square=RECIPES[common.fields["recipe"]]["model"].get("crop") != "stretched",
-    )
+    photographs = photographs_of(common, category, data_root)
     if chosen == "smoke":
-        photographs = replace(photographs, models=SMOKE_MODELS, count=SMOKE_COUNT)
         video = replace(video, videos=SMOKE_VIDEOS, frames=SMOKE_FRAMES, size=SMOKE_SIZE)
     weak = weak_masks or ("" if root else WEAK)
     places = {"video_root": video_root, "weak_masks": weak_masks, "data_root": data_root, "cad_root": cad_root}

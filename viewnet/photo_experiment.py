@@ -20,7 +20,7 @@ from viewnet import baselines, features, provenance, runs
 from viewnet.config import RECIPES, VARIANTS, PhotoConfig, RunConfig, known, make_config
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
-from viewnet.experiment import DESIGNS, Experiment, folder_named, label_of, shared
+from viewnet.experiment import DESIGNS, Experiment, Shared, folder_named, label_of, shared
 from viewnet.layouts import LAYOUTS
 from viewnet.predictions import Predictions
 from viewnet.runs import Run
@@ -237,19 +237,13 @@ def photo_experiment(
         raise ViewnetError(f"margin {margin}: expected 0 to 2 sides of the box")
     if not 0 < strength < np.inf:
         raise ViewnetError(f"ridge {ridge}: expected more than 0")
-    behind = backgrounds if backgrounds == "drawn" else folder_named(backgrounds, "backgrounds") or "drawn"
-    photographs = PhotoConfig(
-        category=common.fields["categories"][0],
-        root=folder_named(data_root, "data_root"),
+    behind = scenery_of(backgrounds)
+    photographs = replace(
+        photographs_of(common, common.fields["categories"][0], data_root),
         subset=known(subset, ("imagenet", "pascal", "both"), "subset"),  # type: ignore[arg-type]
         keep=known(keep, ("all", "easy", "first"), "keep"),  # type: ignore[arg-type]
-        # ViewNet sees them at half that; a backbone at all of it.
-        size=features.SIZE,
         margin=wide,
-        square=RECIPES[common.fields["recipe"]]["model"].get("crop") != "stretched",
     )
-    if chosen == "smoke":
-        photographs = replace(photographs, models=SMOKE_MODELS, count=SMOKE_COUNT)
     parts = [*common.parts, *common.columns]
     places = {"data_root": data_root, "cad_root": cad_root, "extra_cad": extra_cad}
     parts += [place for place, value in places.items() if value]
@@ -277,6 +271,28 @@ def photo_experiment(
         ridge=strength,
         calibration=calibration or None,
     )
+
+
+def photographs_of(common: Shared, category: str, data_root: str) -> PhotoConfig:
+    """The photographs of a category under `data_root`, or a stand-in of the profile's size, cut as the recipe has them.
+
+    Raises ViewnetError for a folder that does not exist.
+    """
+    found = PhotoConfig(
+        category=category,
+        root=folder_named(data_root, "data_root"),
+        # ViewNet sees them at half that; a backbone at all of it.
+        size=features.SIZE,
+        square=RECIPES[common.fields["recipe"]]["model"].get("crop") != "stretched",
+    )
+    if common.fields["profile"] == "smoke":
+        return replace(found, models=SMOKE_MODELS, count=SMOKE_COUNT)
+    return found
+
+
+def scenery_of(backgrounds: str) -> str:
+    """The full path of the folder `backgrounds`, or "drawn" for that and for "". ViewnetError where there is none."""
+    return backgrounds if backgrounds == "drawn" else folder_named(backgrounds, "backgrounds") or "drawn"
 
 
 def _number(value: float | str, what: str) -> float:

@@ -14,11 +14,11 @@ import numpy as np
 import pandas as pd
 
 from viewnet import baselines, features
-from viewnet.config import RECIPES, VARIANTS, PhotoConfig, RunConfig, VideoConfig, known, make_config
+from viewnet.config import VARIANTS, RunConfig, VideoConfig, known, make_config
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.experiment import DESIGNS, folder_named, label_of, shared
-from viewnet.photo_experiment import PROFILE_RECIPE, SMOKE_COUNT, SMOKE_MODELS, PhotoExperiment
+from viewnet.photo_experiment import PROFILE_RECIPE, PhotoExperiment, photographs_of, scenery_of
 from viewnet.predictions import Predictions
 from viewnet.runs import Run, ensure
 from viewnet.start import checkpoint
@@ -181,7 +181,7 @@ def video_experiment(
     design = DESIGNS[name]
     common = shared(design, PROFILE_RECIPE, profile, "all", seeds, recipe, output, workers)
     chosen, (category,) = common.fields["profile"], common.fields["categories"]
-    behind = backgrounds if backgrounds == "drawn" else folder_named(backgrounds, "backgrounds") or "drawn"
+    behind = scenery_of(backgrounds)
     video = VideoConfig(
         category=category,
         root=folder_named(video_root, "video_root"),
@@ -189,14 +189,8 @@ def video_experiment(
         split_rule=known(split_rule, ("all", "45/2/rest"), "split_rule"),  # type: ignore[arg-type]
         masks=known(masks, MASKS, "masks"),  # type: ignore[arg-type]
     )
-    photographs = PhotoConfig(
-        category=category,
-        root=folder_named(data_root, "data_root"),
-        size=features.SIZE,
-        square=RECIPES[common.fields["recipe"]]["model"].get("crop") != "stretched",
-    )
+    photographs = photographs_of(common, category, data_root)
     if chosen == "smoke":
-        photographs = replace(photographs, models=SMOKE_MODELS, count=SMOKE_COUNT)
         video = replace(video, sequences=SMOKE_SEQUENCES, frames=SMOKE_FRAMES, size=SMOKE_SIZE)
     if cad_root and start != SHAPENET:
         raise ViewnetError(f"cad_root {cad_root}: nothing is trained on CAD models: use start={SHAPENET}, or leave it")
