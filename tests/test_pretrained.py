@@ -75,8 +75,10 @@ def test_what_is_no_finished_run_is_said(run, tmp_path):
     (unfinished / "checkpoint.safetensors").unlink()
     with pytest.raises(ViewnetError, match="neither a model of save_pretrained nor a finished run"):
         load(unfinished)
-    for where in ("ba9876543210", tmp_path / "nowhere", tmp_path, "car"):
-        with pytest.raises(ViewnetError, match="no model there: expected a folder of save_pretrained, the"):
+    for where in ("ba9876543210", tmp_path / "nowhere", tmp_path, "cars"):
+        with pytest.raises(
+            ViewnetError, match=r"no model there: expected a model that .*, a folder of save_pretrained"
+        ):
             load(where)
     with pytest.raises(ViewnetError, match="device gpu: cannot be had here"):
         load(run.folder, device="gpu")
@@ -295,6 +297,37 @@ def test_what_cannot_be_exported_is_said(tmp_path, monkeypatch):
     with pytest.raises(ViewnetError, match=r'onnxscript is not installed: pip install "viewnet\[onnx\]"'):
         untrained().export_onnx(tmp_path / "car.onnx")
     assert not list(tmp_path.iterdir())
+
+
+def test_half_precision_is_half_the_size_and_answers_alike(tmp_path, pictures):
+    estimator = untrained()
+    for half in (False, True):
+        estimator.save_pretrained(tmp_path / str(half), half=half)
+    whole, half = (tmp_path / name / "model.safetensors" for name in ("False", "True"))
+    assert half.stat().st_size < 0.6 * whole.stat().st_size
+    assert {value.dtype for value in load_file(half).values()} == {torch.float16, torch.int64}
+    found = load(tmp_path / "True", device="cpu")
+    assert {value.dtype for value in found.network.state_dict().values()} == {torch.float32, torch.int64}
+    assert np.allclose(found.predict(pictures).hypotheses, estimator.predict(pictures).hypotheses, atol=0.01)
+
+
+def test_what_half_precision_cannot_hold_is_said(tmp_path):
+    estimator = untrained()
+    with torch.no_grad():
+        next(estimator.network.viewpoint.encoder.parameters()).fill_(1e6)
+    with pytest.raises(ViewnetError, match=r"viewpoint\.encoder.* holds values that half precision does not"):
+        estimator.save_pretrained(tmp_path / "saved", half=True)
+    assert not (tmp_path / "saved").exists()
+
+
+def test_models_that_come_with_the_package_are_called_by_their_category(tmp_path, monkeypatch, pictures):
+    untrained().save_pretrained(tmp_path / "car", half=True)
+    monkeypatch.setattr(pretrained, "SHIPPED", tmp_path)
+    (tmp_path / "not a model").mkdir()
+    assert pretrained.shipped() == ["car"]
+    assert np.allclose(load("car").predict(pictures).hypotheses, load(tmp_path / "car").predict(pictures).hypotheses)
+    with pytest.raises(ViewnetError, match=r"boat: no model there: expected a model that comes with viewnet \(car\)"):
+        load("boat")
 
 
 def test_the_configuration_is_json(tmp_path):

@@ -327,6 +327,21 @@ PROFILES: dict[str, Changes] = {
         },
         "train": {"epochs": 14, "batch_size": 32, "targets_per_object": 2, "validate_every": 5},
     },
+    # Three categories in five megabytes of half precision: what comes with the package.
+    "pocket": {
+        "data": {"models": 1000},
+        "model": {
+            "volume_size": 32,
+            "render_size": 32,
+            "encoder_channels": (16, 32, 64, 128, 128, 128),
+            "code_size": 32,
+            "generator_channels": (32, 32, 16),
+            "generator_refine": False,
+            "generator_last_kernel": 2,
+            "appearance_size": 64,
+        },
+        "train": {"epochs": 12, "batch_size": 32, "targets_per_object": 2, "validate_every": 3},
+    },
     "small": {
         "data": {"models": 2000},
         "model": {"encoder_channels": (64, 128, 256, 512, 512, 512), "generator_channels": (256, 128, 64, 32)},
@@ -348,7 +363,7 @@ FILMED: dict[str, Changes] = {
 }
 """What a profile changes only for videos."""
 
-PROFILE_RECIPE = {"smoke": "matting", "tiny": "matting", "small": "matting", "paper": "paper"}
+PROFILE_RECIPE = {"smoke": "matting", "tiny": "matting", "pocket": "photos", "small": "matting", "paper": "paper"}
 """The recipe a profile uses unless another is named."""
 
 

@@ -79,7 +79,9 @@ class ViewpointEstimator(Painter):
         force_download: bool = False,
         local_files_only: bool = False,
     ) -> ViewpointEstimator:
-        """From a folder of `save_pretrained`, a finished run's folder or key, or the Hugging Face hub ("name/model").
+        """Of a category whose model comes with the package ("car"), or from elsewhere.
+
+        That is a folder of `save_pretrained`, a finished run's folder or key, or the Hugging Face hub ("name/model").
 
         `viewnet train` prints a run's folder, which is called by its key. The device is a GPU if there is one, unless
         told. What follows is for the hub only, which needs `pip install "viewnet[hub]"`. Weights are read with
@@ -219,6 +221,7 @@ class ViewpointEstimator(Painter):
         folder: str | os.PathLike[str],
         *,
         license: str | None = None,
+        half: bool = False,
         push_to_hub: bool = False,
         repo_id: str | None = None,
         **push: Any,
@@ -226,13 +229,13 @@ class ViewpointEstimator(Painter):
         """Write model.safetensors, config.json and README.md, a model card, for `from_pretrained`.
 
         `license` is that of the weights in the hub's words (default: mit of what was trained on built-in models, else
-        other). With `push_to_hub` the folder goes to the hub as `repo_id` (default: the folder's name), with what else
-        viewnet.pretrained.push takes; the address of the commit is returned. ViewnetError where it cannot be written
-        or pushed.
+        other). `half` keeps the weights in 16 bits, at half the size. With `push_to_hub` the folder goes to the hub as
+        `repo_id` (default: the folder's name), with what else viewnet.pretrained.push takes; the address of the commit
+        is returned. ViewnetError where it cannot be written or pushed.
         """
         from viewnet import pretrained
 
-        pretrained.save(self, Path(folder), license)
+        pretrained.save(self, Path(folder), license, half)
         return pretrained.push(Path(folder), repo_id or Path(folder).absolute().name, **push) if push_to_hub else None
 
     def export_onnx(self, path: str | os.PathLike[str]) -> Path:

@@ -1,11 +1,12 @@
 """Trained networks as folders: written for others, and read from a folder, a finished run or the Hugging Face hub.
 
-    model.safetensors    the weights; its metadata holds a digest of config.json
+    model.safetensors    the weights, in single or half precision; its metadata holds a digest of config.json
     config.json          format, version of the package, RunConfig, alignment, and where the weights come from
     README.md            a model card (viewnet.model_card)
 
 The files, their names and what is called how are huggingface_hub's conventions (ModelHubMixin), but nothing of it is
-needed for folders, and there is no way to a pickled file.
+needed for folders, and there is no way to a pickled file. A few such folders come with the package (`SHIPPED`), and are
+known by their category.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import numpy as np
 import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
+from torch import Tensor
 
 from viewnet import start
 from viewnet.config import RunConfig
@@ -39,6 +41,8 @@ WEIGHTS, CONFIG, CARD = "model.safetensors", "config.json", "README.md"
 FIELDS = ("format", "viewnet", "config", "alignment", "about")
 KEPT = ("key", "variant", "category", "profile", "recipe", "seed", "views", "metrics", "git")
 """What of a run's result goes along."""
+SHIPPED = Path(__file__).parent / "models"
+"""Folders that come with the package, called by their category."""
 HUB_ID = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
 
 
@@ -64,21 +68,32 @@ class Pretrained:
 
 
 def load(where: str | os.PathLike[str], hub: Hub | None = None) -> Pretrained:
-    """Of a saved folder, a finished run's folder or key, or a hub id. ViewnetError for what is there in no such way."""
+    """Of a saved folder, a finished run's folder or key, a category that comes with the package, or a hub id.
+
+    ViewnetError for what is there in no such way.
+    """
     place = Path(where).expanduser()
     if (place / WEIGHTS).is_file() or ((place / CONFIG).is_file() and not (place / start.CHECKPOINT).is_file()):
         return _of_folder(place)
     name = os.fspath(where)
+    if name in shipped():
+        return _of_folder(SHIPPED / name)
     try:
         checkpoint = start.checkpoint(name)
     except ViewnetError:
         if place.exists() or not HUB_ID.fullmatch(name):
             raise ViewnetError(
-                f"{name}: no model there: expected a folder of save_pretrained, the folder or key of a finished run "
-                "(viewnet train prints it), or NAME/MODEL of the Hugging Face hub"
+                f"{name}: no model there: expected {'a model that comes with viewnet (' + ', '.join(shipped()) + '), '}"
+                "a folder of save_pretrained, the folder or key of a finished run (viewnet train prints it), or "
+                "NAME/MODEL of the Hugging Face hub"
             ) from None
         return _of_folder(_downloaded(name, hub or Hub()))
     return _of_run(checkpoint)
+
+
+def shipped() -> list[str]:
+    """The categories whose models come with the package."""
+    return sorted(path.parent.name for path in SHIPPED.glob(f"*/{WEIGHTS}"))
 
 
 def device(name: str | torch.device | None) -> torch.device:
@@ -167,6 +182,8 @@ def _filled(config: RunConfig, path: Path) -> tuple[ViewNet, dict[str, str]]:
             problem = "is missing" if name not in weights else "has no place"
             raise ViewnetError(f"{path}: {name} {problem}: weights and configuration are not of one network")
         there, here = weights[name], expected[name]
+        if there.dtype == torch.float16 and here.dtype == torch.float32:
+            there = weights[name] = there.float()
         if (there.shape, there.dtype) != (here.shape, here.dtype):
             raise ViewnetError(
                 f"{path}: {name} is {there.dtype} {tuple(there.shape)}, its configuration says {here.dtype} "
@@ -176,7 +193,7 @@ def _filled(config: RunConfig, path: Path) -> tuple[ViewNet, dict[str, str]]:
     return network, metadata
 
 
-def save(estimator: ViewpointEstimator, folder: Path, license: str | None = None) -> None:
+def save(estimator: ViewpointEstimator, folder: Path, license: str | None = None, half: bool = False) -> None:
     """See ViewpointEstimator.save_pretrained. Where data lay on this machine is left out but for the last name."""
     from viewnet import model_card
 
@@ -191,10 +208,21 @@ def save(estimator: ViewpointEstimator, folder: Path, license: str | None = None
         "about": estimator.about,
     }
     weights = {name: value.cpu().contiguous() for name, value in estimator.network.state_dict().items()}
+    if half:
+        weights = {name: _halved(name, value) for name, value in weights.items()}
     with replacing(folder / WEIGHTS) as temporary:
         save_file(weights, temporary, metadata={"config": _digest(values)})
     write_json(folder / CONFIG, values)
     write_text(folder / CARD, model_card.card(config, estimator.aligned, estimator.about, license))
+
+
+def _halved(name: str, value: Tensor) -> Tensor:
+    if not value.is_floating_point():
+        return value
+    found = value.half()
+    if not found.isfinite().all():
+        raise ViewnetError(f"{name} holds values that half precision does not: save the model without half")
+    return found
 
 
 def placeless(config: RunConfig) -> RunConfig:
