@@ -95,6 +95,8 @@ class VideoConfig:
     size: int = 128  # pixels along a side
     margin: float = 0.05  # so much of the object's longer side is seen beyond it, on either side
     square: bool = True  # whether the object keeps its shape, or its box is stretched to a square
+    # With masks: the object is as high in all views of its clip, or fills every one, however long it then is
+    scale: Literal["clip", "view"] = "clip"
     side: float = 16.0  # objects with fewer pixels along their shorter side are left out
     blur: float = 0.0  # and frames less sharp than this share of their clip's median
     seed: int = 0  # of picking, of splits that are not given, and the stand-in's

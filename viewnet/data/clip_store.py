@@ -13,9 +13,9 @@ import math
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -25,7 +25,7 @@ from scipy import ndimage
 from viewnet.config import CATEGORIES, known
 from viewnet.data import frames
 from viewnet.data.clips import Clip, Frame
-from viewnet.data.cutting import Crop, bounds, cut, inside
+from viewnet.data.cutting import Crop, bounds, cut, inside, shrunk
 from viewnet.data.freiburg import Rejected
 from viewnet.data.masks import MaskSource
 from viewnet.data.pascal3d import tally
@@ -39,8 +39,11 @@ from viewnet.progress import bar
 VERSION = 1
 """Raise it when a change alters what is cut out: it is part of every store's identity."""
 CROP = Crop(128, margin=0.05)
+LONGEST = 0.95
+"""Of a clip's views so many lie within their frame when all objects are made as high as each other: masks can err."""
 SHARPNESS = 96
 """Pixels along a side of the cut-out whose sharpness is measured."""
+Scale = Literal["clip", "view"]
 LOST_MASK = "mask"
 """How every reason for which a frame has no usable mask begins."""
 
@@ -78,6 +81,7 @@ def clip_store(
     masks: MaskSource | None,
     crop: Crop = CROP,
     limits: Limits | None = None,
+    scale: Scale = "clip",
     rejected: Iterable[Rejected] = (),
     workers: int | None = None,
     progress: bool = False,
@@ -85,9 +89,11 @@ def clip_store(
     """Cut the frames of clips from the data set at `root` into a view store, all of a clip side by side, and open it.
 
     The object is what its mask covers (within the frame's box where there is one), and is cut out to the square around
-    it; without `masks` it is what its box, or else the picture, shows, and nothing is transparent. Frames that do not
-    decode, have no usable mask, or are beyond `limits`, and clips of which fewer than two frames are left, join
-    `rejected` with their reason. `workers` threads read files; a network sees one clip after the other.
+    it. By the `scale` "clip" it is then made as high in all views of its clip; by "view" it fills every square, so that
+    a car grows as it turns its front. Without `masks` it is what its box, or else the picture, shows, fills the square,
+    and nothing is transparent. Frames that do not decode, have no usable mask, or are beyond `limits`, and clips of
+    which fewer than two frames are left, join `rejected` with their reason. `workers` threads read files; a network
+    sees one clip after the other.
 
     Raises ViewnetError for two clips of one name, and where no clip or none to train on is left.
     """
@@ -103,7 +109,7 @@ def clip_store(
 
         def work(number: int) -> tuple[list[tuple[Any, ...]], list[Rejected]]:
             clip = ordered[number]
-            views, lost = _views(clip, root, masks, crop, limits)
+            views, lost = _views(clip, root, masks, crop, limits, scale)
             if views:
                 np.save(Path(waiting) / f"{number}.npy", np.stack([view.pixels for view in views]))
             return [_row(clip, view, root) for view in views], lost
@@ -127,11 +133,15 @@ def clip_store(
         if not (index["split"] == "train").any():
             told = f" (the first that was left out: {': '.join(refused[0])})" if refused else ""
             raise ViewnetError(f"{root}: no clip to train on can be used{told}")
-        return write_store(folder, _batches(files), index, describe(clips, masks, crop, limits), refused)
+        return write_store(folder, _batches(files), index, describe(clips, masks, crop, limits, scale), refused)
 
 
 def describe(
-    clips: Sequence[Clip], masks: MaskSource | None, crop: Crop = CROP, limits: Limits | None = None
+    clips: Sequence[Clip],
+    masks: MaskSource | None,
+    crop: Crop = CROP,
+    limits: Limits | None = None,
+    scale: Scale = "clip",
 ) -> dict[str, Any]:
     """What decides a store, as JSON values; files are known by their names and sizes."""
     hashed = hashlib.sha256()
@@ -145,6 +155,7 @@ def describe(
         "masks": None if masks is None else masks.described,
         "crop": described(crop),
         "limits": asdict(limits or Limits()),
+        "scale": scale if masks else "view",
     }
 
 
@@ -178,7 +189,7 @@ def _check(clips: Sequence[Clip]) -> None:
 
 
 def _views(
-    clip: Clip, root: Path, masks: MaskSource | None, crop: Crop, limits: Limits
+    clip: Clip, root: Path, masks: MaskSource | None, crop: Crop, limits: Limits, scale: Scale
 ) -> tuple[list[_View], list[Rejected]]:
     """The usable frames of a clip, none where there are fewer than two, and what is left out."""
     where = _within(clip.source, root)
@@ -203,7 +214,19 @@ def _views(
         found = [view for view in found if view.sharpness >= least]
     if len(found) < 2:
         return [], [*lost, (clip.id, where, f"fewer than two usable frames ({len(found)})")]
-    return found, lost
+    return _levelled(found) if masks and scale == "clip" else found, lost
+
+
+def _levelled(views: Sequence[_View]) -> list[_View]:
+    """Views that fill their squares, shrunk so that the object is as high in all of them.
+
+    Height hardly changes as an object turns about its upright axis, nor with the camera's elevation, and distance
+    changes it as it should not: what is left is one scale for one rigid object.
+    """
+    sides = np.array([(x1 - x0, y1 - y0) for x0, y0, x1, y1 in (bounds(view.pixels[..., 3]) for view in views)])
+    longer = sides.max(axis=1) / sides[:, 1]
+    shares = np.minimum(longer / np.quantile(longer, LONGEST), 1.0)
+    return [replace(view, pixels=shrunk(view.pixels, share)) for view, share in zip(views, shares, strict=True)]
 
 
 def _view(frame: Frame, name: str, picture: Image.Image, mask: np.ndarray | None, crop: Crop, limits: Limits) -> _View:

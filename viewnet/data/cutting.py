@@ -84,6 +84,17 @@ def cut(picture: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | No
     return np.dstack([np.asarray(small), np.full((crop.size, crop.size), 255, np.uint8)])
 
 
+def shrunk(view: np.ndarray, share: float) -> np.ndarray:
+    """A cut-out (S, S, 4) uint8 made smaller, `share` of its side, about its centre; transparent around it."""
+    size = len(view)
+    side = max(1, round(share * size))
+    start = (size - side) // 2
+    found = np.zeros_like(view)
+    small = Image.fromarray(view).resize((side, side), Image.Resampling.HAMMING)
+    found[start : start + side, start : start + side] = np.asarray(small)
+    return found
+
+
 def bounds(mask: np.ndarray) -> Box:
     """The box about what a mask (H, W) uint8 covers. ViewnetError where that is nothing."""
     columns, rows = (np.flatnonzero((mask > 127).any(axis)) for axis in (0, 1))

@@ -224,12 +224,14 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     source = _mask_source(config)
     root = video_stand_in(config, workers, progress) if config.root is None else Path(config.root)
     clips, rejected = _clips(config, root)
-    made_by = clip_store.describe(clips, source, crop, limits)
+    made_by = clip_store.describe(clips, source, crop, limits, config.scale)
     folder = paths.data() / "views" / f"videos-{config.category}-{identity_of(made_by)[:12]}"
     with locked(folder):
         if folder.exists():
             return ViewStore.open(folder)
-        return clip_store.clip_store(clips, folder, root, source, crop, limits, rejected, workers, progress)
+        return clip_store.clip_store(
+            clips, folder, root, source, crop, limits, config.scale, rejected, workers, progress
+        )
 
 
 def video_stand_in(config: VideoConfig, workers: int | None = None, progress: bool = True) -> Path:
