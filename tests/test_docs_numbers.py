@@ -6,6 +6,7 @@ Each text below stands in its page with the numbers filled in. Where a text is w
 from __future__ import annotations
 
 import re
+import tomllib
 
 import numpy as np
 import pandas as pd
@@ -372,3 +373,9 @@ def test_settings_in_the_decisions(field, text):
     value = getattr(make_config(recipe="matting").train, field)
     shown = np.log10(value) if field == "learning_rate" else value
     assert text.format(shown) in page("docs/decisions.md").prose
+
+
+def test_the_version_is_the_same_everywhere():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert re.findall(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE) == [version]
+    assert version in page("CHANGELOG.md").text
