@@ -14,7 +14,7 @@ UPGRADE ?=
 
 RUN := $(VENV)/bin/python -m
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 test test-fast lint format lock clean
+.PHONY: help setup table2 test test-fast lint format docs lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z0-9-]*\):.*## /\1\t/p' Makefile | expand -t 12
@@ -57,6 +57,10 @@ lint: setup ## style and types
 format: setup ## mend the style where that can be done by a tool
 	$(RUN) ruff check --fix
 	$(RUN) ruff format
+
+docs: setup ## the pages and the reference of every module as HTML: build/docs/index.html
+	$(VENV)/bin/python docs/build.py build/docs
+	@echo "the first page: build/docs/index.html"
 
 lock: ## pin every dependency anew in environment.lock
 	"$(PYTHON)" -m venv build/uv

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import doctest
 import math
 
 import numpy as np
@@ -10,7 +9,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from viewnet import geometry
 from viewnet.geometry import azimuth_elevation, look_at, rotation_angle, vector_angle, view_vector
 
 azimuths = st.floats(0, 360, exclude_max=True)
@@ -31,10 +29,6 @@ def is_rotation(frames: torch.Tensor, tolerance: float = 1e-9) -> bool:
     identity = torch.eye(3, dtype=frames.dtype)
     orthogonal = (frames.transpose(-1, -2) @ frames - identity).abs().max() < tolerance
     return bool(orthogonal and (torch.linalg.det(frames) - 1).abs().max() < tolerance)
-
-
-def test_the_examples_of_the_docstrings():
-    assert doctest.testmod(geometry, extraglobs={"torch": torch}) == (0, 3)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,12 @@ Unsupervised predictions hold up to a rotation of the world (section 4.1). `proc
 squares, `robust` the one that most predictions agree on; `linear` is the affine map of the starred rows of Table 3,
 `per_angle` the linear regression of each angle by itself, as SSV does; `none` is for predictors that speak in the
 annotated frame already.
+
+>>> truth = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]])
+>>> predicted = truth[:, [1, 2, 0]]  # right, in a frame of its own
+>>> found = ALIGNMENTS["procrustes"].fit(predicted, truth)
+>>> np.allclose(found.apply(predicted), truth)
+True
 """
 
 from __future__ import annotations
@@ -172,6 +178,13 @@ def fit_rotation(predicted: Floats, truth: Floats) -> Floats:
     best rotation is U diag(1, 1, -1) V^T, the sign on the direction that matters least (Kabsch). Predictions that are
     all alike leave the turn about their common direction open: of the equally good rotations the smallest is taken.
     ViewnetError for fewer than four images, and where predictions and truth have no direction in common at all.
+
+    >>> truth = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    >>> turned = np.array([[0.0, 1, 0], [-1, 0, 0], [0, -1, 0], [1, 0, 0]])  # by a quarter
+    >>> fit_rotation(turned, truth).round(3) + 0.0
+    array([[ 0.,  1.,  0.],
+           [-1.,  0.,  0.],
+           [ 0.,  0.,  1.]])
     """
     _check(predicted, truth)
     return _rotation(truth.T @ predicted, len(truth))
@@ -211,7 +224,14 @@ def _rotation(correlation: Floats, count: float) -> Floats:
 
 
 def from_dict(values: dict[str, Any]) -> Alignment:
-    """The inverse of every `to_dict`. ViewnetError for an unknown kind or missing values."""
+    """The inverse of every `to_dict`. ViewnetError for an unknown kind or missing values.
+
+    >>> from_dict({"kind": "none"})
+    Identity()
+    >>> from_dict({"kind": "affine"})
+    Traceback (most recent call last):
+    viewnet.errors.ViewnetError: unknown alignment 'affine': choose one of procrustes, robust, linear, per_angle, none
+    """
     kind = values.get("kind")
     try:
         if kind in ("procrustes", "robust"):

@@ -134,7 +134,7 @@ def lattice() -> pd.DataFrame:
 
 
 def mean_view(truth: Floats) -> Floats:
-    """The camera frame (3, 3), held level, of the mean of view vectors (N, 3)."""
+    """The camera frame (3, 3), held level, of the mean of view vectors (N, 3). ViewnetError where they cancel out."""
     mean = truth.mean(axis=0)
     if (length := float(np.linalg.norm(mean))) < 1e-9:
         raise ViewnetError("constant predictor: the viewpoints cancel out, so they have no mean direction")

@@ -16,19 +16,19 @@ from viewnet.config import CATEGORIES, PROFILES, RECIPES, VARIANTS, make_config
 from viewnet.errors import ViewnetError
 
 TRAINING = """examples:
-  viewnet train car chair                                         on this machine: GPUs, or cores without any
+  viewnet train car chair                                         # on this machine: GPUs, or cores without any
   viewnet train car --profile paper --data-root /data/ShapeNetCore.v1 --seed 1
-  viewnet train car -s epochs=3 -s muon=0.01                      any setting of viewnet.config
-  torchrun --nproc-per-node 4 -m viewnet train car --profile paper          one run over four GPUs
+  viewnet train car -s epochs=3 -s muon=0.01                      # any setting of viewnet.config
+  torchrun --nproc-per-node 4 -m viewnet train car --profile paper          # one run over four GPUs
   torchrun --nnodes 2 --nproc-per-node 4 --rdzv-backend c10d --rdzv-endpoint HOST:29500 -m viewnet train car
-  viewnet train car chair boat --cluster tcp://HOST:8786          many runs on a Dask cluster
+  viewnet train car chair boat --cluster tcp://HOST:8786          # many runs on a Dask cluster
 """
 
 PREDICTING = """examples:
-  viewnet predict car.jpg --model 0123456789ab                    all of the picture is the object
+  viewnet predict car.jpg --model 0123456789ab                    # all of the picture is the object
   viewnet predict car.jpg --model 0123456789ab --box 40 60 380 250
   viewnet predict a.jpg b.jpg --masks a_mask.png b_mask.png --model runs/viewnet/0123456789ab
-  viewnet predict *.png --json --model saved/car                  cut out: transparency is a mask
+  viewnet predict *.png --json --model saved/car                  # cut out: transparency is a mask
 """
 TURNING = """examples:
   viewnet turntable car.png --model 0123456789ab -o car.gif

@@ -2,6 +2,10 @@
 
 Everything is a frozen dataclass. A variant is a named set of changes to the base configuration, so that Table 2 is
 literally `VARIANTS`; a recipe and a profile are the same, so there is one place where each setting is decided.
+
+>>> config = make_config("single_head", "chair", profile="smoke", epochs=3)
+>>> config.model.heads, config.train.epochs, config.data.models, config.recipe
+(1, 3, 30, 'matting')
 """
 
 from __future__ import annotations
@@ -206,7 +210,11 @@ class RunConfig:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> RunConfig:
-        """The inverse of `to_dict`. Unknown or missing keys and wrong types raise ViewnetError."""
+        """The inverse of `to_dict`. Unknown or missing keys and wrong types raise ViewnetError.
+
+        >>> RunConfig.from_dict(make_config().to_dict()) == make_config()
+        True
+        """
         return _build(cls, values, "config")
 
     def key(self, *identities: str) -> str:
@@ -383,6 +391,12 @@ def make_config(
     """The configuration of one run. Overrides name a field of any section, e.g. `epochs=3` or `volume_size=16`.
 
     Raises ViewnetError naming the valid choices for an unknown variant, category, profile, recipe or override.
+
+    >>> make_config(category="car", recipe="photos", heads=5).model.heads
+    5
+    >>> make_config(profile="huge")
+    Traceback (most recent call last):
+    viewnet.errors.ViewnetError: unknown profile 'huge': choose one of smoke, tiny, small, paper
     """
     known(variant, VARIANTS, "variant")
     known(category, CATEGORIES, "category")

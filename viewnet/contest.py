@@ -252,7 +252,8 @@ def _synchronise(device: torch.device) -> None:
 def peak_memory(work: Work, contestant: str, device: torch.device, threads: int) -> int | None:
     """The most bytes that two calls hold at once beside what was there before, in a process of its own.
 
-    On a GPU what PyTorch allocates there, else resident memory. None where the system does not tell.
+    On a GPU what PyTorch allocates there, else resident memory. None where the system does not tell. Raises
+    ViewnetError where that process fails or is ended.
     """
     from multiprocessing import get_context
 

@@ -159,6 +159,12 @@ def recognise(folder: Path) -> str:
     """The key of the data set whose layout a folder has.
 
     Raises ViewnetError where there is no such folder, or it has none of them; where one lies a folder deeper, its name.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     Path(folder, "02958343").mkdir()
+    ...     recognise(Path(folder))
+    'shapenet'
     """
     folder = Path(folder)
     if not folder.is_dir():

@@ -79,7 +79,10 @@ def fail(message: str) -> NoReturn:
 
 
 def first(work: Callable[[], T]) -> T:
-    """What `work` gives in the first process, in all of them; what it raises there is raised in all."""
+    """What `work` gives in the first process, in all of them.
+
+    What it raises there is raised in all, as a ViewnetError in the others.
+    """
     if size() == 1:
         return work()
     found: list[Any] = [None, None]
@@ -163,6 +166,7 @@ class BatchNorm(_BatchNorm):
         """Any number of dimensions will do."""
 
     def forward(self, x: Tensor) -> Tensor:
+        """Normalised features (N, C, ...) of this process's rows."""
         if not self.training:
             return super().forward(x)
         dims = [d for d in range(x.dim()) if d != 1]

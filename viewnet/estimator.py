@@ -1,8 +1,16 @@
 """A trained ViewNet for people's own pictures: where they were taken from, and what their object is like elsewhere.
 
->>> estimator = ViewpointEstimator.from_pretrained("0123456789ab")  # doctest: +SKIP
->>> estimator.predict("car.jpg", boxes=(40, 60, 380, 250)).azimuth  # doctest: +SKIP
-array([215.3])
+`ViewpointEstimator.from_pretrained` gives one of a finished run. Here is one that has learned nothing yet:
+
+>>> from viewnet.config import make_config
+>>> config = make_config(profile="smoke", recipe="photos", backgrounds=None)
+>>> estimator = ViewpointEstimator(ViewNet(config.model).eval(), config)
+>>> photograph = np.full((300, 400, 3), 128, np.uint8)
+>>> found = estimator.predict([photograph, photograph], boxes=[(40, 60, 380, 250), None])
+>>> found.vector.shape, found.hypotheses.shape, found.aligned
+((2, 3), (2, 3, 3), False)
+>>> estimator.novel_view(photograph, azimuth=90, elevation=10).shape
+(1, 16, 16, 3)
 """
 
 from __future__ import annotations
@@ -171,7 +179,8 @@ class ViewpointEstimator(Painter):
     ) -> np.ndarray:
         """Pictures (N, S, S, 3) uint8 of the objects before white, from another viewpoint in degrees: one, or (N,).
 
-        The viewpoint is in the frame of the answers. `size` is S, in pixels (default: as learned).
+        The viewpoint is in the frame of the answers. `size` is S, in pixels (default: as learned). Raises ViewnetError
+        for angles that are no finite numbers, or not as many as pictures.
         """
         count = len(pictures.listed(images))
         angles = []

@@ -190,6 +190,10 @@ def experiment(
 
     What is not the plain default goes into a subfolder of `output` that says so ("smoke", "tiny-car"), so that no
     table replaces one of another kind. Raises ViewnetError naming the parameter and its valid values.
+
+    >>> asked = experiment("table2_ablation", profile="smoke", categories="car", seeds="0,2")
+    >>> asked.label, asked.seeds, len(asked.configs)  # six trained rows with two seeds, two constants
+    ('smoke-car', (0, 2), 14)
     """
     design = DESIGNS[known(name, DESIGNS, "notebook")]
     given: dict[str, Any] = {"profile": profile, "categories": categories, "seeds": seeds, "recipe": recipe}

@@ -34,7 +34,10 @@ AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA
 
 
 def azimuth_scatter(runs: Sequence[Run]) -> Figure:
-    """Figure 3 (a)-(c): predicted azimuth after alignment over the true one, a panel for each run (category)."""
+    """Figure 3 (a)-(c): predicted azimuth after alignment over the true one, a panel for each run (category).
+
+    ViewnetError without runs.
+    """
     if not runs:
         raise ViewnetError("figure 3: no runs to show")
     with matplotlib.rc_context(STYLE):
@@ -87,7 +90,8 @@ def candidates(
 ) -> Figure:
     """Figure 3 (d) of trained runs of the same number of heads, `count` test pictures of each, evenly spaced.
 
-    `views` and `draw` stand in for viewnet.data.prepare.view_store and viewnet.predict.candidates.
+    `views` and `draw` stand in for viewnet.data.prepare.view_store and viewnet.predict.candidates. Raises ViewnetError
+    without runs, for untrained ones and for drawings of different sizes.
     """
     if views is None or draw is None:
         from viewnet.data.prepare import view_store

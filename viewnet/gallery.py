@@ -69,7 +69,8 @@ def around(
 
     Runs are shown by variant, as in the paper; within a category all have the same object (`object_number` of the test
     split, the middle one if None). Own azimuths are turned to the annotated ones, and nothing else is aligned, so that
-    a network which has learned no common frame is shown from where it learned to draw.
+    a network which has learned no common frame is shown from where it learned to draw. Raises ViewnetError for an
+    object that is not there.
     """
     found = drawers(runs, stores)
     several = len({d.config.category for d in found}) > 1
@@ -121,7 +122,8 @@ def volumes(
 def training_curves(runs: Sequence[Run]) -> Figure:
     """Validation accuracy and error, the loss and each of its terms over epochs: a colour a variant, a dash a category.
 
-    Terms are weighted, so they sum to the loss; a term that a run does not have is not drawn. Seeds look alike.
+    Terms are weighted, so they sum to the loss; a term that a run does not have is not drawn. Seeds look alike. Raises
+    ViewnetError without runs, and for one that has not been validated yet.
     """
     if not runs:
         raise ViewnetError("training curves: no runs to show: train some first")

@@ -26,13 +26,21 @@ UP = (0.0, 0.0, 1.0)
 
 
 def view_vector(azimuth: Tensor, elevation: Tensor) -> Tensor:
-    """Unit vectors (..., 3) from object to camera for azimuth and elevation (...) in degrees."""
+    """Unit vectors (..., 3) from object to camera for azimuth and elevation (...) in degrees.
+
+    >>> view_vector(torch.tensor(60.0), torch.tensor(30.0))
+    tensor([0.4330, 0.7500, 0.5000])
+    """
     a, e = torch.deg2rad(azimuth), torch.deg2rad(elevation)
     return torch.stack([e.cos() * a.cos(), e.cos() * a.sin(), e.sin()], dim=-1)
 
 
 def azimuth_elevation(v: Tensor) -> tuple[Tensor, Tensor]:
-    """Azimuth in [0, 360) and elevation in [-90, 90], degrees, of vectors (..., 3) of any positive length."""
+    """Azimuth in [0, 360) and elevation in [-90, 90], degrees, of vectors (..., 3) of any positive length.
+
+    >>> azimuth_elevation(torch.tensor([0.0, -2.0, 0.0]))
+    (tensor(270.), tensor(0.))
+    """
     azimuth = torch.rad2deg(torch.atan2(v[..., 1], v[..., 0])) % 360.0
     # A tiny negative angle rounds up to 360 itself under the modulo.
     azimuth = torch.where(azimuth >= 360.0, torch.zeros_like(azimuth), azimuth)
@@ -46,6 +54,10 @@ def look_at(v: Tensor, up: Tensor | None = None) -> Tensor:
     `up` (..., 3) is the direction that points up in the picture; the world's z without it. A learned `up` describes
     in-plane rotation too (the paper's general case). Where `v` and `up` are parallel the frame is undefined in the
     mathematics; here `right` is then the world's y, so that the result is always a rotation and gradients are finite.
+
+    >>> right, up, back = look_at(torch.tensor([1.0, 0.0, 0.0])).unbind(-1)
+    >>> right, up  # from the front the object's left side, +y, is on the right
+    (tensor([0., 1., 0.]), tensor([0., 0., 1.]))
     """
     back = torch.nn.functional.normalize(v, dim=-1, eps=1e-12)
     up = back.new_tensor(UP).expand_as(back) if up is None else up.expand_as(back)
@@ -68,6 +80,11 @@ def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
 
     Computed as the atan2 of (twice) its sine and its cosine: exact at 0 and 180 degrees, where the usual
     arccos((trace - 1) / 2) loses half of its digits.
+
+    >>> level = torch.zeros(2)
+    >>> a, b = look_at(view_vector(torch.tensor([10.0, 350.0]), level))
+    >>> round(rotation_angle(a, b).item(), 3)
+    20.0
     """
     relative = a.transpose(-1, -2) @ b
     trace = relative.diagonal(dim1=-2, dim2=-1).sum(-1)
@@ -83,7 +100,11 @@ def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
 
 
 def vector_angle(a: Tensor, b: Tensor) -> Tensor:
-    """Angle (...) in degrees between vectors (..., 3) of any positive length."""
+    """Angle (...) in degrees between vectors (..., 3) of any positive length.
+
+    >>> round(vector_angle(torch.tensor([1.0, 0.0, 0.0]), torch.tensor([0.0, 3.0, 0.0])).item(), 3)
+    90.0
+    """
     a, b = torch.nn.functional.normalize(a, dim=-1), torch.nn.functional.normalize(b, dim=-1)
     return 2 * torch.rad2deg(
         torch.atan2(torch.linalg.vector_norm(a - b, dim=-1), torch.linalg.vector_norm(a + b, dim=-1))

@@ -68,6 +68,7 @@ class PerceptualLoss(nn.Module):
         return found
 
     def forward(self, picture: Tensor, target: Tensor) -> Tensor:
+        """The distance, a scalar, of pictures (N, 3, H, W) in [0, 1] from their targets (N, 3, H, W)."""
         with torch.no_grad():
             wanted = self.features(target)
         total = picture.new_zeros(())

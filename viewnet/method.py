@@ -150,7 +150,10 @@ class HeldOut:
 
 
 def held_out(asked: Experiment, category: str) -> HeldOut:
-    """The images that a table's rows are aligned on and scored on, of one of its categories."""
+    """The images that a table's rows are aligned on and scored on, of one of its categories.
+
+    Raises ViewnetError where a model is in the collection trained on and in the one scored on.
+    """
     if isinstance(asked, PhotoExperiment):
         store = asked.stores()[category]
         stores = {split: (store, store.split(split)) for split in ("val", "test")}
@@ -209,12 +212,21 @@ def predictions(asked: Experiment, submission: Submission) -> Predictions:
 
 
 def view_vectors(azimuth: ArrayLike, elevation: ArrayLike) -> Floats:
-    """Unit view vectors (N, 3) of azimuths and elevations (N,) in degrees; the conventions are viewnet.geometry's."""
+    """Unit view vectors (N, 3) of azimuths and elevations (N,) in degrees; the conventions are viewnet.geometry's.
+
+    >>> view_vectors([0, 90], [0, 30]).round(3)
+    array([[1.   , 0.   , 0.   ],
+           [0.   , 0.866, 0.5  ]])
+    """
     return true_vectors(pd.DataFrame({"azimuth": np.asarray(azimuth), "elevation": np.asarray(elevation)}))
 
 
 def angles(vectors: ArrayLike) -> tuple[Floats, Floats]:
-    """Azimuths in [0, 360) and elevations (N,), degrees, of view vectors (N, 3): the inverse of `view_vectors`."""
+    """Azimuths in [0, 360) and elevations (N,), degrees, of view vectors (N, 3): the inverse of `view_vectors`.
+
+    >>> angles([[0.0, -1.0, 0.0]])
+    (array([270.]), array([0.]))
+    """
     azimuth, elevation = geometry.azimuth_elevation(torch.from_numpy(np.array(vectors, dtype=np.float64)))
     return azimuth.numpy(), elevation.numpy()
 

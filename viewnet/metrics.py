@@ -27,6 +27,13 @@ def geodesic_error(predicted: Floats, truth: Floats, ups: Floats | None = None) 
     """Angles (...), [0, 180] degrees, between the camera frames of view vectors (..., 3), both held level.
 
     With predicted up vectors `ups` (..., 3) the predicted frame has the tilt they give it; the true one stays level.
+
+    A quarter turn around an object is 90 degrees from whatever height; view vectors alone come closer to each other:
+
+    >>> high = np.sqrt(3) / 2  # 60 degrees above the horizon
+    >>> front, left = np.array([[0.5, 0, high]]), np.array([[0, 0.5, high]])
+    >>> geodesic_error(left, front).round(1), vector_error(left, front).round(1)
+    (array([90.]), array([41.4]))
     """
     frames = geometry.look_at(_tensor(predicted), None if ups is None else _tensor(ups))
     return geometry.rotation_angle(frames, geometry.look_at(_tensor(truth))).numpy()
@@ -41,6 +48,9 @@ def folded(errors: Floats) -> Floats:
     """What the arcsine of the relative rotation's antisymmetric part makes of geodesic errors e (...): min(e, 180 - e).
 
     A prediction from the opposite side counts as right. For the audit of printed numbers only.
+
+    >>> folded(np.array([10.0, 170.0]))
+    array([10., 10.])
     """
     return np.minimum(errors, 180 - errors)
 
@@ -56,12 +66,20 @@ camera frames."""
 
 
 def accuracy(errors: Floats, threshold: float) -> float:
-    """Per cent of errors strictly below `threshold` degrees."""
+    """Per cent of errors strictly below `threshold` degrees.
+
+    >>> accuracy(np.array([5.0, 29.9, 30.0, 170.0]), 30)
+    50.0
+    """
     return 100 * float(np.mean(np.asarray(errors) < threshold))
 
 
 def median(errors: Floats) -> float:
-    """The median, degrees; of an even number of errors the mean of the middle two."""
+    """The median, degrees; of an even number of errors the mean of the middle two.
+
+    >>> median(np.array([1.0, 2.0, 4.0, 90.0]))
+    3.0
+    """
     return float(np.median(errors))
 
 
@@ -72,7 +90,11 @@ CONFIDENT = 10
 
 
 def azimuth_bins(azimuths: Floats) -> NDArray[np.intp]:
-    """In which of the twelve bins azimuths (N,), degrees, lie: 0 to 11."""
+    """In which of the twelve bins azimuths (N,), degrees, lie: 0 to 11.
+
+    >>> azimuth_bins(np.array([0.0, 29.9, 30.0, 359.9]))
+    array([ 0,  0,  1, 11])
+    """
     return (np.floor(np.asarray(azimuths, dtype=np.float64) / (360 / AZIMUTH_BINS)) % AZIMUTH_BINS).astype(np.intp)
 
 
@@ -83,12 +105,22 @@ def bin_accuracies(errors: Floats, azimuths: Floats, threshold: float = 30) -> F
 
 
 def dva(errors: Floats, azimuths: Floats) -> float:
-    """Discretized viewpoint accuracy, per cent, of errors (N,) at true azimuths (N,): the mean over bins not empty."""
+    """Discretized viewpoint accuracy, per cent, of errors (N,) at true azimuths (N,): the mean over bins not empty.
+
+    Three images from the front and one from the left, all but one of the front's right: 75 % of the images, but
+
+    >>> round(dva(np.array([10.0, 10.0, 100.0, 10.0]), np.array([5.0, 6.0, 7.0, 95.0])), 1)
+    83.3
+    """
     return float(bin_accuracies(errors, azimuths).mean())
 
 
 def confidence_index(azimuths: Floats) -> float:
-    """The share of the twelve bins that hold more than ten of the true azimuths (N,), degrees."""
+    """The share of the twelve bins that hold more than ten of the true azimuths (N,), degrees.
+
+    >>> round(confidence_index(np.repeat([15.0, 45.0, 75.0], [20, 11, 10])), 3)  # two bins of twelve
+    0.167
+    """
     return float(np.mean(np.bincount(azimuth_bins(azimuths), minlength=AZIMUTH_BINS) > CONFIDENT))
 
 
@@ -106,7 +138,11 @@ STATISTICS: dict[str, Callable[[Floats], float]] = {
 
 
 def summary(errors: Floats) -> dict[str, float]:
-    """Every one of `STATISTICS` of errors (N,)."""
+    """Every one of `STATISTICS` of errors (N,).
+
+    >>> summary(np.array([5.0, 12.0, 40.0, 175.0]))
+    {'acc10': 25.0, 'acc15': 50.0, 'acc30': 50.0, 'median': 26.0, 'flips': 25.0}
+    """
     return {name: statistic(errors) for name, statistic in STATISTICS.items()}
 
 
@@ -122,9 +158,13 @@ def bootstrap_intervals(
     """Percentile intervals of statistics, by resampling objects and not images: views of one object err together.
 
     `errors` and `objects` hold one array (N,) for each run (seed); the statistic is the mean over runs, and a draw
-    takes the same objects in every run. None stands for an interval that does not exist: fewer than two objects.
-    The statistic "dva" needs the true `azimuths` (N,) of each run, degrees; bins that a draw leaves empty are left out
-    of its mean, as `dva` does.
+    takes the same objects in every run. None stands for an interval that does not exist: fewer than two objects. The
+    statistic "dva" needs the true `azimuths` (N,) of each run, degrees; bins that a draw leaves empty are left out of
+    its mean, as `dva` does. Raises ViewnetError for "dva" without azimuths of every run.
+
+    >>> errors, objects = np.array([5.0, 6.0, 7.0, 90.0]), np.array(["a", "b", "c", "d"])
+    >>> bootstrap_intervals([errors], [objects], np.random.default_rng(0), statistics=["acc30"])
+    {'acc30': (25.0, 100.0)}
     """
     if "dva" in statistics and len(azimuths) != len(errors):
         raise ViewnetError(f"bootstrap: dva of {len(errors)} runs needs their true azimuths, got {len(azimuths)}")

@@ -57,6 +57,7 @@ class ViewpointNetwork(nn.Module):
         self.register_buffer("shares", torch.full((12, bands), 1 / (12 * bands)))
 
     def forward(self, pictures: Tensor) -> Hypotheses:
+        """The hypotheses for pictures (N, 3, S, S), as `see` gives them."""
         out = self.encoder(pictures).float()
         logits, rest = out[:, : self.heads], out[:, self.heads :].unflatten(1, (-1, self.heads, 3))
         vectors = self._on_sphere(rest[:, 0] + self.offset)

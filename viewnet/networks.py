@@ -32,6 +32,8 @@ class Encoder(nn.Sequential):
 
     Stride-2 convolutions down to 2x2, a 2x2 convolution and a 1x1 one. The table ends with batch normalisation and
     ReLU; left out here as in the released code, since a ReLU would confine view vectors to one octant.
+
+    Raises ViewnetError for a number of widths that does not fit the images.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class Encoder(nn.Sequential):
         self.to(memory_format=torch.channels_last)
 
     def forward(self, pictures: Tensor) -> Tensor:
+        """Features (N, outputs) of pictures (N, 3, S, S)."""
         x = pictures.contiguous(memory_format=torch.channels_last)
         for layer in self:
             if isinstance(layer, _BatchNorm):
@@ -96,6 +99,7 @@ class AdaIN(nn.Module):
             self.affine.bias[:channels] = 1  # starts as plain instance normalisation
 
     def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
+        """Features (N, C, ...) and appearances (N, A) -> features (N, C, ...), 0 or more."""
         scale, shift = self.affine(appearance).chunk(2, dim=1)
         if layers_cpu.usable(x):
             last = x.movedim(1, -1)
@@ -124,6 +128,7 @@ class Stage(nn.Module):
             self.norm = nn.BatchNorm3d(outputs) if dims == 3 else nn.BatchNorm2d(outputs)
 
     def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
+        """Features (N, inputs, ...), or (1, ...) for all, and appearances (N, A) -> features (N, outputs, ...)."""
         x = self.convolution(x)
         if len(x) < len(appearance):
             x = x.expand(len(appearance), *x.shape[1:])
@@ -140,6 +145,7 @@ class Opening(nn.ConvTranspose3d):
         super().__init__(inputs, outputs, 4, bias=False)
 
     def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
+        """(N, C, 1, 1, 1) -> (N, outputs, 4, 4, 4)."""
         with torch.autocast(x.device.type, enabled=False):
             flat = x.flatten(1).float() @ self.weight.permute(0, 2, 3, 4, 1).flatten(1)
         return flat.view(len(x), 4, 4, 4, self.out_channels).movedim(-1, 1)
@@ -170,6 +176,8 @@ class Generator(nn.Module):
 
     Refines a code drawn once from a normal distribution and never trained. `adain` conditions every stage on the
     appearance; without it the appearance takes the code's place (the encoder-decoder row of Table 2).
+
+    Raises ViewnetError for a number of widths that does not fit the volume.
     """
 
     code: Tensor
@@ -207,6 +215,7 @@ class Generator(nn.Module):
         return logits.reshape(*logits.shape[:4], 1, 1, 1, 4)
 
     def forward(self, appearance: Tensor) -> Tensor:
+        """Logits (N, 4, n, n, n) of appearances (N, A)."""
         return joined(self.blocks(appearance))
 
 

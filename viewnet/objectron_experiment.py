@@ -37,6 +37,7 @@ class ObjectronExperiment(VideoExperiment):
 
     @property
     def filmed(self) -> tuple[VideoConfig, ...]:
+        """The videos by their supervised masks and, where there are any, by the weak ones."""
         return (self.video,) if self.weak is None else (self.video, self.weak)
 
     @property
@@ -45,6 +46,7 @@ class ObjectronExperiment(VideoExperiment):
         return [*self.starts, *super().configs]
 
     def run(self, progress: bool = True) -> list[Run]:
+        """Every run of the experiment, the trainings on CAD models first."""
         return [*ensure(self.starts, self.workers, progress), *super().run(progress)]
 
     @property
@@ -68,6 +70,7 @@ class ObjectronExperiment(VideoExperiment):
 
     @property
     def called(self) -> dict[str, str]:
+        """No row has another name."""
         return {}
 
     @property

@@ -222,6 +222,8 @@ def photo_experiment(
                  vgg16, squeezenet1_1 and pixels that is at hand
     ridge        its strength, more than 0
     calibration  on how many photographs predictions are aligned and baselines fitted; 0: on all there are
+
+    Raises ViewnetError naming the parameter and its valid values.
     """
     design = DESIGNS[name]
     common = shared(design, PROFILE_RECIPE, profile, categories, seeds, recipe, output, workers)

@@ -33,6 +33,11 @@ class Predictions:
 
     Raises ViewnetError for missing columns, no rows, wrong shapes, values that are not finite and vectors whose length
     is not 1.
+
+    >>> ids = pd.DataFrame([["a", "car", "test", 0, 90.0, 0.0]], columns=ID_COLUMNS)
+    >>> said = Predictions(ids, np.array([[[1.0, 0, 0], [0, 1, 0]]]), np.array([[0.2, 1.5]]))
+    >>> said.choice, said.selected, said.truth.round(3)
+    (array([1]), array([[0., 1., 0.]]), array([[0., 1., 0.]]))
     """
 
     ids: pd.DataFrame
@@ -142,7 +147,10 @@ class Predictions:
 
 
 def joined(parts: Sequence[Predictions]) -> Predictions:
-    """Predictions of the same predictor one after another."""
+    """Predictions of the same predictor one after another.
+
+    ViewnetError where they differ in hypotheses or up vectors.
+    """
     heads = sorted({part.heads for part in parts})
     if len(heads) != 1:
         raise ViewnetError(f"predictions of {' and '.join(map(str, heads))} hypotheses cannot be joined")

@@ -194,7 +194,10 @@ def _filled(config: RunConfig, path: Path) -> tuple[ViewNet, dict[str, str]]:
 
 
 def save(estimator: ViewpointEstimator, folder: Path, license: str | None = None, half: bool = False) -> None:
-    """See ViewpointEstimator.save_pretrained. Where data lay on this machine is left out but for the last name."""
+    """See ViewpointEstimator.save_pretrained. Where data lay on this machine is left out but for the last name.
+
+    ViewnetError where it cannot be written.
+    """
     from viewnet import model_card
 
     if folder.is_file():

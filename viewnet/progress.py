@@ -7,7 +7,7 @@ from typing import Any
 from tqdm import tqdm
 
 
-def bar(show: bool, **settings: Any) -> tqdm[Any]:
+def bar(show: bool, **settings: Any) -> tqdm:
     """A tqdm bar, silent if not `show`.
 
     `disable` is left alone otherwise: tqdm heeds TQDM_DISABLE only then, and None would silence notebooks.

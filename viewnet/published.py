@@ -27,7 +27,8 @@ def folder() -> Path:
 
 def load(table: str) -> pd.DataFrame:
     """A printed table, one row a number: row (as printed), metric (acc30 in %, median in degrees, dva in %,
-    confidence_index), category, value (the text as printed; "" where the paper has a dash), bold, source.
+    confidence_index), category, value (the text as printed; "" where the paper has a dash), bold, source. Raises
+    ViewnetError for a file with other columns.
     """
     path = folder() / f"{known(table, TABLES, 'table')}.csv"
     frame = read_csv(path, dtype=str, keep_default_na=False)
@@ -37,7 +38,10 @@ def load(table: str) -> pd.DataFrame:
 
 
 def architecture(part: str) -> pd.DataFrame:
-    """The supplement's table of the "encoder" or the "generator", a row a layer: layer, channels, kernel, stride."""
+    """The supplement's table of the "encoder" or the "generator", a row a layer: layer, channels, kernel, stride.
+
+    Raises ViewnetError for a file that lacks a column.
+    """
     known(part, ("encoder", "generator"), "part")
     path = folder() / "architecture.csv"
     frame = read_csv(path, dtype=str, keep_default_na=False)

@@ -125,7 +125,10 @@ class Run:
 
     @property
     def scored(self) -> bool:
-        """Whether its own views could be scored: there are predictions, and metrics in `result`."""
+        """Whether its own views could be scored: there are predictions, and metrics in `result`.
+
+        ViewnetError for a run that is not finished.
+        """
         if "metrics" not in (found := self.result):
             raise ViewnetError(f"{self.folder / 'result.json'}: no metrics: the run is not finished, train it again")
         return found["metrics"] is not None
@@ -139,19 +142,30 @@ class Run:
 
     @property
     def log(self) -> pd.DataFrame:
-        """A row a validation: epoch, step, seconds, losses, val_accuracy, val_reconstruction."""
+        """A row a validation: epoch, step, seconds, losses, val_accuracy, val_reconstruction.
+
+        ViewnetError where there is none.
+        """
         if not (self.folder / "log.csv").is_file():
             raise ViewnetError(f"{self.folder}: no log.csv: {name(self.config)} needs no training, or it was removed")
         return read_log(self.folder / "log.csv")
 
 
 def name(config: RunConfig) -> str:
-    """How messages call a run."""
+    """How messages call a run.
+
+    >>> from viewnet.config import make_config
+    >>> name(make_config("viewnet_cycle", "chair", seed=1))
+    'viewnet_cycle chair seed 1 (tiny, matting)'
+    """
     return f"{config.variant} {config.category} seed {config.seed} ({config.profile}, {config.recipe})"
 
 
 def untrained(variant: str, config: RunConfig) -> RunConfig:
-    """The configuration of a predictor of `UNTRAINED` on the views of `config`; the settings it ignores at default."""
+    """The configuration of a predictor of `UNTRAINED` on the views of `config`; the settings it ignores at default.
+
+    Raises ViewnetError for another variant.
+    """
     if variant not in UNTRAINED:
         raise ViewnetError(f"unknown untrained variant {variant!r}: choose one of {', '.join(UNTRAINED)}")
     return replace(config, variant=variant, seed=0, model=ModelConfig(), train=TrainConfig())
@@ -370,7 +384,10 @@ def score_on(run: Run, views: Any, alignment: str | None = None, steps: Steps | 
 
 
 def transferred(run: Run, views: Any, steps: Steps | None = None) -> Predictions:
-    """The run's own validation predictions, and as "test" its predictions of all views of another store."""
+    """The run's own validation predictions, and as "test" its predictions of all views of another store.
+
+    Raises ViewnetError for the views it was trained on, and for models it has seen.
+    """
     steps = steps or default_steps()
     own = steps.views(run.config.data, progress=False)
     if own.identity == views.identity:

@@ -43,6 +43,10 @@ def work(
     runs       trainings of each category: variants times seeds
 
     A run sees each of its training views `epochs` times as a target. Raises ViewnetError for what is not above 0.
+
+    >>> found = work(1000, views=5, size=64, epochs=14, rendering=None, training=100.0)
+    >>> found.views, found.store_bytes, found.targets, round(found.device_hours, 2)
+    (5000, 81920000, 49000, 0.14)
     """
     rates = {"rendering": min(rendering) if rendering else 1, "training": 1 if training is None else training}
     counts = {"models": models, "views": views, "size": size, "epochs": epochs, "runs": runs}

@@ -67,7 +67,7 @@ def histogram() -> pd.DataFrame:
     """How viewpoints are spread over PASCAL3D+'s ImageNet training images, a row a category (its index).
 
     Columns "0", "30" ... "330" count azimuths in bins of 30 degrees from there; elevation_mean and elevation_sd are in
-    degrees.
+    degrees. Raises ViewnetError for a file with other columns or rows.
     """
     path = folder() / "pascal3d_viewpoints.csv"
     frame = read_csv(path)

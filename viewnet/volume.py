@@ -35,7 +35,11 @@ FUSED = {"cpu": volume_cpu, "cuda": volume_triton}
 
 
 def ray_points(size: int, steps: int, focal: Tensor) -> Tensor:
-    """Sampling points (steps, size, size, 3) in camera coordinates, nearest first, picture rows from the top."""
+    """Sampling points (steps, size, size, 3) in camera coordinates, nearest first, picture rows from the top.
+
+    >>> ray_points(2, 4, torch.tensor(0.5))[0, 0, 0]  # the nearest of the upper left pixel: rays converge to the camera
+    tensor([-0.3125,  0.3125,  0.7500])
+    """
     pixel = (torch.arange(size, device=focal.device, dtype=focal.dtype) * 2 + 1) / size - 1
     depth = 1 - (torch.arange(steps, device=focal.device, dtype=focal.dtype) * 2 + 1) / steps
     z, y, x = torch.meshgrid(depth, -pixel, pixel, indexing="ij")
@@ -94,6 +98,16 @@ def render_reference(volume: Tensor, frames: Tensor, focal: Tensor, size: int, s
 
     N is a multiple of B, and picture n shows volume n // (N / B). `focal` is the scalar f above. Occupancy is expected
     in [0, 1]; outside the cube everything is 0. Differentiable in volume, frames and focal.
+
+    A volume that is red, and opaque where y > 0, the object's left half: from the front that is on the right.
+
+    >>> from viewnet.geometry import look_at, view_vector
+    >>> volume = torch.zeros(1, 4, 4, 4, 4)  # channels red, green, blue and occupancy; axes z, y, x
+    >>> volume[:, 0], volume[:, 3, :, 2:] = 1.0, 1.0
+    >>> front = look_at(view_vector(torch.tensor([0.0]), torch.tensor([0.0])))
+    >>> red, green, blue, mask = render_reference(volume, front, torch.tensor(0.0), size=4, steps=4)[0]
+    >>> mask[0], torch.equal(red, mask), green.any().item()
+    (tensor([0., 0., 1., 1.]), True, False)
     """
     points = ray_points(size, steps, focal)
     grid = torch.einsum("nij,dhwj->ndhwi", frames, points)
@@ -114,6 +128,11 @@ def render(
     `sparse` leaves out the gradient of voxels without an occupied neighbour, which is most of the work of the backward
     pass: objects then grow from what there is of them, and nothing appears in the midst of nowhere. Raises ViewnetError
     for a VIEWNET_RENDERER that is none, or that cannot be had.
+
+    >>> from viewnet.geometry import look_at, view_vector
+    >>> sides = look_at(view_vector(torch.tensor([0.0, 90.0]), torch.tensor([0.0, 0.0])))
+    >>> render(torch.zeros(1, 4, 8, 8, 8), sides, torch.tensor(0.268), size=16).shape  # two views of one empty volume
+    torch.Size([2, 4, 16, 16])
     """
     steps = size if steps is None else steps
     if len(frames) % len(volume):

@@ -146,6 +146,7 @@ class LocalPool(Executor):
         self._closed = threading.Event()
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        """As Executor.submit. RuntimeError once the pool is shut down."""
         if self._closed.is_set():
             raise RuntimeError("the pool is shut down")
         future: Future[T] = Future()
@@ -153,6 +154,7 @@ class LocalPool(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """As Executor.shutdown."""
         self._closed.set()
         if cancel_futures:
             with contextlib.suppress(queue.Empty):

@@ -26,6 +26,7 @@ class LegLine:
     foot: np.ndarray
 
     def at(self, z: float) -> np.ndarray:
+        """The point (3,) at the height `z`, on the line through both ends."""
         share = (z - self.foot[2]) / max(self.top[2] - self.foot[2], 1e-9)
         return self.foot + share * (self.top - self.foot)
 

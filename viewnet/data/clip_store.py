@@ -54,6 +54,8 @@ class Limits:
 
     side     the object's shorter side has so many pixels, or more
     blur     its sharpness is at least this share of the median of its clip; 0: whatever it is
+
+    Raises ViewnetError for values out of range.
     """
 
     side: float = 16.0

@@ -28,6 +28,8 @@ class Crop:
     margin   so much of the box's longer side is seen beyond it, on either side
     square   whether the shorter side is made as long as the other (the object keeps its shape) or stretched
     colour   of what lies beyond the photograph's edges, 0 to 255
+
+    Raises ViewnetError for values out of range.
     """
 
     size: int = 64

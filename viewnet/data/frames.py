@@ -61,7 +61,8 @@ def count(source: Path) -> int:
 def pick(total: int, wanted: int | None, how: Pick, name: str, seed: int = 0) -> list[int]:
     """Ascending numbers of `wanted` of `total` frames, all of them for None or where there are no more.
 
-    "evenly": the middles of as many equal stretches of time; "random": drawn by seed and the clip's name.
+    "evenly": the middles of as many equal stretches of time; "random": drawn by seed and the clip's name. Raises
+    ViewnetError for no frames, and another way of picking.
     """
     if wanted is not None and wanted < 1:
         raise ViewnetError(f"frames {wanted}: expected 1 or more a clip, or none for all")

@@ -85,9 +85,12 @@ class FromFiles:
 
     @property
     def described(self) -> dict[str, Any]:
+        """What decides the masks but for the files themselves."""
         return {"masks": "files", "version": VERSION}
 
     def follow(self, clip: Clip) -> Follower:
+        """Reads the file of each frame. The follower raises ViewnetError where there is none."""
+
         def read(number: int, name: str, picture: Image.Image) -> np.ndarray:
             folder = clip.masks
             files = [] if folder is None else [folder / f"{name}.png", folder / f"{number:06d}.png"]
@@ -107,9 +110,12 @@ class FromAlpha:
 
     @property
     def described(self) -> dict[str, Any]:
+        """What decides the masks but for the files themselves."""
         return {"masks": "alpha", "version": VERSION}
 
     def follow(self, clip: Clip) -> Follower:
+        """Takes the alpha of each frame. The follower raises ViewnetError for a picture without."""
+
         def read(number: int, name: str, picture: Image.Image) -> np.ndarray:
             if not picture.has_transparency_data:
                 raise ViewnetError("mask is missing (the picture has no alpha)")
@@ -127,6 +133,7 @@ class Predicted:
     parallel: bool = field(default=False, init=False)
 
     def follow(self, clip: Clip) -> Follower:
+        """Keeps to one object from frame to frame. The follower raises ViewnetError where none is seen."""
         last: np.ndarray | None = None
 
         def find(number: int, name: str, picture: Image.Image) -> np.ndarray:

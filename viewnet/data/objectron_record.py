@@ -92,7 +92,7 @@ def read_record(path: Path) -> Record:
 
 
 def interpret(sequence: Any) -> Record:
-    """What a `Sequence` tells; raises as `read_record`."""
+    """What a `Sequence` tells. Raises ViewnetError as `read_record` does."""
     count = len(sequence.frame_annotations)
     if not 1 <= count <= MOST_FRAMES:
         raise ViewnetError(f"record of too many frames ({count})" if count else "record without frames")

@@ -44,19 +44,32 @@ class Photograph(Protocol):
     """What is needed of a photograph; viewnet.data.pascal3d.Annotation is one, Listed another."""
 
     @property
-    def id(self) -> str: ...
+    def id(self) -> str:
+        """Unique among the photographs of a category."""
+
     @property
-    def category(self) -> str: ...
+    def category(self) -> str:
+        """What it shows: one of viewnet.config.CATEGORIES."""
+
     @property
-    def split(self) -> str: ...
+    def split(self) -> str:
+        """Which part of the data set: "val" to calibrate, "test" to score, or as the data set calls it."""
+
     @property
-    def picture(self) -> Path: ...
+    def picture(self) -> Path:
+        """Its file."""
+
     @property
-    def box(self) -> Box | None: ...
+    def box(self) -> Box | None:
+        """The object's edges in pixels; None for the whole picture."""
+
     @property
-    def azimuth(self) -> float: ...
+    def azimuth(self) -> float:
+        """Degrees, see viewnet.geometry."""
+
     @property
-    def elevation(self) -> float: ...
+    def elevation(self) -> float:
+        """Degrees above the horizon."""
 
 
 @dataclass(frozen=True)

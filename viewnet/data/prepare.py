@@ -102,7 +102,8 @@ def joining(models: list[ModelFile], config: DataConfig) -> list[ModelFile]:
     """Models of the second collection as they join the first: for training all of them.
 
     Each as often as it takes to make `config.extra_share` of the training models, the first collection's being 70 %,
-    every time seen from other viewpoints. Without a known number of models in the first each comes once.
+    every time seen from other viewpoints. Without a known number of models in the first each comes once. Raises
+    ViewnetError for a share that is not between 0 and 1.
     """
     if not 0 < config.extra_share < 1:
         raise ViewnetError(f"extra_share {config.extra_share}: expected a number between 0 and 1")
@@ -112,7 +113,10 @@ def joining(models: list[ModelFile], config: DataConfig) -> list[ModelFile]:
 
 
 def built_in(category: str, models: int, seed: int = 0, progress: bool = True) -> Path:
-    """The folder of a collection of built-in models of one category, written if it is not there yet."""
+    """The folder of a collection of built-in models of one category, written if it is not there yet.
+
+    ViewnetError for 0 models.
+    """
     if models < 1:
         raise ViewnetError(
             "models 0 means all of a collection, but built-in models have no end: give a number or a root"

@@ -86,7 +86,7 @@ class ViewStore:
 
     @property
     def rejected(self) -> pd.DataFrame:
-        """What could not be used: model_id, path, reason."""
+        """What could not be used: model_id, path, reason. ViewnetError for a damaged list."""
         path = self.folder / "rejected.csv"
         table = read_csv(path, dtype=str, keep_default_na=False)
         if tuple(table.columns) != REJECTED:

@@ -54,7 +54,10 @@ def render(
 def render_frames(
     mesh: Mesh, frames: np.ndarray, lights: np.ndarray, size: int, supersample: int, backend: Backend
 ) -> np.ndarray:
-    """As `render`, for camera frames (V, 3, 3) and a back end that `choose_backend` gave."""
+    """As `render`, for camera frames (V, 3, 3) and a back end that `choose_backend` gave.
+
+    Raises ViewnetError for sizes below 1, and for a mesh that is not normalised.
+    """
     if size < 1 or supersample < 1:
         raise ViewnetError(f"size {size}, supersample {supersample}: expected 1 or more")
     if (reach := float(np.abs(mesh.vertices).max(initial=0))) > RADIUS + 1e-6:
@@ -69,7 +72,10 @@ def render_frames(
 
 
 def choose_backend(backend: Backend) -> Backend:
-    """The back end that will draw: `auto` is the ray caster; pyrender falls back to it, with a warning."""
+    """The back end that will draw: `auto` is the ray caster; pyrender falls back to it, with a warning.
+
+    Raises ViewnetError for another name.
+    """
     if backend not in ("auto", "raycast", "pyrender"):
         raise ViewnetError(f"unknown renderer {backend!r}: choose one of auto, raycast, pyrender")
     if backend == "pyrender":

@@ -1,0 +1,162 @@
+"""The documentation as HTML: the reference from the docstrings, and the Markdown pages and notebooks beside it.
+
+    python docs/build.py [FOLDER]        (default: build/docs)
+
+pdoc makes the pages, their search and the links between them. It documents modules, so a page of prose is handed to it
+as a module of that name whose docstring it is. Nothing of what is written asks for the network when it is looked at.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import posixpath
+import re
+import shutil
+import sys
+import typing
+from collections.abc import Iterable
+from pathlib import Path
+from types import ModuleType
+from urllib.parse import urlsplit
+
+import jinja2
+import nbconvert
+import pdoc
+import pdoc.doc
+import pdoc.extract
+import pdoc.render
+from pdoc.render_helpers import to_markdown_with_context
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = "viewnet"
+PROSE = {
+    "README.md": "overview",
+    "docs/README.md": "documents",
+    "docs/your_method.md": "your_method_guide",
+    "docs/recipes.md": "recipes",
+    "docs/decisions.md": "decisions",
+    "docs/scaling.md": "scaling",
+    "docs/speed.md": "speed",
+    "benchmarks/README.md": "benchmarks",
+    "CONTRIBUTING.md": "contributing",
+    "CHANGELOG.md": "changelog",
+}
+"""A page's path in the project -> its name in the documentation."""
+FILES = "files"
+"""The folder for what pages lead to and is no page."""
+
+
+def build(folder: Path) -> None:
+    """Write the documentation to a folder, which is emptied first."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    notebooks = {path.relative_to(ROOT).as_posix(): path.stem for path in sorted((ROOT / "notebooks").glob("*.ipynb"))}
+    pages = PROSE | notebooks
+    texts = {path: (ROOT / path).read_text(encoding="utf-8") for path in PROSE}
+    texts |= {path: _notebook(path, folder) for path in notebooks}
+    modules = {name: pdoc.doc.Module.from_name(name) for name in pdoc.extract.walk_specs([PACKAGE, rf"!{PACKAGE}\._"])}
+    _resolve_inherited(modules.values())
+    modules |= {pages[path]: _page(pages[path], linked(text, path, pages, folder)) for path, text in texts.items()}
+
+    pdoc.render.configure(docformat="markdown", template_directory=ROOT / "docs" / "templates")
+    pdoc.render.env.filters["to_markdown"] = _to_markdown
+    pdoc.render.env.globals |= {
+        "prose": list(PROSE.values()),
+        "notebooks": list(notebooks.values()),
+        "package": PACKAGE,
+    }
+    for name, module in modules.items():
+        path = folder / f"{name.replace('.', '/')}.html"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(pdoc.render.html_module(module, modules), encoding="utf-8")
+    (folder / "index.html").write_text(pdoc.render.html_index(modules), encoding="utf-8")
+    (folder / "search.js").write_text(pdoc.render.search_index(modules), encoding="utf-8")
+
+
+def _resolve_inherited(modules: Iterable[pdoc.doc.Module]) -> None:
+    """Give constructors of dataclasses the types of fields that come from another module, whose names theirs lacks."""
+    for module in modules:
+        for found in module.classes:
+            if dataclasses.is_dataclass(found.obj) and any(map(dataclasses.is_dataclass, found.obj.__bases__)):
+                hints = typing.get_type_hints(found.obj)
+                known = found.obj.__init__.__annotations__
+                known |= {name: hint for name, hint in hints.items() if name in known}
+
+
+def _page(name: str, text: str) -> pdoc.doc.Module:
+    return pdoc.doc.Module(ModuleType(name, text))
+
+
+def _notebook(path: str, folder: Path) -> str:
+    """A notebook as Markdown, its pictures put where its page finds them."""
+    text, resources = nbconvert.MarkdownExporter().from_filename(str(ROOT / path))
+    for name, content in resources["outputs"].items():
+        place = Path(FILES, path).with_suffix("") / name
+        (folder / place).parent.mkdir(parents=True, exist_ok=True)
+        (folder / place).write_bytes(content)
+        text = text.replace(f"({name})", f"({place.as_posix()})")
+    return text
+
+
+def linked(text: str, source: str, pages: dict[str, str], folder: Path) -> str:
+    """Markdown with links to other pages instead of their files; other files that it leads to are copied."""
+
+    def to(match: re.Match[str]) -> str:
+        parts = urlsplit(match[1])
+        if parts.scheme or not parts.path or parts.path.startswith(f"{FILES}/"):
+            return match[0]
+        target = posixpath.normpath(posixpath.join(posixpath.dirname(source), parts.path))
+        fragment = f"#{parts.fragment}" if parts.fragment else ""
+        if target in pages:
+            return f"]({pages[target]}.html{fragment})"
+        place = folder / FILES / target
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if (ROOT / target).is_dir():
+            shutil.copytree(ROOT / target, place, dirs_exist_ok=True)
+        else:
+            shutil.copy(ROOT / target, place)
+        return f"]({FILES}/{target}{fragment})"
+
+    return re.sub(r"\]\(([^()\s]+)\)", to, text)
+
+
+@jinja2.pass_context
+def _to_markdown(context: jinja2.runtime.Context, text: str) -> str:
+    if context["module"].modulename.partition(".")[0] == PACKAGE:
+        text = tabled(text)
+    return to_markdown_with_context(context, text)
+
+
+def tabled(docstring: str) -> str:
+    """A docstring with tables of Markdown for its aligned lists, and with nothing that could be taken for a tag."""
+    lines = [
+        line if line.startswith("    ") else re.sub(r"(`[^`]*`)|<(?=\w)", lambda m: m[1] or "&lt;", line)
+        for line in docstring.splitlines()
+    ]
+    return "\n\n".join(_list("\n".join(lines).split("\n\n")))
+
+
+def _list(paragraphs: list[str]) -> list[str]:
+    """Each paragraph whose lines are names, and what they mean from one column on, as a table."""
+    found = []
+    for paragraph in paragraphs:
+        first, *rest = paragraph.splitlines() or [""]
+        begun = re.match(r"\S+(?: \S+)*  +(?=\S)", first)
+        column = begun.end() if begun else 0
+        name = re.compile(rf"(?=\S)(.{{{column - 2}}}) [ ](?=\S)" if begun else "$^")
+        if not begun or not all(name.match(line) or line.startswith(" " * column) for line in rest):
+            found.append(paragraph)
+            continue
+        rows: list[list[str]] = []
+        for line in (first, *rest):
+            if line[:column].strip():
+                rows.append([line[:column].strip(), line[column:]])
+            else:
+                rows[-1][1] += f" {line.strip()}"
+        body = [f"| `{term}` | {meaning.replace('|', '&#124;')} |" for term, meaning in rows]
+        found.append("\n".join(["| name | meaning |", "|---|---|", *body]))
+    return found
+
+
+if __name__ == "__main__":
+    build(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "build" / "docs")

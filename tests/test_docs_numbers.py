@@ -1,0 +1,381 @@
+"""Numbers in the documents that a committed file holds are that file's.
+
+Each text below stands in its page with the numbers filled in. Where a text is worded anew, word it anew here as well.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+import numpy as np
+import pandas as pd
+import pytest
+from documents import ROOT, page
+from test_switches import switches
+
+from viewnet.config import make_config
+
+TABLES = ROOT / "paper_tables"
+THREE = ("aeroplane", "car", "chair")
+TABLE2, REAL, STAND_IN = "table2_ablation.csv", "real_cars/table3_pascal3d.csv", "table3_pascal3d.csv"
+REAL_DVA, STAND_IN_DVA, VIEWS = "real_cars/table5_dva.csv", "table5_dva.csv", "novel_views.csv"
+BENCH64, BENCH8 = "benchmarks/batch64/bench.csv", "benchmarks/bench.csv"
+README, RECIPES, SPEED = "README.md", "docs/recipes.md", "docs/speed.md"
+
+
+def cell(file: str, row: str, category: str, metric: str, column: str = "measured") -> float:
+    frame = pd.read_csv(TABLES / file)
+    (found,) = frame.loc[(frame["row"] == row) & (frame["category"] == category) & (frame["metric"] == metric), column]
+    return found
+
+
+def across(file: str, row: str, metric: str, categories=THREE, column: str = "measured") -> list[float]:
+    return [cell(file, row, category, metric, column) for category in categories]
+
+
+def against(file: str, row: str, column: str = "measured") -> list[float]:
+    """Accuracy less ViewNet's, by category."""
+    both = zip(across(file, row, "acc30", column=column), across(file, "ViewNet", "acc30", column=column), strict=True)
+    return [float(one) - float(viewnet) for one, viewnet in both]
+
+
+def scores(row: str) -> list[float]:
+    """Accuracy, median and DVA on real cars."""
+    return [*(cell(REAL, row, "car", metric) for metric in ("acc30", "median")), cell(REAL_DVA, row, "car", "dva")]
+
+
+def bench(file: str, work: str, column: str, volume: str = "object", size: int = 64) -> float:
+    frame = pd.read_csv(TABLES / file)
+    rows = (frame["work"] == work) & (frame["volume"] == volume) & (frame["size"] == size) & (frame["device"] == "cpu")
+    (found,) = frame.loc[rows, column]
+    return found
+
+
+def seconds(category: str, accuracy: float) -> list[float]:
+    """Of training until validation accuracy was first so high, by seed."""
+    log = pd.read_csv(TABLES / "benchmarks" / "accuracy.csv")
+    log = log[(log["category"] == category) & (log["val_accuracy"] >= accuracy)]
+    return log.groupby("seed")["seconds"].min().tolist()
+
+
+def steps() -> int:
+    config = make_config()
+    views = 0.7 * config.data.models * config.data.views
+    return config.train.epochs * int(views / config.train.batch_size)
+
+
+def judged(metric: str, hologan: bool) -> list[float]:
+    frame = pd.read_csv(TABLES / VIEWS).dropna(subset="measured")
+    rows = (frame["row"] == "HoloGAN-Decoder") == hologan
+    return frame.loc[rows & (frame["metric"] == metric), "measured"].agg(["min", "max"]).tolist()
+
+
+def constants() -> list[float]:
+    frame = pd.read_csv(TABLES / STAND_IN_DVA)
+    return frame.loc[frame["row"].str.startswith("Constant"), "measured"].agg(["min", "max"]).tolist()
+
+
+def drawing() -> list[float]:
+    frame = pd.read_csv(TABLES / BENCH64)
+    rows = frame["work"].str.startswith("renderer, forward + backward") & (frame["device"] == "cpu")
+    return frame.loc[rows, "speedup"].agg(["min", "max"]).tolist()
+
+
+def fuzzed() -> str:
+    return f"{pd.read_csv(TABLES / 'trust' / 'fuzz.csv')['cases'].sum():,}"
+
+
+CARS_FIRST = ("car", "aeroplane", "chair")
+TEXTS = [
+    (
+        README,
+        "within 30 degrees on {:.1f} % of cars, {:.1f} % of aeroplanes and {:.1f} % of chairs",
+        lambda: across(TABLE2, "ViewNet", "acc30", CARS_FIRST),
+    ),
+    (
+        README,
+        "(the paper, with other models: {:.0f}, {:.0f} and {:.0f})",
+        lambda: across(TABLE2, "ViewNet", "acc30", CARS_FIRST, "printed"),
+    ),
+    (README, "with {} steps of training a model", lambda: [steps()]),
+    (
+        README,
+        "within 30 degrees on {:.1f} % of {:.0f} others [{:.1f}, {:.1f}], median {:.1f} degrees, DVA {:.1f} %",
+        lambda: [
+            *(
+                cell(REAL, "ViewNet + cycle", "car", "acc30", column)
+                for column in ("measured", "images", "low", "high")
+            ),
+            *scores("ViewNet + cycle")[1:],
+        ],
+    ),
+    (README, "without it {:.1f} %, {:.1f} and {:.1f} %", lambda: scores("ViewNet")),
+    (README, "the mean of the 300, gets {:.1f} %, {:.1f} and {:.1f} %", lambda: scores("Constant (rotation)")),
+    (README, "of the same 300 gets {:.1f} %, {:.1f} and {:.1f} %", lambda: scores("VGG view* (squeezenet1_1)")),
+    (
+        README,
+        "ViewNet's DVA is {:.0f}, {:.0f} and {:.0f} % on aeroplanes, cars and chairs, "
+        "the regression's {:.0f}, {:.0f} and {:.0f} %, a constant's {:.0f} to {:.0f} %",
+        lambda: [
+            *across(STAND_IN_DVA, "ViewNet", "dva"),
+            *across(STAND_IN_DVA, "VGG view* (pixels)", "dva"),
+            *constants(),
+        ],
+    ),
+    (
+        README,
+        "lifts chairs from {:.0f} to {:.0f} % in accuracy and takes them from {:.0f} to {:.0f} % in DVA",
+        lambda: [
+            cell(file, row, "chair", metric)
+            for file, metric in ((STAND_IN, "acc30"), (STAND_IN_DVA, "dva"))
+            for row in ("ViewNet", "ViewNet*")
+        ],
+    ),
+    (
+        README,
+        "a PSNR of {:.1f} dB on cars, where that other view itself has {:.1f}, and masks that overlap to {:.0f} %",
+        lambda: [
+            cell(VIEWS, "ViewNet", "car", "psnr"),
+            cell(VIEWS, "Appearance view", "car", "psnr"),
+            100 * cell(VIEWS, "ViewNet", "car", "iou"),
+        ],
+    ),
+    (README, "HoloGAN decoder draws worse ({:.1f} dB)", lambda: [cell(VIEWS, "HoloGAN-Decoder", "car", "psnr")]),
+    (
+        README,
+        "on {:.0f} to {:.0f} %, ViewNet's on {:.0f} to {:.0f} %, where other models have {:.0f} to {:.0f} %",
+        lambda: [
+            *judged("consistency_acc30", hologan=True),
+            *judged("judged_acc30", hologan=True),
+            *judged("judged_acc30", hologan=False),
+        ],
+    ),
+    (
+        README,
+        "takes {:.1f} seconds, where a textbook version of the same step in plain PyTorch takes {:.0f} and four times",
+        lambda: [bench(BENCH64, "training step, paper", f"{version}_s") for version in ("viewnet", "textbook")],
+    ),
+    (README, "forwards and backwards, is {:.0f} to {:.0f} times as fast", drawing),
+    (
+        README,
+        "80 % of validation views of cars are right after {:.0f} seconds of training and 90 % after {:.0f}",
+        lambda: [np.median(seconds("car", accuracy)) for accuracy in (80, 90)],
+    ),
+    (README, "reads {} damaged files", lambda: [fuzzed()]),
+    (
+        RECIPES,
+        "changes accuracy by {:.0f}, {:.0f} and {:.0f} points on aeroplanes, cars and chairs, "
+        "where the paper gains {:.0f}, {:.0f} and {:.0f}",
+        lambda: [
+            *against("table1_shapenet.csv", "ViewNet + cycle"),
+            *against("table1_shapenet.csv", "ViewNet + cycle", "printed"),
+        ],
+    ),
+    (
+        RECIPES,
+        "is {:.0f} points lower on aeroplanes, {:.0f} on cars and {:.0f} on chairs, "
+        "the paper's {:.0f}, {:.0f} and {:.0f}",
+        lambda: [-x for c in ("measured", "printed") for x in against(TABLE2, "Single-head", c)],
+    ),
+    (
+        RECIPES,
+        "where the paper has it {:.0f}, {:.0f} and {:.0f} lower",
+        lambda: [-x for x in against(TABLE2, "Segmentation Target", "printed")],
+    ),
+    (
+        RECIPES,
+        "in the paper {:.0f} points on aeroplanes and {:.0f} on chairs",
+        lambda: [-x for x in against(TABLE2, "No Shape Prior", "printed")[::2]],
+    ),
+    (
+        RECIPES,
+        "is {:.0f} points lower on aeroplanes and {:.0f} higher on chairs",
+        lambda: np.multiply([-1, 1], against(TABLE2, "Encoder-Decoder")[::2]),
+    ),
+    (
+        RECIPES,
+        "there the linear alignment gains {:.0f} and {:.0f} points in accuracy and loses {:.0f} and {:.0f} in DVA",
+        lambda: [
+            sign * (cell(file, f"{row}*", "chair", metric) - cell(file, row, "chair", metric))
+            for file, metric, sign in ((STAND_IN, "acc30", 1), (STAND_IN_DVA, "dva", -1))
+            for row in ("ViewNet", "ViewNet + cycle")
+        ],
+    ),
+    (
+        RECIPES,
+        "by the robust rotation it gets {:.0f} % and a DVA of {:.0f} %",
+        lambda: [
+            cell(file, "ViewNet + cycle (robust)", "chair", metric)
+            for file, metric in ((STAND_IN, "acc30"), (STAND_IN_DVA, "dva"))
+        ],
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "values"), TEXTS, ids=[text[:50] for _, text, _ in TEXTS])
+def test_the_text_has_the_numbers_of_the_file(name, text, values):
+    assert text.format(*values()) in page(name).prose
+
+
+def test_four_times_the_memory():
+    assert round(bench(BENCH64, "training step, paper", "memory_ratio")) == 4
+
+
+def test_the_audit_s_verdicts():
+    audit = pd.read_csv(TABLES / "viewpoints" / "audit_constants.csv")
+    audit = audit[audit["definition"] == "geodesic"]
+    beyond = audit.groupby(["table", "category"])["verdict"].agg(lambda verdicts: set(verdicts) == {"excluded"})
+    text = "in five of the six categories of Table 3, and in all three of Table 2"
+    assert text in page(README).prose
+    assert (beyond["table3_pascal3d"].sum(), len(beyond["table3_pascal3d"])) == (5, 6)
+    assert beyond["table2_ablation"].tolist() == [True] * 3
+
+
+def says(text: str, *values: float) -> bool:
+    """Whether a cell's numbers, in their order, are these as far as they are written out."""
+    numbers = re.findall(r"\d+(?:\.\d+)?", text)
+    places = [len(number.partition(".")[2]) for number in numbers]
+    near = [abs(float(n) - v) <= 0.501 * 10.0**-k for n, v, k in zip(numbers, values, places, strict=True)]
+    return all(near)
+
+
+@pytest.mark.parametrize(
+    ("text", "values", "right"),
+    [("6.8", [6.83], True), ("6.8", [6.88], False), ("22", [22.3], True), ("52.9, 53.8", [52.94, 53.75], True),
+     ("8523 / 2002 MiB, 4.3", [8522.8, 2001.9, 4.26], True), ("0.83 s", [0.825], True), ("1", [1.2], True)],
+)  # fmt: skip
+def test_numbers_are_compared_as_far_as_they_are_written_out(text, values, right):
+    assert says(text, *values) == right
+
+
+def test_table_2_in_the_recipes():
+    (rows,) = [rows[1:] for rows in page(RECIPES).tables if [row[0] for row in rows[1:2]] == ["ViewNet"]]
+    assert len(rows) == 6
+    for label, *shown in rows:
+        assert shown == [f"{value:.0f}" for value in across(TABLE2, label, "acc30")], label
+
+
+ON_REAL_CARS = {
+    "Constant (mean of camera frames)": "Constant (rotation)",
+    "ridge regression from SqueezeNet 1.1's features": "VGG view* (squeezenet1_1)",
+    "ViewNet, robust alignment": "ViewNet (robust)",
+    "ViewNet + cycle, robust alignment": "ViewNet + cycle (robust)",
+    "ViewNet, linear alignment (*)": "ViewNet*",
+}
+"""Label in the recipes -> row of the table."""
+
+
+def test_real_cars_in_the_recipes():
+    rows = page(RECIPES).table("", "acc@30, %", "median", "DVA, %")
+    assert len(rows) == 7
+    for label, *shown in rows:
+        row = ON_REAL_CARS.get(label, label)
+        accuracy, median, dva = scores(row)
+        low, high = (cell(REAL, row, "car", "acc30", column) for column in ("low", "high"))
+        assert shown == [f"{accuracy:.1f} [{low:.1f}, {high:.1f}]", f"{median:.1f}", f"{dva:.1f}"], label
+
+
+ON_STAND_IN = {
+    "regression from pixels": "VGG view* (pixels)",
+    "regression from SqueezeNet 1.1's features": "VGG view* (squeezenet1_1)",
+}
+
+
+def test_the_stand_in_in_the_recipes():
+    rows = page(RECIPES).table("acc@30 / DVA, %", *THREE)
+    assert len(rows) == 7
+    for label, *shown in rows:
+        row = ON_STAND_IN.get(label, label)
+        place = "tiny-squeezenet1_1/" if "SqueezeNet" in label else ""
+        accuracy, dva = across(place + STAND_IN, row, "acc30"), across(place + STAND_IN_DVA, row, "dva")
+        assert shown == [f"{a:.0f} / {d:.0f}" for a, d in zip(accuracy, dva, strict=True)], label
+
+
+IN_SPEED = [
+    (BENCH64, "training step, paper", "object"),
+    (BENCH8, "training step, paper", "object"),
+    (BENCH64, "renderer, forward + backward", "object"),
+    (BENCH64, "renderer, forward + backward (all voxels)", "object"),
+    (BENCH64, "renderer, forward + backward", "dense"),
+]
+"""What the rows of the table in docs/speed.md are."""
+
+
+def test_the_benchmark_in_speed():
+    rows = page(SPEED).table("", "textbook", "viewnet", "times as fast", "memory")
+    for (label, textbook, viewnet, faster, memory), (file, work, volume) in zip(rows, IN_SPEED, strict=True):
+        assert says(textbook, bench(file, work, "textbook_s", volume)), label
+        assert says(viewnet, bench(file, work, "viewnet_s", volume)), label
+        assert says(faster, bench(file, work, "speedup", volume)), label
+        if memory:
+            held = [bench(file, work, f"{version}_bytes", volume) / 2**20 for version in ("textbook", "viewnet")]
+            assert says(memory, *held, bench(file, work, "memory_ratio", volume)), label
+
+
+def test_time_to_accuracy_in_speed():
+    rows = page(SPEED).table("", "median", "each")
+    assert len(rows) == 3
+    for label, median, each in rows:
+        category, accuracy = re.fullmatch(r"(\w+)s, (\d+) %", label).groups()
+        found = seconds(category, float(accuracy))
+        assert says(each, *found), label
+        assert says(median, np.median(found)), label
+
+
+SWITCHES = {
+    "float32 instead of bfloat16": "float32",
+    "gradients of empty voxels too": "gradients of empty voxels",
+}
+
+
+def test_switches_in_speed():
+    found = switches.summary(pd.read_csv(TABLES / "benchmarks" / "switches.csv"))
+    rows = page(SPEED).table("", "seeds", "right", "range", "error", "times as long")
+    assert len(rows) == len(found)
+    for label, seeds, right, spread, error, longer in rows:
+        mine = found.loc[SWITCHES.get(label, label)]
+        assert int(seeds) == mine["seeds"], label
+        assert (right, error) == (f"{mine['accuracy']:.1f}", f"{mine['reconstruction']:.4f}"), label
+        assert spread == f"{mine['accuracy_low']:.1f} to {mine['accuracy_high']:.1f}", label
+        assert says(longer, mine["times_as_long"]), label
+
+
+def test_profiles_in_the_readme():
+    rows = page(README).table("profile", "seen", "volume and drawings", "recipe", "models")
+    assert [row[0].split()[0] for row in rows] == ["smoke", "tiny", "small", "paper"]
+    for name, seen, drawn, recipe, models in rows:
+        config = make_config(profile=name.split()[0])
+        side, voxels, drawing_ = config.model.input_size, config.model.volume_size, config.model.render_size
+        assert seen == f"{side}x{side}"
+        assert drawn == f"{voxels}x{voxels}x{voxels}, {drawing_}x{drawing_}"
+        assert recipe == config.recipe
+        assert models.startswith(f"{config.data.models}" if config.data.models else "all")
+    assert "(default)" in rows[1][0]
+    assert make_config().profile == "tiny"
+
+
+IN_DECISIONS = {
+    "search": ("search_views", "best of {} viewpoints all around"),
+    "choice": ("neighbours", "within {:.0f} degrees"),
+    "selection head": ("selection_weight", "weight {}"),
+    "selection angle": ("selection_angle", "within {:.0f} degrees of the best"),
+    "cycle weight": ("cycle_weight", "weight {}, from 15 %"),
+    "muon": ("muon", "Muon at {}"),
+    "adam": ("learning_rate", "Adam at 1e{:.0f}"),
+    "masks": ("mask_weight", "masks at weight {:.0f}"),
+    "pixels": ("pixel_weight", "over the random colour at {}"),
+}
+
+
+@pytest.mark.parametrize(("field", "text"), IN_DECISIONS.values(), ids=IN_DECISIONS)
+def test_settings_in_the_decisions(field, text):
+    value = getattr(make_config(recipe="matting").train, field)
+    shown = np.log10(value) if field == "learning_rate" else value
+    assert text.format(shown) in page("docs/decisions.md").prose
+
+
+def test_the_version_is_the_same_everywhere():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert re.findall(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE) == [version]
+    assert version in page("CHANGELOG.md").text
