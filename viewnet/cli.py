@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import importlib.metadata
 import os
 import sys
@@ -57,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
         prog="viewnet",
         description="ViewNet, replicated: tables and figures of the paper, and viewpoints of your own pictures.",
         epilog=OUTCOMES,
-        formatter_class=functools.partial(argparse.RawDescriptionHelpFormatter, max_help_position=16),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     version = f"viewnet {importlib.metadata.version('viewnet')}"
     found.add_argument("--version", action="version", version=version)

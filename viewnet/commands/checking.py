@@ -104,9 +104,15 @@ def _audit(options: argparse.Namespace) -> None:
     found = audit_list(options.viewpoints)
     files = found.write(options.output) if options.output else []
     if options.json:
-        told = {"note": found.note, "left out": found.left_out}
-        told |= {name: shared.records(getattr(found, name)) for name in ("constants", "confidence")}
-        shared.print_json(told | {"files": [str(path) for path in files]})
+        shared.print_json(
+            {
+                "note": found.note,
+                "left out": found.left_out,
+                "constants": shared.records(found.constants),
+                "confidence": shared.records(found.confidence),
+                "files": [str(path) for path in files],
+            }
+        )
         return
     print(found.note)
     print("\nRows Constant: verdict by each definition of the error, and the test sets where it holds")
