@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from documents import NOTEBOOKS, PAGES, ROOT, Document
+from documents import NOTEBOOKS, PAGES, ROOT
 from drawn_models import finished_run
 from fake_steps import STEPS
 from photo_data import keep_apart, make_photos
@@ -33,7 +33,6 @@ HISTORY = "CHANGELOG.md"
 
 BLOCKS = [(page, block) for page in PAGES for block in page.blocks]
 SPANS = [(page, span) for page in [*PAGES, *NOTEBOOKS] for span in dict.fromkeys(page.spans)]
-EXAMPLES = [Document(ROOT / "viewnet" / "cli.py", text) for text in (cli.TRAINING, cli.PREDICTING, cli.TURNING)]
 
 
 def commands(text: str) -> list[list[str]]:
@@ -61,7 +60,6 @@ def is_commands(block) -> bool:
 def given(kind: str) -> list:
     """The commands of every block of the documents, and of `viewnet --help`, that start with a program."""
     shown = [(page.name, words) for page, block in BLOCKS if is_commands(block) for words in commands(block.text)]
-    shown += [(f"{page.name}, help", words) for page in EXAMPLES for words in commands(page.text)[1:]]
     found = [(name, words) for name, words in shown if words[0] == kind]
     return [pytest.param(words, id=f"{name}: {' '.join(words)[:60]}") for name, words in found]
 
@@ -171,7 +169,7 @@ def test_make_has_the_targets(words):
 def check_viewnet(words: list[str]) -> str | None:
     """Whether a command within a sentence, often only its beginning, is one."""
     try:
-        cli._parser().parse_args(words if len(words) > 1 else [*words, "--help"])
+        cli.parser().parse_args(words if len(words) > 1 else [*words, "--help"])
     except SystemExit as ended:
         return f"refused: {words}" if ended.code else None
     return None
@@ -271,7 +269,8 @@ def strings(path: Path) -> set[str]:
     return found
 
 
-PACKAGE = set().union(*(strings(path) for path in (ROOT / "viewnet").rglob("*.py")))
+MODULES = sorted((ROOT / "viewnet").rglob("*.py"))
+PACKAGE = {path.stem for path in MODULES}.union(*(strings(path) for path in MODULES))
 BESIDE = set().union(*(strings(path) for folder in ("tests", "benchmarks") for path in (ROOT / folder).glob("*.py")))
 VARIABLES = r"VIEWNET_[A-Z0-9]+(?:_[A-Z0-9]+)*"
 

@@ -28,25 +28,29 @@ NOT_MEASURED = "not measured"
 # ---- text
 
 
+HEADINGS = (
+    ("", "", "", "", "time", "", "", "memory", "", "", "images/s", "", "growth", "", "", "x floor", ""),
+    ("work", "volume", "size", "on", "textbook", "viewnet", "ratio", "textbook", "viewnet", "ratio", "textbook",
+     "viewnet", "expected", "textbook", "viewnet", "textbook", "viewnet"),
+)  # fmt: skip
+"""The two lines above what `cells` has."""
+
+
 def as_text(result: dict[str, Any]) -> str:
     """One aligned table, and what it was measured on."""
-    headings = (
-        ("", "", "", "", "time", "", "", "memory", "", "", "images/s", "", "growth", "", "", "x floor", ""),
-        ("work", "volume", "size", "on", "textbook", "viewnet", "ratio", "textbook", "viewnet", "ratio", "textbook",
-         "viewnet", "expected", "textbook", "viewnet", "textbook", "viewnet"),
-    )  # fmt: skip
-    lines = [*headings, *(_cells(row) for row in result["rows"])]
+    lines = [*HEADINGS, *(cells(row) for row in result["rows"])]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     out = io.StringIO()
     for line in lines:
-        cells = [
+        parts = [
             cell.ljust(w) if i < 2 else cell.rjust(w) for i, (cell, w) in enumerate(zip(line, widths, strict=True))
         ]
-        out.write("  ".join(cells).rstrip() + "\n")
+        out.write("  ".join(parts).rstrip() + "\n")
     return out.getvalue() + "\n" + "\n".join(notes(result)) + "\n"
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def cells(row: Row) -> tuple[str, ...]:
+    """A row as text, a cell for each of HEADINGS."""
     measured = any(row[f"{name}_s"] is not None for name in CONTESTANTS)
     return (
         row["work"],
@@ -146,15 +150,15 @@ def as_latex(result: dict[str, Any]) -> str:
     ]
     work = None
     for row in result["rows"]:
-        cells = _cells(row)
+        texts = cells(row)
         lines += ["\\midrule"] if row["work"] != work else []
         work = row["work"]
-        where = f"{cells[0]} (GPU)" if row["device"] == "cuda" else cells[0]
-        if NOT_MEASURED in cells:
-            told = [where, *cells[1:3], *[""] * (len(names) - 3)]
+        where = f"{texts[0]} (GPU)" if row["device"] == "cuda" else texts[0]
+        if NOT_MEASURED in texts:
+            told = [where, *texts[1:3], *[""] * (len(names) - 3)]
             told[3] = told[4] = DASH
         else:
-            told = [where, *cells[1:3], *cells[4:10], *cells[12:]]
+            told = [where, *texts[1:3], *texts[4:10], *texts[12:]]
         lines.append(" & ".join(escape(cell) if cell != DASH else cell for cell in told) + " \\\\")
     lines += ["\\bottomrule", "\\end{tabular}", ""]
     box = "\\\\\n".join(escape(line) for line in notes(result))

@@ -396,7 +396,7 @@ def make_config(
     5
     >>> make_config(profile="huge")
     Traceback (most recent call last):
-    viewnet.errors.ViewnetError: unknown profile 'huge': choose one of smoke, tiny, small, paper
+    viewnet.errors.ViewnetError: unknown profile 'huge': choose one of smoke, tiny, pocket, small, paper
     """
     known(variant, VARIANTS, "variant")
     known(category, CATEGORIES, "category")

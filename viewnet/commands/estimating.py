@@ -1,0 +1,90 @@
+"""For people's own pictures: viewnet predict and viewnet turntable."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from viewnet.commands import shared
+
+PREDICTING = """
+viewnet predict car.jpg --model 0123456789ab                    all of the picture is the object
+viewnet predict car.jpg --model 0123456789ab --box 40 60 380 250
+viewnet predict a.jpg b.jpg --masks a_mask.png b_mask.png --model runs/viewnet/0123456789ab
+viewnet predict *.png --json --model saved/car                  cut out: transparency is a mask
+"""
+TURNING = """
+viewnet turntable car.png --model 0123456789ab -o car.gif
+viewnet turntable car.jpg --box 40 60 380 250 --model saved/car -o car.mp4 --size 256
+"""
+
+
+def add(commands: Any) -> None:
+    """Their parsers."""
+    where = "a finished run's key or folder (viewnet train prints it), a saved model's folder, or NAME/MODEL of the hub"
+    predict = shared.add(
+        commands,
+        "predict",
+        "tell from where pictures were taken",
+        "The viewpoint of each picture: azimuth (0 shows the object's front, 90 its left side), elevation, "
+        "and how sure\nthe network is. The object's mask or box decides what of a picture is seen; its transparency is "
+        "a mask.",
+        PREDICTING,
+    )
+    predict.add_argument("pictures", nargs="+", type=Path, metavar="PICTURE")
+    predict.add_argument("--masks", nargs="+", type=Path, metavar="FILE", help="one a picture, in their order")
+    predict.add_argument("--box", nargs=4, type=float, action="append", dest="boxes", metavar=("X0", "Y0", "X1", "Y1"),
+                         help="the object's edges in pixels; once for all pictures, or once for each")  # fmt: skip
+    shared.add_json(predict, "every hypothesis, as JSON")
+    predict.set_defaults(run=_predict)
+    turntable = shared.add(
+        commands,
+        "turntable",
+        "show a picture's object from all around",
+        "A picture and what the network makes of its object, turning once from the predicted viewpoint.",
+        TURNING,
+    )
+    turntable.add_argument("picture", type=Path, metavar="PICTURE")
+    turntable.add_argument("--mask", type=Path, metavar="FILE")
+    turntable.add_argument("--box", nargs=4, type=float, metavar=("X0", "Y0", "X1", "Y1"))
+    turntable.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="ends in .gif or .mp4")
+    turntable.add_argument("--size", type=int, default=192, help="pixels along a side of a picture (default: 192)")
+    turntable.add_argument("--steps", type=int, default=48, help="pictures of the turn (default: 48)")
+    turntable.set_defaults(run=_turntable)
+    for command in (predict, turntable):
+        command.add_argument("--model", required=True, metavar="WHERE", help=where)
+        command.add_argument("--device", help="cpu, cuda, cuda:1 ... (default: a GPU if there is one)")
+
+
+def _predict(options: argparse.Namespace) -> None:
+    """A line a picture, or JSON: {"frame": "annotated" or "own", "pictures": [...]}."""
+    from viewnet.estimator import ViewpointEstimator
+
+    boxes = options.boxes
+    if boxes is not None and len(boxes) == 1:
+        boxes = boxes * len(options.pictures)
+    estimator = ViewpointEstimator.from_pretrained(options.model, device=options.device)
+    found = estimator.predict(options.pictures, options.masks, boxes)
+    if options.json:
+        rows = found.to_frame().to_dict("records")
+        named = [{"file": str(path), **row} for path, row in zip(options.pictures, rows, strict=True)]
+        shared.print_json({"frame": "annotated" if found.aligned else "own", "pictures": named})
+        return
+    width = max(len(str(path)) for path in options.pictures)
+    print(f"{'':{width}}  azimuth  elevation  confidence")
+    for path, one in zip(options.pictures, found, strict=True):
+        print(f"{path!s:{width}}  {one.azimuth:7.1f}  {one.elevation:9.1f}  {100 * one.confidence:8.0f} %")
+    if not found.aligned:
+        print("in the network's own frame, to which no azimuth 0 and no up belong: it is aligned to none")
+
+
+def _turntable(options: argparse.Namespace) -> None:
+    """Writes the animation and prints where it is."""
+    from viewnet.estimator import ViewpointEstimator
+
+    estimator = ViewpointEstimator.from_pretrained(options.model, device=options.device)
+    estimator.turntable(
+        options.picture, options.output, options.mask, options.box, size=options.size, steps=options.steps
+    )
+    print(options.output)

@@ -1,0 +1,87 @@
+"""What several commands have in common."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from typing import Any
+
+from viewnet.cluster import VARIABLE
+from viewnet.config import CATEGORIES, PROFILES, RECIPES, VARIANTS, RunConfig, make_config
+from viewnet.errors import ViewnetError
+
+
+def add(commands: Any, name: str, help: str, description: str, examples: str) -> argparse.ArgumentParser:
+    """A command's parser; its help ends with the examples, a line each."""
+    return commands.add_parser(
+        name,
+        help=help,
+        description=description,
+        epilog="examples:\n" + "".join(f"  {line}\n" for line in examples.strip().splitlines()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def add_json(parser: argparse.ArgumentParser, help: str = "as JSON") -> None:
+    """The option --json."""
+    parser.add_argument("--json", action="store_true", help=help)
+
+
+def print_json(value: Any) -> None:
+    """JSON values, indented."""
+    print(json.dumps(value, indent=2, allow_nan=False))
+
+
+def records(frame: Any) -> list[dict[str, Any]]:
+    """The rows of a data frame as JSON values; NaN is null."""
+    return json.loads(frame.to_json(orient="records"))
+
+
+def add_configuration(parser: argparse.ArgumentParser) -> None:
+    """The arguments that `configurations` reads."""
+    parser.add_argument("categories", nargs="+", metavar="CATEGORY", help=f"of {', '.join(CATEGORIES)}")
+    parser.add_argument("--variant", default="viewnet", help=f"{', '.join(VARIANTS)} (default: viewnet)")
+    parser.add_argument("--profile", default="tiny", help=f"{', '.join(PROFILES)} (default: tiny)")
+    parser.add_argument("--recipe", help=f"{', '.join(RECIPES)} (default: the profile's)")
+    parser.add_argument("-s", "--set", action="append", default=[], metavar="NAME=VALUE", help="another value, as JSON")
+    parser.add_argument("--data-root", metavar="FOLDER", help="ShapeNetCore, v1 or v2 (default: the built-in models)")
+    parser.add_argument("--splits", metavar="FOLDER", help="lists <synset>_train.txt, _val.txt and _test.txt for it")
+
+
+def configurations(options: argparse.Namespace, seed: int = 0) -> list[RunConfig]:
+    """One a category. Raises ViewnetError as make_config does."""
+    from viewnet.experiment import folder_named
+
+    given = dict(_setting(text) for text in options.set)
+    root, splits = (folder_named(getattr(options, name) or "", name) for name in ("data_root", "splits"))
+    return [
+        make_config(options.variant, name, options.profile, options.recipe, seed, root, splits, **given)
+        for name in options.categories
+    ]
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    """NAME=VALUE; what is no JSON is text."""
+    name, found, value = text.partition("=")
+    if not found:
+        raise ViewnetError(f"-s {text}: expected NAME=VALUE, such as epochs=3")
+    try:
+        return name, json.loads(value)
+    except (ValueError, RecursionError):
+        return name, value
+
+
+def add_cluster(parser: argparse.ArgumentParser) -> None:
+    """The option --cluster."""
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help=f"a Dask scheduler that renders and trains: tcp://HOST:PORT or scheduler-file:PATH (default: ${VARIABLE})",
+    )
+
+
+def choose_cluster(options: argparse.Namespace) -> None:
+    """For this process and the kernels that it starts."""
+    if options.cluster:
+        os.environ[VARIABLE] = options.cluster
