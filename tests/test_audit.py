@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -140,6 +142,11 @@ def test_the_command(tmp_path, capsys):
     cells = pd.read_csv(tmp_path / "out" / "audit_constants.csv")
     assert set(cells["table"]) == {"table2_ablation", "table3_pascal3d", "table4_dva"}
     assert set(cells.loc[cells["table"] == "table3_pascal3d", "category"]) == {"bus"}
+    assert cli.main(["audit", "--viewpoints", str(path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["left out"] == {"only coarsely annotated": 1}
+    assert [cell["verdict"] for cell in told["constants"]] == cells["verdict"].tolist()
+    assert len(told["confidence"]) == len(pd.read_csv(tmp_path / "out" / "audit_confidence.csv"))
     assert cli.main(["audit", "--viewpoints", str(tmp_path / "none.csv")]) == 2
     assert "none.csv: no such file" in capsys.readouterr().err
 

@@ -140,6 +140,15 @@ def test_quick_writes_every_file(quick):
     assert {line.count("&") for line in lines} == {13}
 
 
+def test_what_was_measured_is_told_as_json(quick, tmp_path, monkeypatch, capsys):
+    before = json.loads((quick / "bench.json").read_text())
+    monkeypatch.setattr(bench, "measure", lambda settings: before)
+    assert cli.main(["bench", "--quick", "--json", "-o", str(tmp_path)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert sorted(told.pop("files")) == sorted(str(tmp_path / name) for name in NAMES)
+    assert told == before
+
+
 def test_quick_measures_what_it_says_and_leaves_the_rest_empty(quick):
     found = json.loads((quick / "bench.json").read_text())
     assert found["schema"] == bench.SCHEMA
