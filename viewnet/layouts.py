@@ -63,14 +63,17 @@ def alignment_of(label: str) -> str | None:
     return "linear" if label.endswith("*") else "robust" if label.endswith("(robust)") else None
 
 
-_ON_PHOTOGRAPHS: tuple[tuple[str, str | None], ...] = (
-    ("ViewNet*", "viewnet"),
-    ("ViewNet", "viewnet"),
-    ("ViewNet (robust)", "viewnet"),  # not in print, as the next one
-    ("ViewNet + cycle*", "viewnet_cycle"),
-    ("ViewNet + cycle", "viewnet_cycle"),
-    ("ViewNet + cycle (robust)", "viewnet_cycle"),
-)
+def unaligned(label: str) -> str:
+    """A row's label without the alignment that it names."""
+    return label.removesuffix("*").removesuffix(" (robust)")
+
+
+def _aligned(label: str, variant: str = "viewnet") -> tuple[tuple[str, str | None], ...]:
+    """The rows of one training by each alignment; the robust one is never in print."""
+    return (f"{label}*", variant), (label, variant), (f"{label} (robust)", variant)
+
+
+_ON_PHOTOGRAPHS = (*_aligned("ViewNet"), *_aligned("ViewNet + cycle", "viewnet_cycle"))
 
 LAYOUTS = {
     "table1_shapenet": Layout(
@@ -125,9 +128,9 @@ LAYOUTS = {
         "Trained on Objectron, evaluated on PASCAL3D+",
         (
             ("Constant", "constant"),  # not in print
-            ("ShapeNet", "viewnet"),
-            ("+ Objectron, supervised masks", "viewnet"),
-            ("+ Objectron, weak masks", "viewnet"),
+            *_aligned("ShapeNet"),
+            *_aligned("+ Objectron, supervised masks"),
+            *_aligned("+ Objectron, weak masks"),
         ),
         categories=("chair",),
         blocks=True,

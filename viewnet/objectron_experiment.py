@@ -17,7 +17,7 @@ from viewnet.data.objectron_standin import WEAK
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.experiment import DESIGNS, folder_named, label_of, shared
-from viewnet.layouts import LAYOUTS
+from viewnet.layouts import LAYOUTS, unaligned
 from viewnet.photo_experiment import PROFILE_RECIPE, photographs_of, scenery_of
 from viewnet.runs import Run, ensure
 from viewnet.tables import Entry
@@ -75,21 +75,24 @@ class ObjectronExperiment(VideoExperiment):
 
     @property
     def unasked(self) -> tuple[str, ...]:
-        """The row of weak masks where there are none."""
-        return () if self.weak else _ROWS[2:]
+        """The rows of weak masks where there are none."""
+        return () if self.weak else tuple(label for label in _LABELS if unaligned(label) == _ROWS[2])
 
     def entries(self, runs_: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
         """As PhotoExperiment.entries; all trained rows are of one variant, and what a run was trained on tells them."""
         keys = {run.key: self._row(run) for run in runs_}
         found = super().entries(runs_, stores, name)
-        return [entry for entry in found if keys.get(entry.key, entry.row) == entry.row]
+        # Of a run that is aligned otherwise the key is followed by how.
+        rows = {entry.key: keys.get(entry.key.partition("/")[0]) for entry in found}
+        return [entry for entry in found if rows[entry.key] in (None, unaligned(entry.row))]
 
     def _row(self, run: Run) -> str:
         video = run.config.data.video
         return _ROWS[0 if video is None else 1 + self.filmed.index(video)]
 
 
-_ROWS = tuple(label for label, variant in LAYOUTS["objectron"].rows if variant == "viewnet")
+_LABELS = LAYOUTS["objectron"].labels("viewnet")
+_ROWS = tuple(dict.fromkeys(map(unaligned, _LABELS)))
 
 
 def objectron_experiment(

@@ -26,7 +26,7 @@ from viewnet.predictions import Predictions
 from viewnet.runs import Run
 from viewnet.tables import Entry, Table, entries
 
-PROFILE_RECIPE = {"smoke": "photos", "tiny": "photos", "small": "photos", "paper": "paper_photos"}
+PROFILE_RECIPE = {"smoke": "photos", "tiny": "photos", "pocket": "photos", "small": "photos", "paper": "paper_photos"}
 """The recipe a profile uses unless another is named: backgrounds behind what is trained on, ten views a model."""
 SMOKE_MODELS, SMOKE_COUNT = 8, 80
 """The size of the stand-in for photographs at the smallest profile."""
