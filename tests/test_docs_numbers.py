@@ -337,6 +337,33 @@ def test_time_to_accuracy_in_speed():
         assert says(before, np.median(seconds(category, float(accuracy)))), label
 
 
+FREIBURG, OBJECTRON = "table4_freiburg.csv", "objectron.csv"
+
+
+def test_videos_of_cars():
+    rows = page(RECIPES).table("videos of cars", "acc@30, %", "median")
+    assert len(rows) == 5
+    for label, accuracy, median in rows:
+        ends = [cell(FREIBURG, label, "car", "acc30", column) for column in ("measured", "low", "high")]
+        assert accuracy == "{:.1f} [{:.1f}, {:.1f}]".format(*ends), label
+        assert median == f"{cell(FREIBURG, label, 'car', 'median'):.1f}", label
+    regressed, constant = "VGG view (pixels)", "Constant"
+    shown = [cell(FREIBURG, row, "car", "acc30") for row in ("ViewNet", "ViewNet + cycle", regressed, constant)]
+    text = "on {:.1f} % of the stand-in's photographs, with the cycle on {:.1f} %, a regression fitted on labelled "
+    text += "photographs on {:.1f} % and a constant on {:.1f} %"
+    assert text.format(*shown) in page(README).prose
+
+
+def test_videos_of_chairs():
+    rows = page(RECIPES).table("", "Procrustes", "robust", "linear (*)")
+    assert len(rows) == 3
+    for (_, *shown), label in zip(
+        rows, ("ShapeNet", *(f"+ Objectron, {m} masks" for m in ("supervised", "weak"))), strict=True
+    ):
+        by = [cell(OBJECTRON, label + end, "chair", "acc30") for end in ("", " (robust)", "*")]
+        assert shown == [f"{value:.0f}" for value in by], label
+
+
 SWITCHES = {
     "float32 instead of bfloat16": "float32",
     "gradients of empty voxels too": "gradients of empty voxels",
