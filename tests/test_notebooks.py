@@ -136,7 +136,7 @@ def test_values_get_the_declared_types_and_nothing_is_guessed(root):
     [
         (["-p", "sede", "3"], "unknown parameter of table1_shapenet 'sede': choose one of profile, categories, seeds"),
         (["-p", "workers", "two"], "parameter workers 'two': expected a whole number"),
-        (["-p", "profile", "huge"], "unknown profile 'huge': choose one of smoke, tiny, small, paper"),
+        (["-p", "profile", "huge"], "unknown profile 'huge': choose one of smoke, tiny, pocket, small, paper"),
         (["-p", "categories", "02958343"], "unknown category '02958343': choose one of aeroplane"),
         (["-p", "seeds", "1", "-p", "seeds", "2"], "parameter seeds is given twice"),
         (["-p", "data_root", "nowhere"], "data_root nowhere: no such folder"),
