@@ -13,6 +13,7 @@ from typing import Any
 
 from viewnet.cluster import VARIABLE
 from viewnet.config import CATEGORIES, PROFILES, RECIPES, VARIANTS, make_config
+from viewnet.demo_command import add_demo
 from viewnet.errors import ViewnetError
 
 TRAINING = """examples:
@@ -119,6 +120,7 @@ def _parser() -> argparse.ArgumentParser:
     audit.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="where every number goes, as CSV files")
     audit.set_defaults(run=_audit)
     _add_estimating(commands)
+    add_demo(commands)
     bench = commands.add_parser(
         "bench",
         help="measure renderer and training step against a textbook version",
