@@ -17,7 +17,7 @@ from viewnet.data import prepare
 from viewnet.data.store import ViewStore
 
 COMMANDS = (
-    *("notebook", "tables", "render", "train", "evaluate", "predict", "turntable"),
+    *("notebook", "tables", "render", "train", "evaluate", "predict", "turntable", "demo"),
     *("data", "audit", "bench", "completion"),
 )
 

@@ -91,7 +91,7 @@ def test_evaluation_data_are_all_models_of_the_other_collection(tmp_path):
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ({"profile": "huge"}, "unknown profile 'huge': choose one of smoke, tiny, small, paper"),
+        ({"profile": "huge"}, "unknown profile 'huge': choose one of smoke, tiny, pocket, small, paper"),
         ({"categories": "plane"}, "unknown category 'plane': choose one of aeroplane"),
         ({"categories": "car,car"}, "a name is there twice"),
         ({"categories": 2958343}, "expected names such as car"),

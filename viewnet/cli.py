@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Sequence
 from typing import NoReturn
 
-from viewnet.commands import checking, completing, estimating, showing, training
+from viewnet.commands import checking, completing, estimating, serving, showing, training
 from viewnet.errors import ViewnetError
 
 OUTCOMES = """exit codes:
@@ -58,10 +58,11 @@ def parser() -> argparse.ArgumentParser:
         epilog=OUTCOMES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+
     version = f"viewnet {importlib.metadata.version('viewnet')}"
     found.add_argument("--version", action="version", version=version)
     commands = found.add_subparsers(required=True, metavar="COMMAND")
-    for group in (showing, training, estimating, checking, completing):
+    for group in (showing, training, estimating, serving, checking, completing):
         group.add(commands)
     return found
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -57,15 +58,18 @@ def write(mesh: trimesh.Trimesh, path: Path) -> Path:
     """
     if path.suffix not in SUFFIXES:
         raise ViewnetError(f"{path}: unknown kind of mesh file: name it {' or '.join(SUFFIXES)}")
-    if path.suffix == ".glb":
-        scene = trimesh.Scene()
-        scene.add_geometry(mesh, transform=Y_UP, geom_name="volume", node_name="volume")
-        data = scene.export(file_type="glb")
-    else:
-        data = mesh.export(file_type="ply")
+    data: Any = as_glb(mesh) if path.suffix == ".glb" else mesh.export(file_type="ply")
     with replacing(path) as temporary:
         temporary.write_bytes(data)
     return path
+
+
+def as_glb(mesh: trimesh.Trimesh) -> bytes:
+    """The contents of a .glb file, see `write`."""
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, transform=Y_UP, geom_name="volume", node_name="volume")
+    data: bytes = scene.export(file_type="glb")
+    return data
 
 
 def export(drawer: Drawer, rows: Sequence[int], folder: Path, suffix: str = ".glb", level: float = LEVEL) -> list[Path]:

@@ -71,7 +71,7 @@ def cut(picture: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | No
     if (right - left) * (lower - upper) > MOST_PIXELS:
         raise ViewnetError(f"box is too large to be cut ({right - left} x {lower - upper} pixels with its margin)")
     part = (max(left, 0), max(upper, 0), min(right, width), min(lower, height))
-    inside, place = _rgb(picture.crop(part)), (part[0] - left, part[1] - upper)
+    inside, place = rgb(picture.crop(part)), (part[0] - left, part[1] - upper)
     exact = (seen[0] - left, seen[1] - upper, seen[2] - left, seen[3] - upper)
     if mask is not None:
         inside.putalpha(Image.fromarray(mask).crop(part))
@@ -132,7 +132,7 @@ def coverage(mask: Image.Image) -> np.ndarray:
     return (values * 255 if values.max(initial=0) <= 1 else values).clip(0, 255).astype(np.uint8)
 
 
-def _rgb(picture: Image.Image) -> Image.Image:
+def rgb(picture: Image.Image) -> Image.Image:
     """In three channels; grey of 16 bits is brought to 8, which `convert` would cut off."""
     if picture.mode.startswith("I;16") or picture.mode == "I":
         picture = Image.fromarray((np.asarray(picture).astype(np.int64) // 257).clip(0, 255).astype(np.uint8))

@@ -1,0 +1,93 @@
+"""`viewnet demo`: a page on this machine, to try a trained network in a browser."""
+
+from __future__ import annotations
+
+import argparse
+import socket
+from typing import Any
+
+from viewnet.commands import shared
+from viewnet.errors import ViewnetError
+
+LARGEST_FILE = "20mb"
+DESCRIPTION = """\
+Open a page where a picture is dropped, its object marked, and the answer seen: the viewpoint on a compass, every
+hypothesis, the object drawn from there and from anywhere else, and as a 3-D model. Nothing is fetched from the network
+and nothing sent to it; files that visitors send are deleted after an hour, and when the page ends."""
+EXAMPLES = """
+viewnet demo --model 0123456789ab --open
+viewnet demo --model saved/car --host 0.0.0.0 --port 8080         for everybody who can reach this machine
+"""
+
+
+def add(commands: Any) -> None:
+    """Its parser."""
+    demo = shared.add(commands, "demo", "try a trained network in a browser", DESCRIPTION, EXAMPLES)
+    where = "a finished run's key or folder, a saved model's folder, or NAME/MODEL of the hub"
+    demo.add_argument("--model", required=True, metavar="WHERE", help=where)
+    demo.add_argument("--device", help="cpu, cuda, cuda:1 ... (default: a GPU if there is one)")
+    demo.add_argument("--host", default="127.0.0.1", help="the address to listen at (default: 127.0.0.1, this machine)")
+    demo.add_argument("--port", type=int, default=7860, help="default: 7860")
+    demo.add_argument("--share", choices=["no", "yes"], default="no",
+                      help="yes: a public address too, by a tunnel through gradio's servers (default: no)")  # fmt: skip
+    demo.add_argument("--open", action="store_true", help="open the page in the browser")
+    demo.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Serve the page until it is interrupted."""
+    page = start(options)
+    print(f"viewnet demo: {page.local_url} (Ctrl+C ends it)", flush=True)
+    if page.share_url:
+        print(f"viewnet demo: {page.share_url}, for everybody", flush=True)
+    page.block_thread()
+
+
+def start(options: argparse.Namespace) -> Any:
+    """The page (gradio.Blocks), served by a thread. ViewnetError without gradio, a model, or where it cannot listen."""
+    try:
+        import gradio  # noqa: F401
+    except ImportError:
+        raise ViewnetError('demo: gradio is not installed: pip install "viewnet[demo]"') from None
+    if not 0 < options.port < 65536:
+        raise ViewnetError(f"--port {options.port}: expected 1 to 65535")
+    _check_free(options.host, options.port)
+    from viewnet import demo, examples
+    from viewnet.estimator import ViewpointEstimator
+
+    estimator = ViewpointEstimator.from_pretrained(options.model, device=options.device)
+    page = demo.build(estimator, examples.drawn(estimator))
+    try:
+        page.launch(
+            server_name=options.host,
+            server_port=options.port,
+            share=options.share == "yes",
+            inbrowser=options.open,
+            prevent_thread_lock=True,
+            quiet=True,
+            show_error=False,
+            max_file_size=LARGEST_FILE,
+            theme=demo.theme(),
+            css=demo.STYLE,
+            footer_links=[],
+            run_history=False,
+            ssr_mode=False,
+        )
+    except ValueError:  # gradio could not reach its own page
+        page.close()
+        raise ViewnetError(
+            f"{options.host}:{options.port}: the page does not answer: start it again, and if a proxy is set "
+            "(http_proxy), except this address from it (no_proxy)"
+        ) from None
+    return page
+
+
+def _check_free(host: str, port: int) -> None:
+    """ViewnetError for an address at which nothing can listen; gradio's server would die of it in its own thread."""
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        socket.create_server(address[:2], family=family).close()
+    except OSError as error:
+        raise ViewnetError(
+            f"{host}:{port}: cannot listen there ({error.strerror}): choose another --port or --host"
+        ) from None
