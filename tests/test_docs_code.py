@@ -9,6 +9,7 @@ import shlex
 import tomllib
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -101,8 +102,10 @@ def moved(words: list[str], world: Path) -> list[str]:
 
 
 def obeyed(words: list[str], world: Path, monkeypatch) -> None:
-    """Give a command to `viewnet` with what takes long replaced: training, kernels and measurements."""
+    """Give a command to `viewnet` with what takes long replaced: training, kernels, measurements and serving."""
     asked = []
+    page = SimpleNamespace(local_url="here", share_url=None, block_thread=lambda: None)
+    monkeypatch.setattr("viewnet.commands.serving.start", lambda options: asked.append(options) or page)
     monkeypatch.setattr("viewnet.runs.ensure", lambda configs, workers=None: asked.extend(configs) or [])
     monkeypatch.setattr("papermill.execute_notebook", lambda source, *_, **__: asked.append(source))
     monkeypatch.setattr("viewnet.bench.measure", lambda settings: asked.append(settings))
@@ -110,7 +113,7 @@ def obeyed(words: list[str], world: Path, monkeypatch) -> None:
     monkeypatch.setattr("viewnet.bench_report.write", lambda found, folder: [folder])
     # The last value of an option counts: two pictures of a turn are as good as 48.
     assert cli.main([*moved(words, world), *(["--steps", "2"] if words[0] == "turntable" else [])]) == 0
-    if words[0] in ("train", "notebook", "bench") and "--parameters" not in words:
+    if words[0] in ("train", "notebook", "bench", "demo") and "--parameters" not in words:
         assert asked
 
 

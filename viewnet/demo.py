@@ -201,7 +201,7 @@ class Page:
         return [chosen, chosen.shown(box), box_text(box), None]
 
     def ask(self, chosen: Chosen | None, mask: dict[str, Any] | None, box: str) -> list[Any]:
-        """What the network says of the picture. A toast tells what is wrong with what was given."""
+        """What the network says of the picture. What is wrong with what was given is a toast, and no ViewnetError."""
         try:
             if chosen is None:
                 raise ViewnetError("no picture: drop, paste or take one, or choose an example")
