@@ -100,6 +100,9 @@ def test_asked_about_a_box_the_page_says_what_the_estimator_says(page, estimator
     assert not np.array_equal(view, page.turn(imagined, azimuth + 90, elevation))
     drawn = trimesh.load(mesh["value"], force="mesh")
     assert len(drawn.faces) == len(estimator.mesh(file, box=BOX).faces)
+    turned, tilted, away = mesh["camera_position"]
+    assert (turned % 360, tilted) == (-azimuth % 360, 90 - elevation)
+    assert away > 3 * np.linalg.norm(drawn.vertices, axis=1).max()
 
 
 def test_a_mask_counts_and_so_does_what_is_missing(page, estimator, folder):
@@ -244,7 +247,7 @@ class Visit:
 
     def answer(self):
         self.tab.locator("#mesh canvas").wait_for()
-        return [self.tab.locator(f"#said-{name}").inner_text() for name in ("azimuth", "elevation", "confidence")]
+        return self.tab.locator("#answer b").all_inner_texts()
 
     def image(self, where):
         """Pixels (H, W, 3) of a picture on the page, as the server has it."""

@@ -27,15 +27,17 @@ def test_without_gradio_what_to_install_is_said(run, monkeypatch, capsys):
     [
         (["--port", "99999"], "--port 99999: expected 1 to 65535"),
         (["--model", "ba9876543210"], "ba9876543210: no model there"),
-        (["--host", "256.0.0.1"], "256.0.0.1:7860: cannot listen there"),
+        (["--host", "256.0.0.1"], "256.0.0.1:{port}: cannot listen there"),
         (["--device", "abacus"], "device abacus: cannot be had here"),
     ],
 )
 def test_what_cannot_be_shown_is_said(run, arguments, message, capsys):
     pytest.importorskip("gradio")
-    assert cli.main(["demo", "--model", str(run.folder), *arguments]) == 2
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    assert cli.main(["demo", "--model", str(run.folder), "--port", str(port), *arguments]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"viewnet: {message}")
+    assert said.startswith(f"viewnet: {message.format(port=port)}")
     assert said.count("\n") == 1
 
 

@@ -50,8 +50,10 @@ STYLE = """
 
 
 def theme() -> gr.themes.Base:
-    """Gradio's with the reader's own fonts: none are fetched."""
-    return gr.themes.Default(font=("system-ui", "sans-serif"), font_mono=("ui-monospace", "monospace"))
+    """Gradio's with the reader's own fonts: none are fetched; in a blue on which white letters can be read."""
+    return gr.themes.Default(
+        primary_hue="blue", font=("system-ui", "sans-serif"), font_mono=("ui-monospace", "monospace")
+    )
 
 
 def build(estimator: ViewpointEstimator, examples: Sequence[Example] = ()) -> gr.Blocks:
@@ -92,9 +94,8 @@ class Page:
             height=320,
             elem_id="picture",
         )
-        self.box = gr.Textbox(
-            label="Box: left, top, right, bottom", info=HINT, placeholder="40 60 380 250", elem_id="box"
-        )
+        gr.Markdown(HINT)
+        self.box = gr.Textbox(label="Box: left, top, right, bottom", placeholder="40 60 380 250", elem_id="box")
         with gr.Row():
             self.unbox = gr.Button("No box", min_width=100, elem_id="unbox")
             self.find = gr.Button("Find the viewpoint", variant="primary", min_width=180, elem_id="find")
@@ -211,17 +212,17 @@ class Page:
             found = inspection.inspect(self.estimator, *known)
         except ViewnetError as error:
             raise _toast(error) from None
-        notes = list(found.notes)
+        notes, model, reach = list(found.notes), None, 1.0
         try:
-            contents = volume_mesh.as_glb(self.estimator.mesh(*known))
-            model = save_bytes_to_cache(contents, "object.glb", self.mesh.GRADIO_CACHE)
+            mesh = self.estimator.mesh(*known)
+            model = save_bytes_to_cache(volume_mesh.as_glb(mesh), "object.glb", self.mesh.GRADIO_CACHE)
+            reach = float(np.linalg.norm(mesh.vertices, axis=1).max())
         except ViewnetError as error:
-            model = None
             notes.append(f"There is no 3-D model: {error}.")
         one = found.viewpoint
         azimuth, elevation = round(one.azimuth) % 360, round(one.elevation)
         told = answer(found, notes)
-        model = gr.update(value=model, camera_position=_camera(azimuth, elevation))
+        shown = gr.update(value=model, camera_position=_camera(azimuth, elevation, reach))
         view = self.turn(found.imagined, azimuth, elevation)
         return [
             found.imagined,
@@ -232,7 +233,7 @@ class Page:
             azimuth,
             elevation,
             view,
-            model,
+            shown,
         ]
 
     def turn(self, imagined: Imagined | None, azimuth: float, elevation: float) -> Any:
@@ -254,9 +255,8 @@ def answer(found: Inspection, notes: Sequence[str]) -> str:
     frame = "" if one.aligned else "<p>In the model's own frame: azimuth 0 and up are arbitrary.</p>"
     listed = "".join(f"<li>{escape(note)}</li>" for note in notes)
     return (
-        f'<p class="headline">azimuth <b id="said-azimuth">{one.azimuth:.1f}°</b>, elevation '
-        f'<b id="said-elevation">{one.elevation:.1f}°</b>{words}</p>'
-        f'<p>confidence <b id="said-confidence">{100 * one.confidence:.1f} %</b>: the probability that this hypothesis '
+        f'<p class="headline">azimuth <b>{one.azimuth:.1f}°</b>, elevation <b>{one.elevation:.1f}°</b>{words}</p>'
+        f"<p>confidence <b>{100 * one.confidence:.1f} %</b>: the probability that this hypothesis "
         f"is the best one, as the network sees it</p>{frame}"
         f'<div class="dials"><figure>{compass.from_above(one)}<figcaption>from above</figcaption></figure>'
         f"<figure>{compass.from_the_side(one)}<figcaption>from the side</figcaption></figure></div>"
@@ -271,9 +271,12 @@ def _enlarged(pixels: np.ndarray) -> Image.Image:
     return picture.resize((times * picture.width, times * picture.height), Image.Resampling.NEAREST)
 
 
-def _camera(azimuth: float, elevation: float) -> tuple[float, float, None]:
-    """Where the browser's 3-D viewer is to look from: it counts azimuths the other way round, elevations from above."""
-    return -azimuth, min(max(90.0 - elevation, 1.0), 179.0), None
+def _camera(azimuth: float, elevation: float, reach: float) -> tuple[float, float, float]:
+    """Where the browser's 3-D viewer is to look from, and how far from an object that reaches so far from its centre.
+
+    It counts azimuths the other way round, and elevations from above. All of the object is seen on a narrow screen.
+    """
+    return -azimuth, min(max(90.0 - elevation, 1.0), 179.0), 3.4 * reach
 
 
 def _toast(error: ViewnetError) -> gr.Error:
