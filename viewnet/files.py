@@ -50,7 +50,8 @@ def _elsewhere(error: OSError, place: Path) -> bool:
 def _refused(place: Path, error: OSError) -> ViewnetError:
     full = error.errno in _FULL
     advice = "make room and give the same command again" if full else "make it writable or choose another folder"
-    return ViewnetError(f"{place}: cannot be written ({error.strerror}): {advice}")
+    reason = os.strerror(error.errno) if error.errno else error.strerror  # libraries put sentences there
+    return ViewnetError(f"{place}: cannot be written ({reason}): {advice}")
 
 
 @contextlib.contextmanager
