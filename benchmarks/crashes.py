@@ -16,7 +16,6 @@ import argparse
 import shutil
 import sys
 import tempfile
-from dataclasses import asdict
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -51,15 +50,16 @@ def killed(work: Work, kills: int, place: Path, data: Path | None, chance: Rando
 
 def told(work: Work, tally: Tally) -> dict[str, Any]:
     """The row of a kind of work."""
-    found = asdict(tally)
-    phases, problems = found.pop("phases"), found.pop("problems")
     return {
         "what": work.name,
-        **{name: found[name] for name in ("kills", "resumed", "trials", "identical")},
-        "damaged_or_left": len(problems),
-        "phases": "; ".join(f"{phase} {times}" for phase, times in sorted(phases.items())),
-        "late": found["late"],
-        "undisturbed_s": round(found["seconds"], 1),
+        "kills": tally.kills,
+        "resumed": tally.resumed,
+        "trials": tally.trials,
+        "identical": tally.identical,
+        "damaged_or_left": len(tally.problems),
+        "phases": "; ".join(f"{phase} {times}" for phase, times in sorted(tally.phases.items())),
+        "late": tally.late,
+        "undisturbed_s": round(tally.seconds, 1),
     }
 
 
@@ -102,7 +102,8 @@ def report(options: argparse.Namespace, place: Path) -> int:
         own = None if "data" in work.makes else data
         tally = killed(work, kills, place / work.name, own, Random(f"{options.seed} {number}"))
         rows.append(told(work, tally))
-        print(*tally.problems, sep="\n")
+        for problem in tally.problems:
+            print(problem)
         failed |= bool(tally.problems) or tally.identical < tally.trials
     if options.kills:
         write(options.output / "crashes.csv", rows)
@@ -110,7 +111,8 @@ def report(options: argparse.Namespace, place: Path) -> int:
     for question in QUESTIONS if options.pairs else ():
         row, problems = asked_twice(question, options.pairs, place / f"pairs of {question}", data)
         rows.append(row)
-        print(*problems, sep="\n")
+        for problem in problems:
+            print(problem)
         failed |= bool(problems) or not row["made_once"] == row["same"] == options.pairs
     if options.pairs:
         write(options.output / "pairs.csv", rows)

@@ -74,7 +74,7 @@ def drawing(models: int = 160, workers: int = 2) -> Work:
     return Work("view store", ("-c", DRAWING.format(models=models, workers=workers)), ("data",), _drawn)
 
 
-def training(epochs: int = 8) -> Work:
+def training(epochs: int = 5) -> Work:
     """A run of the profile smoke: trained, its test views predicted and scored."""
     settings = ("-s", f"epochs={epochs}", "-s", f"patience={epochs}")
     return Work("run", ("-m", "viewnet", "train", "car", "--profile", "smoke", *settings), ("runs",), _trained)
