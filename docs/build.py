@@ -37,6 +37,7 @@ PROSE = {
     "docs/decisions.md": "decisions",
     "docs/scaling.md": "scaling",
     "docs/speed.md": "speed",
+    "docs/trust.md": "trust",
     "benchmarks/README.md": "benchmarks",
     "CONTRIBUTING.md": "contributing",
     "CHANGELOG.md": "changelog",

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import sys
 import types
 
@@ -166,9 +167,13 @@ def test_predictions_of_other_code_or_weights_are_made_anew(photographs, monkeyp
     monkeypatch.setattr("viewnet.provenance.code_identity", lambda modules: "edited")
     on_photographs(first, store, counting)
     assert len(calls) == 2
-    assert [p.name for p in first.folder.glob("predictions-*.parquet")] == [
-        f"predictions-{store.identity}-edited.parquet"
-    ]
+    (kept,) = first.folder.glob("predictions-*.parquet")
+    os.utime(kept, (4e9, 4e9))  # a clock that was ahead
+    (first.folder / "checkpoint.safetensors").write_bytes(b"weights of a third kind")
+    on_photographs(first, store, counting)
+    assert len(calls) == 3
+    (kept,) = first.folder.glob("predictions-*.parquet")
+    assert kept.name.startswith(f"predictions-{store.identity}-edited-")
 
 
 def test_only_what_was_trained_looks_at_photographs(photographs):

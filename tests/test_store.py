@@ -276,7 +276,9 @@ def test_a_killed_call_goes_on_from_what_is_done(
         draw(models, tmp_path / "views")
     assert not (tmp_path / "views").exists()
     # What another process was writing when it was killed is no obstacle.
-    (tmp_path / ".views.partial" / "00000004.npz.1.tmp").write_bytes(b"half")
+    half = tmp_path / ".views.partial" / ".00000004.npz.part-abcdefgh" / "00000004.npz"
+    half.parent.mkdir()
+    half.write_bytes(b"half")
     again: list[str] = []
     monkeypatch.setattr(views, "draw_chunk", lambda chunk: again.append(chunk.models[0].id) or real(chunk))
     draw(models, tmp_path / "views")
@@ -307,12 +309,17 @@ def test_no_room_is_said_before_drawing(
 
 
 def test_a_full_disk_is_said(models: list[ModelFile], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(chunk):
-        raise OSError(errno.ENOSPC, "No space left on device", str(chunk.file))
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(views, "draw_chunk", full)
-    with pytest.raises(ViewnetError, match="the disk is full"):
-        draw(models, tmp_path / "views")
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez", full)
+        with pytest.raises(
+            ViewnetError, match=r"00000000.npz: cannot be written \(No space left on device\): make room"
+        ):
+            draw(models, tmp_path / "views")
+    assert [path.name for path in (tmp_path / ".views.partial").iterdir()] == ["plan.json"]
+    draw(models, tmp_path / "views")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import hashlib
 import logging
 import time
 from collections.abc import Callable, Sequence
@@ -66,6 +67,8 @@ UNTRAINED_CODE = ("baselines.py", "geometry.py")
 PREDICTING = ("predict.py", "predictions.py")
 EVALUATING = ("evaluate.py", "metrics.py", "alignment.py", "geometry.py", "predictions.py")
 
+STATE = "state.pt"
+"""What a training goes on from (viewnet.train); gone when it has come to its end."""
 NOT_SCORED = "its own views have no annotated val and test split"
 
 UNTRAINED: dict[str, Callable[[pd.DataFrame], Predictions]] = {
@@ -354,7 +357,11 @@ def _train(
 
     resumed = (folder / "log.csv").is_file()
     started, begun = datetime.datetime.now(datetime.UTC), time.perf_counter()
-    steps.train(config, views, folder, threads=threads, progress=progress)
+    try:
+        steps.train(config, views, folder, threads=threads, progress=progress)
+    except ViewnetError as error:
+        raise ViewnetError(f"{error}{_kept(folder)}") from error
+    (folder / STATE).unlink(missing_ok=True)  # where a killed process had kept the weights and not come to this
     if not (folder / "checkpoint.safetensors").is_file():
         raise ViewnetError(f"{folder}: training left no checkpoint")
     seconds = time.perf_counter() - begun
@@ -372,6 +379,17 @@ def _train(
         "git": provenance.commit(),
         "versions": provenance.versions(),
     }
+
+
+def _kept(folder: Path) -> str:
+    """What a training that failed has reached, in words."""
+    if not (folder / STATE).is_file():
+        return ""
+    try:
+        epoch = f" of epoch {int(read_log(folder / 'log.csv')['epoch'].iloc[-1])}"
+    except (ViewnetError, LookupError):
+        epoch = ""
+    return f" (the state{epoch} is kept in {folder / STATE})"
 
 
 def score_on(run: Run, views: Any, alignment: str | None = None, steps: Steps | None = None) -> dict[str, Any]:
@@ -413,14 +431,20 @@ def transferred(run: Run, views: Any, steps: Steps | None = None) -> Predictions
 def on_photographs(run: Run, store: Any, steps: Steps | None = None) -> Predictions:
     """What a trained run says of the photographs of a store: its splits "val", to align on, and "test", to score.
 
-    Kept in the run's folder as `predictions-<store's identity>-<code's>.parquet`, and made anew where the store, the
-    code that predicts or the checkpoint is another. Raises ViewnetError for a run that was not trained.
+    Kept in the run's folder as `predictions-<store's identity>-<code's>-<checkpoint's>.parquet`, and made anew where
+    the store, the code that predicts or the checkpoint is another. Raises ViewnetError for a run that was not trained.
     """
     if not run.trained:
         raise ViewnetError(f"{name(run.config)} has no network to look at photographs: choose a trained variant")
-    path = run.folder / f"predictions-{store.identity}-{_codes()['predicting']}.parquet"
-    checkpoint = run.folder / "checkpoint.safetensors"
-    if path.is_file() and checkpoint.is_file() and path.stat().st_mtime_ns >= checkpoint.stat().st_mtime_ns:
+    # By what the weights are and not by their file's time: clocks are set, and files copied.
+    try:
+        weights = hashlib.sha256((run.folder / start.CHECKPOINT).read_bytes()).hexdigest()[:12]
+    except OSError as error:
+        raise ViewnetError(
+            f"{run.folder / start.CHECKPOINT}: cannot be read ({error.strerror}): train it again"
+        ) from error
+    path = run.folder / f"predictions-{store.identity}-{_codes()['predicting']}-{weights}.parquet"
+    if path.is_file():
         return Predictions.from_parquet(path)
     found = (steps or default_steps()).predict(run.folder, store, splits=("val", "test"))
     found.to_parquet(path)

@@ -22,6 +22,8 @@ import torch
 
 from viewnet import distributed, provenance, runs
 from viewnet.errors import ViewnetError
+from viewnet.files import write_text
+from viewnet.processes import follow_parent
 from viewnet.progress import bar as progress_bar
 
 T = TypeVar("T")
@@ -228,7 +230,7 @@ class _Worker(threading.Thread):
 
 def _serve(connection: Connection, gpu: str | None) -> None:
     """The life of a worker process."""
-    threading.Thread(target=_follow_parent, daemon=True).start()
+    follow_parent()
     if gpu is not None:
         os.environ["CUDA_VISIBLE_DEVICES"] = gpu  # heeded as long as CUDA has not been touched
     while True:
@@ -245,14 +247,6 @@ def _serve(connection: Connection, gpu: str | None) -> None:
             return
         except Exception as error:  # what cannot be pickled
             connection.send((None, RuntimeError(f"{type(error).__name__}: {error}")))
-
-
-def _follow_parent() -> None:
-    """Ends this process when the one that asked for it is gone: a killed notebook leaves nothing running behind."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 _busy = threading.Lock()
@@ -274,10 +268,11 @@ def _attempt(job: runs.Job, steps: runs.Steps, threads: int | None, progress: bo
     except ViewnetError as error:
         return f"{runs.name(job.config)}: {error}"
     except Exception as error:
-        job.folder.mkdir(parents=True, exist_ok=True)
-        report = job.folder / "error.log"
-        report.write_text(traceback.format_exc(), encoding="utf-8")
-        return f"{runs.name(job.config)}: {type(error).__name__}: {_first_line(error)} (see {report})"
+        report, where = job.folder / "error.log", ""
+        with contextlib.suppress(ViewnetError):  # it may be for want of a place to write to
+            write_text(report, traceback.format_exc())
+            where = f" (see {report})"
+        return f"{runs.name(job.config)}: {type(error).__name__}: {_first_line(error)}{where}"
     finally:
         torch.set_num_threads(before)
     return None

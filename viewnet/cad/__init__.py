@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from viewnet.cad.builder import Builder
 from viewnet.cad.writer import write_model
 from viewnet.config import CATEGORIES, SYNSETS
 from viewnet.errors import ViewnetError
+from viewnet.files import replacing
 from viewnet.progress import bar
 
 Generator = Callable[[np.random.Generator], Builder]
@@ -64,10 +64,9 @@ def write_collection(root: Path, categories: Sequence[str], models: int, seed: i
         if not folder.exists():
             write_model(make_model(category, index, seed), folder)
         rows.append((f"{len(rows) + 1:06d}", synset, synset, name, splits[category][index]))
-    temporary = root / f".all.csv.{os.getpid()}"
     table = pd.DataFrame(rows, columns=["id", "synsetId", "subSynsetId", "modelId", "split"])
-    table.to_csv(temporary, index=False, lineterminator="\n")
-    temporary.replace(root / "all.csv")
+    with replacing(root / "all.csv") as temporary:
+        table.to_csv(temporary, index=False, lineterminator="\n")
 
 
 def split_names(category: str, models: int, seed: int = 0) -> list[str]:

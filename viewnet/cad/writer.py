@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from viewnet.cad.builder import Array, Builder
+from viewnet.files import filling
 
 # A millionth of the diagonal: far below a pixel, and it lets vertices that meet be shared.
 DIGITS = 5
@@ -25,17 +24,10 @@ def write_model(builder: Builder, folder: Path) -> None:
     """
     if folder.exists():
         raise FileExistsError(f"{folder} exists already")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
+    with filling(folder) as temporary:
         (temporary / "models").mkdir()
         (temporary / "models" / "model_normalized.obj").write_text(_obj(builder), encoding="ascii")
         (temporary / "models" / "model_normalized.mtl").write_text(_mtl(builder, temporary), encoding="ascii")
-        temporary.chmod(0o755)
-        temporary.rename(folder)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
 
 
 def normalized(builder: Builder, points: Array) -> Array:

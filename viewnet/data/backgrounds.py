@@ -9,7 +9,6 @@ import csv
 import hashlib
 import json
 import os
-import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from viewnet.data import scenes
 from viewnet.data.pictures import opened
 from viewnet.data.store import identity_of
 from viewnet.errors import ViewnetError
-from viewnet.files import load_array, locked
+from viewnet.files import filling, load_array, locked
 from viewnet.progress import bar
 
 DRAWN = "drawn"
@@ -80,6 +79,8 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
         described["pictures"] = _digest(Path(source), classed, missing)
     identity = identity_of(described)
     folder = paths.data() / "backgrounds" / identity
+    if folder.exists():  # before any lock, for which the folder about it may not be writable
+        return _read(folder, identity, size)
     with locked(folder):
         if not folder.exists():
             if source == DRAWN:
@@ -212,18 +213,11 @@ def _cut(path: Path, size: int, rng: np.random.Generator) -> np.ndarray:
 
 def _write(folder: Path, pictures: np.ndarray, classes: np.ndarray, rejected: list[tuple[str, str]]) -> None:
     """The folder appears when it is whole."""
-    temporary = folder.with_name(f".{folder.name}.{os.getpid()}")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir(parents=True)
-    try:
+    with filling(folder) as temporary:
         np.save(temporary / "pictures.npy", pictures)
         np.save(temporary / "classes.npy", classes)
         with (temporary / "rejected.csv").open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows([("path", "reason"), *rejected])
-        temporary.rename(folder)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
 
 
 def _read(folder: Path, identity: str, size: int) -> Backgrounds:

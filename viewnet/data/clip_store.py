@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -33,6 +32,7 @@ from viewnet.data.photos import described
 from viewnet.data.shapenet import SPLITS
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
+from viewnet.files import scratch
 from viewnet.processes import processors
 from viewnet.progress import bar
 
@@ -103,17 +103,16 @@ def clip_store(
     _check(clips)
     refused = list(rejected)
     ordered = sorted(clips, key=lambda clip: clip.id)
-    folder.parent.mkdir(parents=True, exist_ok=True)
     rows: list[tuple[Any, ...]] = []
     files: list[Path] = []
     # Cut-outs wait on the disk until it is known how many there are.
-    with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as waiting:
+    with scratch(folder) as waiting:
 
         def work(number: int) -> tuple[list[tuple[Any, ...]], list[Rejected]]:
             clip = ordered[number]
             views, lost = _views(clip, root, masks, crop, limits, scale)
             if views:
-                np.save(Path(waiting) / f"{number}.npy", np.stack([view.pixels for view in views]))
+                np.save(waiting / f"{number}.npy", np.stack([view.pixels for view in views]))
             return [_row(clip, view, root) for view in views], lost
 
         parallel = (workers or processors()) if masks is None or masks.parallel else 1
@@ -128,7 +127,7 @@ def clip_store(
             for number, (found, lost) in enumerate(results):
                 refused += lost
                 rows += found
-                files += [Path(waiting) / f"{number}.npy"] if found else []
+                files += [waiting / f"{number}.npy"] if found else []
         index = pd.DataFrame(
             rows, columns=["model_id", "category", "split", "view", "azimuth", "elevation", "source"]
         ).astype({"view": np.int64, "azimuth": np.float64, "elevation": np.float64})

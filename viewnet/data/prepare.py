@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 import sys
 from collections.abc import Callable
@@ -33,9 +32,9 @@ from viewnet.data.cutting import Crop
 from viewnet.data.shapenet import SHARES, ModelFile, find_models, take
 from viewnet.data.store import ViewStore, identity_of
 from viewnet.errors import ViewnetError
-from viewnet.files import locked
+from viewnet.files import filling, locked
 from viewnet.render import choose_backend
-from viewnet.render.views import describe, digest, render_views
+from viewnet.render.views import describe, digest, drawn_so_far, render_views
 
 
 def view_store(
@@ -79,6 +78,7 @@ def view_store(
         described["extra"] = digest(extra)
     folder = paths.data() / "views" / f"{config.category}-{identity_of(described)[:12]}"
     if folder.exists():
+        shutil.rmtree(drawn_so_far(folder), ignore_errors=True)
         return ViewStore.open(folder)
     if models is None:
         models = find_models(built_in(config.category, config.models, config.seed, progress), config.category)
@@ -230,6 +230,8 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     clips, rejected = _clips(config, root)
     made_by = clip_store.describe(clips, source, crop, limits, config.scale)
     folder = paths.data() / "views" / f"videos-{config.category}-{identity_of(made_by)[:12]}"
+    if folder.exists():
+        return ViewStore.open(folder)
     with locked(folder):
         if folder.exists():
             return ViewStore.open(folder)
@@ -262,16 +264,11 @@ def video_stand_in(config: VideoConfig, workers: int | None = None, progress: bo
 
 def _written(root: Path, write: Callable[[Path], None]) -> Path:
     """`root`, which appears whole when `write` has filled a folder beside it."""
-    with locked(root):
-        if not root.exists():
-            temporary = root.with_name(f".{root.name}.{os.getpid()}")
-            shutil.rmtree(temporary, ignore_errors=True)
-            try:
-                write(temporary)
-                temporary.rename(root)
-            except BaseException:
-                shutil.rmtree(temporary, ignore_errors=True)
-                raise
+    if not root.exists():  # before any lock, for which the folder about it may not be writable
+        with locked(root):
+            if not root.exists():
+                with filling(root) as temporary:
+                    write(temporary)
     return root
 
 

@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import platform
-import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from viewnet.errors import ViewnetError
-from viewnet.files import load_array, read_csv, read_json
+from viewnet.files import filling, load_array, read_csv, read_json
 
 if TYPE_CHECKING:
     # Loaded where it is needed: to estimate a viewpoint this module is imported, but no store is opened.
@@ -131,18 +129,15 @@ def write_store(
     """Write a store to `folder` from batches (n, H, W, 4) uint8 in the order of `index`, and open it.
 
     `made_by` (JSON values) holds everything that decided the views. The folder appears when it is whole; memory holds
-    one batch at a time. Raises ViewnetError where `folder` exists, the index is not valid, or batches and index
-    differ in length.
+    one batch at a time. Raises ViewnetError where `folder` exists, the index is not valid, batches and index differ in
+    length, and where the disk is full.
     """
     import pandas as pd
 
     if folder.exists():
         raise ViewnetError(f"{folder}: exists already: remove it or name another folder")
     check_index(index, len(index), folder / "index.parquet")
-    temporary = folder.with_name(f".{folder.name}.{os.getpid()}")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir(parents=True)
-    try:
+    with filling(folder) as temporary:
         _write_images(temporary / "views.npy", batches, len(index), folder)
         index.to_parquet(temporary / "index.parquet", index=False)
         table = pd.DataFrame(rejected, columns=list(REJECTED))
@@ -150,28 +145,29 @@ def write_store(
         versions = {"python": platform.python_version(), "numpy": np.__version__}
         meta = {"format": FORMAT, "identity": identity_of(made_by), "made_by": made_by, "versions": versions}
         (temporary / "meta.json").write_text(json.dumps(meta, indent=2) + "\n", encoding="utf-8")
-        temporary.rename(folder)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
     return ViewStore.open(folder)
 
 
 def _write_images(file: Path, batches: Iterable[np.ndarray], count: int, folder: Path) -> None:
-    target: np.ndarray | None = None
+    # Not through a memory map, which a full disk ends with a signal and no word.
+    shape: tuple[int, ...] | None = None
     done = 0
-    for batch in batches:
-        if not len(batch):
-            continue
-        if target is None:
-            target = np.lib.format.open_memmap(file, mode="w+", dtype=np.uint8, shape=(count, *batch.shape[1:]))
-        if done + len(batch) > count:
-            raise ViewnetError(f"{folder}: more views than the {count} rows of the index")
-        target[done : done + len(batch)] = batch
-        done += len(batch)
-    if target is None or done != count:
+    with file.open("wb") as target:
+        for batch in batches:
+            if not len(batch):
+                continue
+            if shape is None:
+                shape = batch.shape[1:]
+                header = {"descr": "|u1", "fortran_order": False, "shape": (count, *shape)}
+                np.lib.format.write_array_header_1_0(target, header)
+            if batch.shape[1:] != shape or batch.dtype != np.uint8:
+                raise ViewnetError(f"{folder}: views {batch.dtype} {batch.shape[1:]} among others of uint8 {shape}")
+            done += len(batch)
+            if done > count:
+                raise ViewnetError(f"{folder}: more views than the {count} rows of the index")
+            target.write(np.ascontiguousarray(batch).data)
+    if done != count or not count:
         raise ViewnetError(f"{folder}: {done} views for the {count} rows of the index")
-    target.flush()  # type: ignore[attr-defined]
 
 
 def check_index(index: pd.DataFrame, count: int, file: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 from viewnet.data.mesh import UnusableModel
 from viewnet.data.shapenet import ModelFile, load_model
 from viewnet.errors import ViewnetError
+from viewnet.files import replacing
 from viewnet.render import Backend, render_frames
 
 
@@ -44,10 +44,9 @@ def draw_chunk(chunk: Chunk) -> int:
             mesh, chunk.frames[number], chunk.lights[number], chunk.size, chunk.supersample, chunk.backend
         )
         used += 1
-    temporary = chunk.file.with_name(f"{chunk.file.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as stream:
-        np.savez(stream, images=images[:used].reshape(-1, *images.shape[2:]), rejected=np.array(json.dumps(rejected)))
-    temporary.replace(chunk.file)
+    with replacing(chunk.file) as temporary:
+        drawn = images[:used].reshape(-1, *images.shape[2:])
+        np.savez(temporary, images=drawn, rejected=np.array(json.dumps(rejected)))
     return len(chunk.models)
 
 

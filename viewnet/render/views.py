@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import itertools
 import json
@@ -20,7 +19,7 @@ import pandas as pd
 from viewnet.data.shapenet import ModelFile
 from viewnet.data.store import ViewStore, identity_of, write_store
 from viewnet.errors import ViewnetError
-from viewnet.files import locked
+from viewnet.files import locked, write_text
 from viewnet.processes import pool, processors
 from viewnet.progress import bar as progress_bar
 from viewnet.render import VERSION, Backend, choose_backend
@@ -69,10 +68,12 @@ def render_views(
     backend = choose_backend(backend)
     made_by = describe(views, image_size, supersample, azimuth_range, elevation_range, seed, backend)
     made_by["models"] = digest(models)
+    if folder.exists():  # before any lock, for which the folder about it may not be writable
+        return _reopen(folder, made_by)
     with locked(folder):
         if folder.exists():
             return _reopen(folder, made_by)
-        partial = folder.with_name(f".{folder.name}.partial")
+        partial = drawn_so_far(folder)
         chunks = _plan(models, partial, made_by)
         todo = [chunk for chunk in chunks if not chunk[1].exists()]
         _check_room(folder, len(models) * views * image_size**2 * 4, sum(len(c[0]) for c in todo) / max(len(models), 1))
@@ -93,6 +94,11 @@ def render_views(
         store = _assemble(folder, models, [file for _, file in chunks], azimuth, elevation, made_by)
         shutil.rmtree(partial, ignore_errors=True)
         return store
+
+
+def drawn_so_far(folder: Path) -> Path:
+    """The folder of what is drawn of a store that is not whole yet. A killed call may leave it beside one that is."""
+    return folder.with_name(f".{folder.name}.partial")
 
 
 def describe(
@@ -185,6 +191,7 @@ def _source(model: ModelFile) -> str:
 
 
 def _reopen(folder: Path, made_by: dict[str, Any]) -> ViewStore:
+    shutil.rmtree(drawn_so_far(folder), ignore_errors=True)
     store = ViewStore.open(folder)
     if store.identity != identity_of(made_by):
         raise ViewnetError(
@@ -200,12 +207,7 @@ def _plan(models: Sequence[ModelFile], partial: Path, made_by: dict[str, Any]) -
     if partial.exists() and not (note.is_file() and note.read_bytes() == plan.encode()):
         shutil.rmtree(partial)
     if not partial.exists():
-        partial.mkdir()
-        temporary = partial / "plan.tmp"
-        temporary.write_text(plan)
-        temporary.replace(note)
-    for leftover in partial.glob("*.npz.*.tmp"):
-        leftover.unlink()
+        write_text(note, plan)
     rows = np.arange(len(models))
     return [(rows[i : i + CHUNK], partial / f"{i:08d}.npz") for i in range(0, len(models), CHUNK)]
 
@@ -245,12 +247,6 @@ def _draw(
             raise ViewnetError(
                 "a rendering process died: call again with fewer workers if memory ran out (what is drawn is kept);"
                 " a script must start its work under `if __name__ == '__main__':`"
-            ) from None
-        except OSError as error:
-            if error.errno != errno.ENOSPC:
-                raise
-            raise ViewnetError(
-                f"{error.filename}: the disk is full: make room and call again (what is drawn is kept)"
             ) from None
 
 
