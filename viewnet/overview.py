@@ -99,6 +99,16 @@ KINDS = (
         "file.",
         "python benchmarks/fuzz.py --cases 300",
     ),
+    Kind(
+        "faults",
+        "Machinery",
+        ("faults.*",),
+        "trust",
+        "Disturbed work",
+        "A full disk, a folder that is closed, a download that broke off, clocks that go wrong, a loss that is not finite: "
+        "errors seen, those that name the place, what was damaged, and what the same command comes to afterwards.",
+        "python benchmarks/faults.py",
+    ),
     Kind("your_method", "Other methods", ("*",), "your_method"),
     Kind("other", "Other files", ("*",), title="Other files", lead="Files that no notebook of this version writes."),
 )

@@ -241,5 +241,6 @@ READERS: dict[str, Callable[[Files], Told]] = {
     "architecture": architecture,
     "bench": bench,
     "fuzz": lists,
+    "faults": lists,
 }
 """Section -> what reads its files, where `tables` does not."""
