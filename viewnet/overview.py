@@ -105,8 +105,8 @@ KINDS = (
         ("faults.*",),
         "trust",
         "Disturbed work",
-        "A full disk, a folder that is closed, a download that broke off, clocks that go wrong, a loss that is not finite: "
-        "errors seen, those that name the place, what was damaged, and what the same command comes to afterwards.",
+        "A full disk, a folder that is closed, a download that broke off, clocks that go wrong, a loss that is not "
+        "finite: errors seen, those that name the place, what was damaged, and what the same command comes to then.",
         "python benchmarks/faults.py",
     ),
     Kind("your_method", "Other methods", ("*",), "your_method"),
