@@ -58,7 +58,6 @@ def parser() -> argparse.ArgumentParser:
         epilog=OUTCOMES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-
     version = f"viewnet {importlib.metadata.version('viewnet')}"
     found.add_argument("--version", action="version", version=version)
     commands = found.add_subparsers(required=True, metavar="COMMAND")

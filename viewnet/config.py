@@ -308,6 +308,21 @@ VARIANTS: dict[str, Changes] = {
 }
 """The trained rows of Tables 1 and 2. The constant predictor needs no training (viewnet.evaluate)."""
 
+_TINY: Changes = {
+    "data": {"models": 1000},
+    "model": {
+        "volume_size": 32,
+        "render_size": 32,
+        "encoder_channels": (16, 32, 64, 128, 256, 128),
+        "code_size": 64,
+        "generator_channels": (64, 32, 16),
+        "generator_refine": False,
+        "generator_last_kernel": 2,
+        "appearance_size": 64,
+    },
+    "train": {"epochs": 14, "batch_size": 32, "targets_per_object": 2, "validate_every": 5},
+}
+
 PROFILES: dict[str, Changes] = {
     "smoke": {
         "data": {"models": 30, "image_size": 32, "supersample": 1},
@@ -323,35 +338,19 @@ PROFILES: dict[str, Changes] = {
         },
         "train": {"epochs": 2, "batch_size": 16, "patience": 2},
     },
-    "tiny": {
-        "data": {"models": 1000},
-        "model": {
-            "volume_size": 32,
-            "render_size": 32,
-            "encoder_channels": (16, 32, 64, 128, 256, 128),
-            "code_size": 64,
-            "generator_channels": (64, 32, 16),
-            "generator_refine": False,
-            "generator_last_kernel": 2,
-            "appearance_size": 64,
+    "tiny": _TINY,
+    # Three categories fit in five megabytes of half precision, small enough to come with the package.
+    "pocket": _joined(
+        _TINY,
+        {
+            "model": {
+                "encoder_channels": (16, 32, 64, 128, 128, 128),
+                "code_size": 32,
+                "generator_channels": (32, 32, 16),
+            },
+            "train": {"epochs": 12, "validate_every": 3},
         },
-        "train": {"epochs": 14, "batch_size": 32, "targets_per_object": 2, "validate_every": 5},
-    },
-    # Three categories in five megabytes of half precision: what comes with the package.
-    "pocket": {
-        "data": {"models": 1000},
-        "model": {
-            "volume_size": 32,
-            "render_size": 32,
-            "encoder_channels": (16, 32, 64, 128, 128, 128),
-            "code_size": 32,
-            "generator_channels": (32, 32, 16),
-            "generator_refine": False,
-            "generator_last_kernel": 2,
-            "appearance_size": 64,
-        },
-        "train": {"epochs": 12, "batch_size": 32, "targets_per_object": 2, "validate_every": 3},
-    },
+    ),
     "small": {
         "data": {"models": 2000},
         "model": {"encoder_channels": (64, 128, 256, 512, 512, 512), "generator_channels": (256, 128, 64, 32)},
