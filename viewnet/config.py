@@ -348,7 +348,7 @@ PROFILES: dict[str, Changes] = {
                 "code_size": 32,
                 "generator_channels": (32, 32, 16),
             },
-            "train": {"epochs": 12, "validate_every": 3},
+            "train": {"epochs": 24, "validate_every": 6},
         },
     ),
     "small": {
