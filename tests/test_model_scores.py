@@ -17,6 +17,7 @@ from viewnet import cli, evaluate, model_scores, runs
 from viewnet.config import make_config
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator
+from viewnet.model_card import with_interval
 from viewnet.model_scores import Elsewhere, scores
 from viewnet.predictions import Predictions
 
@@ -91,10 +92,49 @@ def test_labels_of_what_is_scored_have_no_part_in_the_alignment(run, store, tmp_
     monkeypatch.setattr("viewnet.features.SIZE", 32)
     as_it_is = scores(KEY, Elsewhere(str(photographs(tmp_path / "photos", store, 0))))
     turned = scores(KEY, Elsewhere(str(photographs(tmp_path / "turned", store, 77))))
-    assert as_it_is["on"] == f"photographs of {tmp_path / 'photos'}"
+    assert as_it_is["on"] == "photographs of photos"
     for kind, score in as_it_is["alignments"].items():
         assert turned["alignments"][kind]["alignment"] == score["alignment"]
         assert turned["alignments"][kind]["median"] != score["median"]
+
+
+def test_the_card_of_a_saved_model_tells_scores_on_photographs(run, store, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("viewnet.features.SIZE", 32)
+    place = photographs(tmp_path / "photos", store, 0)
+    assert cli.main(["evaluate", KEY, "--data-root", str(place), "--json"]) == 0
+    (tmp_path / "scores.json").write_text(said := capsys.readouterr().out)
+    command = ["save", KEY, str(tmp_path / "saved"), "--half", "--license", "cc0-1.0"]
+    assert cli.main([*command, "--scores", str(tmp_path / "scores.json")]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'saved'}\n"
+    card = (tmp_path / "saved" / "README.md").read_text()
+    (found,) = json.loads(said)
+    assert "| | procrustes | robust | linear |\n" in card
+    median = " | ".join(with_interval(found["alignments"][kind], "median") for kind in model_scores.LEARNED)
+    assert f"| median error, degrees | {median} |\n" in card
+    assert "On photographs of photos: 12 pictures of 12 objects, after each" in card
+    assert "| licence of the weights | cc0-1.0 |" in card
+    (kept,) = ViewpointEstimator.from_pretrained(tmp_path / "saved").about["scores"]
+    assert kept["alignments"]["robust"]["intervals"] == found["alignments"]["robust"]["intervals"]
+    # It is known whose scores they are, also after saving.
+    again = scores(str(tmp_path / "saved"), Elsewhere(str(place)))
+    assert again["key"] == KEY
+    assert close(again["alignments"]["procrustes"], found["alignments"]["procrustes"])
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ('{"key": "ba9876543210", "on": "photographs", "alignments": {}}', "scores: are of the run ba9876543210, and"),
+        ('{"key": "0123456789ab", "on": "photographs"}', "scores: expected what viewnet evaluate --json says"),
+        ("[3]", "scores: expected what viewnet evaluate --json says"),
+        ("{", "not JSON"),
+    ],
+)
+def test_a_card_takes_no_other_scores(run, tmp_path, capsys, given, message):
+    (tmp_path / "scores.json").write_text(given)
+    assert cli.main(["save", KEY, str(tmp_path / "saved"), "--scores", str(tmp_path / "scores.json")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "saved").exists()
 
 
 def test_another_collection_is_scored_whole_and_aligned_on_own_views(tmp_path, monkeypatch):

@@ -237,6 +237,26 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_state(store, tm
     assert same(weights(trained(store, folder)), weights(trained(store, tmp_path / "whole")))
 
 
+@pytest.mark.parametrize("spoilt", [4, 6])  # the second epoch's first step and its last, after which it is validated
+def test_weights_that_are_not_finite_stop_and_keep_the_last_good_state(store, tmp_path, monkeypatch, spoilt):
+    step, calls = torch.optim.Adam.step, iter(range(1, 100))
+
+    def broken(self, *arguments):
+        step(self, *arguments)
+        if next(calls) == spoilt:
+            self.param_groups[0]["params"][0].data.fill_(math.nan)
+
+    folder = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(torch.optim.Adam, "step", broken)
+        with pytest.raises(
+            ViewnetError, match=r"(is not finite after step 6|not finite at step 4).*: lower the learning"
+        ):
+            trained(store, folder)
+    assert all(value.isfinite().all() for value in torch.load(folder / "state.pt", weights_only=True)["model"].values())
+    assert same(weights(trained(store, folder)), weights(trained(store, tmp_path / "whole")))
+
+
 def test_settings_that_do_not_go_together(store, tmp_path):
     with pytest.raises(ViewnetError, match="batch_size 8 is no multiple of targets_per_object 3"):
         trained(store, tmp_path / "run", targets_per_object=3)

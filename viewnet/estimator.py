@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -231,6 +231,7 @@ class ViewpointEstimator(Painter):
         *,
         license: str | None = None,
         half: bool = False,
+        scores: Sequence[dict[str, Any]] = (),
         push_to_hub: bool = False,
         repo_id: str | None = None,
         **push: Any,
@@ -238,13 +239,14 @@ class ViewpointEstimator(Painter):
         """Write model.safetensors, config.json and README.md, a model card, for `from_pretrained`.
 
         `license` is that of the weights in the hub's words (default: mit of what was trained on built-in models, else
-        other). `half` keeps the weights in 16 bits, at half the size. With `push_to_hub` the folder goes to the hub as
-        `repo_id` (default: the folder's name), with what else viewnet.pretrained.push takes; the address of the commit
-        is returned. ViewnetError where it cannot be written or pushed.
+        other). `half` keeps the weights in 16 bits, at half the size. The card tells `scores`, of
+        viewnet.model_scores.scores, beside those of the run's own test views. With `push_to_hub` the folder goes to the
+        hub as `repo_id` (default: the folder's name), with what else viewnet.pretrained.push takes; the address of the
+        commit is returned. ViewnetError where it cannot be written or pushed.
         """
         from viewnet import pretrained
 
-        pretrained.save(self, Path(folder), license, half)
+        pretrained.save(self, Path(folder), license, half, scores)
         return pretrained.push(Path(folder), repo_id or Path(folder).absolute().name, **push) if push_to_hub else None
 
     def export_onnx(self, path: str | os.PathLike[str]) -> Path:

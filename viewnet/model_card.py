@@ -6,13 +6,14 @@ import json
 from typing import Any
 
 from viewnet.config import DataConfig, RunConfig
+from viewnet.errors import ViewnetError
 
 METRICS = {"acc30": "within 30 degrees, %", "median": "median error, degrees", "dva": "DVA, %"}
 URL = "https://openaccess.thecvf.com/content/ICCV2021/html/Mariotti_ViewNet_Unsupervised_Viewpoint_Estimation_From_Conditional_Generation_ICCV_2021_paper.html"
 
 
 def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str | None = None) -> str:
-    """Markdown with the hub's front matter. `about` is what viewnet.pretrained keeps of a run's result."""
+    """Markdown with the hub's front matter. `about` is what viewnet.pretrained keeps of a run's result and scores."""
     name = f"{config.variant} {config.category}"
     scores = (about.get("metrics") or {}).get("procrustes")
     licence = license or ("mit" if _ours(config.data) else "other")
@@ -46,6 +47,7 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
         "## How well it does",
         "",
         *_scores(scores),
+        *[line for found in about.get("scores") or [] for line in _elsewhere(found)],
         "",
         "## How to use it",
         "",
@@ -72,18 +74,57 @@ def _result(config: RunConfig, scores: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def kept(scores: dict[str, Any], key: Any) -> dict[str, Any]:
+    """Of viewnet.model_scores.scores what goes along with a model of the run `key`.
+
+    ViewnetError for anything else, and for scores of another run.
+    """
+    try:
+        whose, on = scores["key"], str(scores["on"])
+        alignments = {
+            str(kind): {name: found[name] for name in ("images", "objects", *METRICS, "intervals")}
+            | {"alignment": {name: found["alignment"][name] for name in ("kind", "images", "objects")}}
+            for kind, found in scores["alignments"].items()
+        }
+    except (KeyError, TypeError, AttributeError):
+        raise ViewnetError("scores: expected what viewnet evaluate --json says of a model") from None
+    if whose != key:
+        raise ViewnetError(f"scores: are of the run {whose}, and the model of {key}: score this model")
+    return {"on": on, "alignments": alignments}
+
+
+def with_interval(scores: dict[str, Any], metric: str) -> str:
+    """A metric of viewnet.evaluate.evaluate, with its interval if it has one.
+
+    >>> with_interval({"acc30": 71.04, "intervals": {"acc30": [67.4, 74.3]}}, "acc30")
+    '71.0 [67.4, 74.3]'
+    """
+    bounds = (scores.get("intervals") or {}).get(metric)
+    return f"{scores[metric]:.1f}" + (f" [{bounds[0]:.1f}, {bounds[1]:.1f}]" if bounds else "")
+
+
 def _scores(scores: dict[str, Any] | None) -> list[str]:
     if not scores:
         return ["Its own views have no annotated viewpoints: it was not scored."]
-    rows = []
-    for key, told in METRICS.items():
-        bounds = (scores.get("intervals") or {}).get(key)
-        interval = f" [{bounds[0]:.1f}, {bounds[1]:.1f}]" if bounds else ""
-        rows.append(f"| {told} | {scores[key]:.1f}{interval} |")
+    rows = [f"| {told} | {with_interval(scores, key)} |" for key, told in METRICS.items()]
     views, objects, fitted = scores["images"], scores["objects"], scores["alignment"]["images"]
     told = f"On {views} test views of {objects} objects that it has not seen, after a rotation fitted on {fitted} "
     told += "annotated validation views. In brackets 95 % intervals over objects."
     return ["| | |", "|---|---|", *rows, "", told]
+
+
+def _elsewhere(found: dict[str, Any]) -> list[str]:
+    """What `kept` keeps, a column an alignment."""
+    columns = found["alignments"]
+    rows = [
+        f"| {told} | {' | '.join(with_interval(scores, key) for scores in columns.values())} |"
+        for key, told in METRICS.items()
+    ]
+    scores = next(iter(columns.values()))
+    fitted = scores["alignment"]["images"]
+    told = f"On {found['on']}: {scores['images']} pictures of {scores['objects']} objects, after each of these "
+    told += f"alignments, fitted on {fitted} other annotated pictures. The model as it is saved does not know them."
+    return ["", f"| | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}", *rows, "", told]
 
 
 def _ours(data: DataConfig) -> bool:

@@ -21,6 +21,7 @@ from viewnet.data.prepare import photo_views
 from viewnet.errors import ViewnetError
 from viewnet.experiment import folder_named
 from viewnet.files import read_json, write_json
+from viewnet.model_card import METRICS, with_interval
 from viewnet.photo_experiment import SMOKE_COUNT, SMOKE_MODELS
 from viewnet.predictions import Predictions
 from viewnet.runs import Run, Steps
@@ -54,7 +55,8 @@ def scores(
     """How a model does, as JSON values. `where`: a finished run's key or folder, or what viewnet.pretrained.load takes.
 
     model, name  what was asked for, and what it is
-    on           what was scored, in some words
+    key          of the run, or of the run that the model was saved from
+    on           what was scored, in some words; of a folder the last name
     alignments   alignment -> what viewnet.evaluate.evaluate says
 
     Alignments are fitted on the model's own validation views or, where photographs are scored, on those of them that
@@ -66,10 +68,12 @@ def scores(
     with tempfile.TemporaryDirectory(prefix="viewnet-") as folder:
         run = _run(where, on.cad_root, Path(folder))
         told, predictions = _predictions(run, on, steps)
+        key = run.result.get("key")
     kinds = LEARNED if run.trained else UNTRAINED
     return {
         "model": where,
         "name": runs.name(run.config),
+        "key": key,
         "on": told,
         "alignments": {kind: evaluate.evaluate(predictions, kind, calibration) for kind in kinds},
     }
@@ -81,7 +85,7 @@ def as_text(found: dict[str, Any]) -> str:
     fitted = scored["alignment"]
     rows = [("aligned", "within 30, %", "median, degrees", "DVA, %", "flips, %", "best of the heads, %")]
     for kind, score in found["alignments"].items():
-        told = [_interval(score[name], score["intervals"][name]) for name in ("acc30", "median", "dva")]
+        told = [with_interval(score, name) for name in METRICS]
         rows.append((kind, *told, f"{score['flips']:.1f}", f"{score['oracle']['acc30']:.1f}"))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [
@@ -91,10 +95,6 @@ def as_text(found: dict[str, Any]) -> str:
         *("  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows),
     ]
     return "\n".join(lines)
-
-
-def _interval(value: float, bounds: list[float] | None) -> str:
-    return f"{value:.1f}" + ("" if bounds is None else f" [{bounds[0]:.1f}, {bounds[1]:.1f}]")
 
 
 def _run(where: str, cad_root: str | None, folder: Path) -> Run:
@@ -122,17 +122,18 @@ def _rooted(config: RunConfig, cad_root: str | None) -> RunConfig:
 
 def _predictions(run: Run, on: Elsewhere, steps: Steps) -> tuple[str, Predictions]:
     """What is scored, in some words, and what the run says of it: "val" to align on, "test" to score."""
-    config, root = run.config, None
+    config, root, named = run.config, None, "a stand-in for photographs"
     if on.data_root is None and not on.stand_in:
         return "its own test views", _own(run, steps).predictions
     if on.data_root is not None:
-        root = folder_named(on.data_root, "data_root")
+        root, name = folder_named(on.data_root, "data_root"), Path(on.data_root).name
+        named = f"photographs of {name}"
         kind = data_sets.recognise(Path(on.data_root))
         if kind == "shapenet":
             data = make_config(
                 category=config.category, profile=config.profile, recipe=config.recipe, data_root=root
             ).data
-            return f"all models of {on.data_root}", runs.transferred(_own(run, steps), steps.views(data), steps)
+            return f"all models of {name}", runs.transferred(_own(run, steps), steps.views(data), steps)
         if kind not in ("pascal3d", "photographs"):
             raise ViewnetError(
                 f"data_root {on.data_root}: is {kind}, whose viewpoints are not scored: name PASCAL3D+, a folder with "
@@ -147,8 +148,7 @@ def _predictions(run: Run, on: Elsewhere, steps: Steps) -> tuple[str, Prediction
     )
     if root is None and config.profile == "smoke":
         photographs = replace(photographs, models=SMOKE_MODELS, count=SMOKE_COUNT)
-    told = "a stand-in for photographs" if root is None else f"photographs of {on.data_root}"
-    return told, runs.on_photographs(run, photo_views(photographs), steps)
+    return named, runs.on_photographs(run, photo_views(photographs), steps)
 
 
 def _own(run: Run, steps: Steps) -> Run:

@@ -16,7 +16,7 @@ import importlib.metadata
 import json
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -193,22 +193,31 @@ def _filled(config: RunConfig, path: Path) -> tuple[ViewNet, dict[str, str]]:
     return network, metadata
 
 
-def save(estimator: ViewpointEstimator, folder: Path, license: str | None = None, half: bool = False) -> None:
+def save(
+    estimator: ViewpointEstimator,
+    folder: Path,
+    license: str | None = None,
+    half: bool = False,
+    scores: Sequence[dict[str, Any]] = (),
+) -> None:
     """See ViewpointEstimator.save_pretrained. Where data lay on this machine is left out but for the last name.
 
-    ViewnetError where it cannot be written.
+    ViewnetError where it cannot be written, and for scores of something else.
     """
     from viewnet import model_card
 
     if folder.is_file():
         raise ViewnetError(f"{folder}: is a file: name a folder")
     config, turned = placeless(estimator.config), estimator.turned
+    about = dict(estimator.about)
+    if scores:
+        about["scores"] = [model_card.kept(found, about.get("key")) for found in scores]
     values = {
         "format": FORMAT,
         "viewnet": importlib.metadata.version("viewnet"),
         "config": config.to_dict(),
         "alignment": None if turned is None else {"kind": "procrustes", "rotation": turned.tolist()},
-        "about": estimator.about,
+        "about": about,
     }
     weights = {name: value.cpu().contiguous() for name, value in estimator.network.state_dict().items()}
     if half:
@@ -216,7 +225,7 @@ def save(estimator: ViewpointEstimator, folder: Path, license: str | None = None
     with replacing(folder / WEIGHTS) as temporary:
         save_file(weights, temporary, metadata={"config": _digest(values)})
     write_json(folder / CONFIG, values)
-    write_text(folder / CARD, model_card.card(config, estimator.aligned, estimator.about, license))
+    write_text(folder / CARD, model_card.card(config, estimator.aligned, about, license))
 
 
 def _halved(name: str, value: Tensor) -> Tensor:

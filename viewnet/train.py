@@ -84,7 +84,7 @@ def train(
     Where no labels are asked for and there is no validation split, the training split serves. Raises ViewnetError for
     data that cannot be trained on, such as views without viewpoints where accuracy picks the weights, for missing
     perceptual weights, weights to start from of another network, a batch that the processes cannot share, or a loss
-    that is not finite (the last good state is kept).
+    or weights that are not finite (the last good state is kept).
     """
     # ---- set up
     distributed.start()
@@ -188,6 +188,11 @@ def train(
         last = epoch + 1 == settings.epochs
         if (epoch + 1) % settings.validate_every and not last:
             continue
+        broken = [name for name, value in model.state_dict().items() if not value.isfinite().all()]
+        if broken:  # by the last step, whose loss was not
+            raise ViewnetError(
+                f"{folder}: {broken[0]} is not finite after step {(epoch + 1) * steps}: lower the learning rate"
+            )
 
         # ---- validation: labels are used for the choice only where the recipe says so (section 4.1)
         found = distributed.first(lambda: validate(model, validation, settings, device, scenery))

@@ -1,4 +1,4 @@
-"""For people's own pictures: viewnet predict and viewnet turntable."""
+"""For people's own pictures: viewnet predict and viewnet turntable; viewnet save for other people's."""
 
 from __future__ import annotations
 
@@ -18,11 +18,16 @@ TURNING = """
 viewnet turntable car.png --model 0123456789ab -o car.gif
 viewnet turntable car.jpg --box 40 60 380 250 --model saved/car -o car.mp4 --size 256
 """
+SAVING = """
+viewnet save 0123456789ab saved/car
+viewnet save 0123456789ab saved/car --half --push somebody/viewnet-car
+viewnet evaluate 0123456789ab --data-root /data/cars --json > scores.json
+viewnet save 0123456789ab saved/car --scores scores.json        the card tells these, too
+"""
 
 
 def add(commands: Any) -> None:
     """Their parsers."""
-    where = "a finished run's key or folder (viewnet train prints it), a saved model's folder, or NAME/MODEL of the hub"
     predict = shared.add(
         commands,
         "predict",
@@ -53,8 +58,25 @@ def add(commands: Any) -> None:
     turntable.add_argument("--steps", type=int, default=48, help="pictures of the turn (default: 48)")
     turntable.set_defaults(run=_turntable)
     for command in (predict, turntable):
-        command.add_argument("--model", required=True, metavar="WHERE", help=where)
-        command.add_argument("--device", help="cpu, cuda, cuda:1 ... (default: a GPU if there is one)")
+        shared.add_model(command)
+    save = shared.add(
+        commands,
+        "save",
+        "write a trained network as a folder, for others",
+        "Weights (safetensors), configuration (JSON) and a model card, for viewnet predict, "
+        "ViewpointEstimator.from_pretrained\nand the Hugging Face hub. Prints the folder, or the address on the hub.",
+        SAVING,
+    )
+    save.add_argument("model", metavar="WHERE", help="a finished run's key or folder, or another saved model's")
+    save.add_argument("folder", type=Path, metavar="FOLDER")
+    save.add_argument("--half", action="store_true", help="weights in 16 bits, at half the size")
+    save.add_argument(
+        "--license", help="of the weights, in the hub's words (default: mit of built-in models, else other)"
+    )
+    save.add_argument("--scores", nargs="+", type=Path, default=[], metavar="FILE",
+                      help="what viewnet evaluate --json said of it, for the card")  # fmt: skip
+    save.add_argument("--push", metavar="NAME/MODEL", help="send the folder to the Hugging Face hub")
+    save.set_defaults(run=_save)
 
 
 def _predict(options: argparse.Namespace) -> None:
@@ -88,3 +110,24 @@ def _turntable(options: argparse.Namespace) -> None:
         options.picture, options.output, options.mask, options.box, size=options.size, steps=options.steps
     )
     print(options.output)
+
+
+def _save(options: argparse.Namespace) -> None:
+    """Writes the folder and prints where it is."""
+    from viewnet.estimator import ViewpointEstimator
+    from viewnet.files import read_json
+
+    estimator = ViewpointEstimator.from_pretrained(options.model, device="cpu")
+    scores = []
+    for path in options.scores:
+        found = read_json(path)
+        scores += found if isinstance(found, list) else [found]
+    address = estimator.save_pretrained(
+        options.folder,
+        license=options.license,
+        half=options.half,
+        scores=scores,
+        push_to_hub=options.push is not None,
+        repo_id=options.push,
+    )
+    print(address or options.folder)

@@ -23,9 +23,7 @@ viewnet demo --model saved/car --host 0.0.0.0 --port 8080         for everybody 
 def add(commands: Any) -> None:
     """Its parser."""
     demo = shared.add(commands, "demo", "try a trained network in a browser", DESCRIPTION, EXAMPLES)
-    where = "a finished run's key or folder, a saved model's folder, or NAME/MODEL of the hub"
-    demo.add_argument("--model", required=True, metavar="WHERE", help=where)
-    demo.add_argument("--device", help="cpu, cuda, cuda:1 ... (default: a GPU if there is one)")
+    shared.add_model(demo)
     demo.add_argument("--host", default="127.0.0.1", help="the address to listen at (default: 127.0.0.1, this machine)")
     demo.add_argument("--port", type=int, default=7860, help="default: 7860")
     demo.add_argument("--share", choices=["no", "yes"], default="no",

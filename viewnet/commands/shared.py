@@ -28,6 +28,14 @@ def add_json(parser: argparse.ArgumentParser, help: str = "as JSON") -> None:
     parser.add_argument("--json", action="store_true", help=help)
 
 
+def add_model(parser: argparse.ArgumentParser) -> None:
+    """The options --model and --device."""
+    where = "a category whose model comes along, a finished run's key or folder (viewnet train prints it), a saved "
+    where += "model's folder, or NAME/MODEL of the hub"
+    parser.add_argument("--model", required=True, metavar="WHERE", help=where)
+    parser.add_argument("--device", help="cpu, cuda, cuda:1 ... (default: a GPU if there is one)")
+
+
 def print_json(value: Any) -> None:
     """JSON values, indented."""
     print(json.dumps(value, indent=2, allow_nan=False))
