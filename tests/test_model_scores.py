@@ -7,16 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import torch
 from boxes import box_store
 from drawn_models import finished_run
 from fake_steps import STEPS
 from PIL import Image
 
-from viewnet import cli, evaluate, model_scores, runs
+from viewnet import cli, evaluate, metrics, model_scores, runs
 from viewnet.config import make_config
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator
+from viewnet.geometry import view_vector
 from viewnet.model_card import with_interval
 from viewnet.model_scores import Elsewhere, scores
 from viewnet.predictions import Predictions
@@ -93,9 +96,23 @@ def test_labels_of_what_is_scored_have_no_part_in_the_alignment(run, store, tmp_
     as_it_is = scores(KEY, Elsewhere(str(photographs(tmp_path / "photos", store, 0))))
     turned = scores(KEY, Elsewhere(str(photographs(tmp_path / "turned", store, 77))))
     assert as_it_is["on"] == "photographs of photos"
+    assert list(as_it_is["alignments"]) == ["own", "procrustes", "robust", "linear"]
+    assert as_it_is["alignments"].pop("own")["alignment"]["kind"] == "none"
     for kind, score in as_it_is["alignments"].items():
         assert turned["alignments"][kind]["alignment"] == score["alignment"]
         assert turned["alignments"][kind]["median"] != score["median"]
+
+
+def test_photographs_are_scored_by_the_rotation_of_the_estimator_s_answers(run, store, tmp_path, monkeypatch):
+    monkeypatch.setattr("viewnet.features.SIZE", 32)
+    place = photographs(tmp_path / "photos", store, 0)
+    found = scores(KEY, Elsewhere(str(place)))["alignments"]["own"]
+    listed = pd.read_csv(place / "viewpoints.csv")
+    listed = listed[listed["split"] == "test"]
+    said = ViewpointEstimator.from_pretrained(KEY, device="cpu").predict([place / "images" / f for f in listed["file"]])
+    truth = view_vector(*(torch.tensor(listed[name].to_numpy()) for name in ("azimuth_deg", "elevation_deg")))
+    errors = metrics.vector_error(np.stack([one.vector for one in said]), truth.numpy())
+    assert found["audit"]["vector"]["median"] == pytest.approx(np.median(errors), abs=0.5)
 
 
 def test_the_card_of_a_saved_model_tells_scores_on_photographs(run, store, tmp_path, monkeypatch, capsys):
@@ -108,8 +125,8 @@ def test_the_card_of_a_saved_model_tells_scores_on_photographs(run, store, tmp_p
     assert capsys.readouterr().out == f"{tmp_path / 'saved'}\n"
     card = (tmp_path / "saved" / "README.md").read_text()
     (found,) = json.loads(said)
-    assert "| | procrustes | robust | linear |\n" in card
-    median = " | ".join(with_interval(found["alignments"][kind], "median") for kind in model_scores.LEARNED)
+    assert "| | own | procrustes | robust | linear |\n" in card
+    median = " | ".join(with_interval(found["alignments"][kind], "median") for kind in ("own", *model_scores.LEARNED))
     assert f"| median error, degrees | {median} |\n" in card
     assert "On photographs of photos: 12 pictures of 12 objects, after each" in card
     assert "| licence of the weights | cc0-1.0 |" in card

@@ -123,7 +123,10 @@ def _elsewhere(found: dict[str, Any]) -> list[str]:
     scores = next(iter(columns.values()))
     fitted = scores["alignment"]["images"]
     told = f"On {found['on']}: {scores['images']} pictures of {scores['objects']} objects, after each of these "
-    told += f"alignments, fitted on {fitted} other annotated pictures. The model as it is saved does not know them."
+    told += f"alignments, fitted on {fitted} other annotated pictures"
+    told += (
+        "; but for `own`, the rotation of the model as it is, which has seen none of them." if "own" in columns else "."
+    )
     return ["", f"| | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}", *rows, "", told]
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from safetensors.torch import save_file
 
 from viewnet import data_sets, evaluate, features, paths, pretrained, runs, start
@@ -28,6 +29,8 @@ from viewnet.runs import Run, Steps
 
 LEARNED = ("procrustes", "robust", "linear")
 """What predictions of a trained network are aligned by."""
+OWN = "own"
+"""The rotation that the estimator answers by: fitted on the model's own validation views, whatever is scored."""
 UNTRAINED = ("none", "procrustes")
 """What those of a predictor are that speaks in the annotated frame."""
 SUBSETS = ("imagenet", "pascal", "both")
@@ -57,7 +60,8 @@ def scores(
     model, name  what was asked for, and what it is
     key          of the run, or of the run that the model was saved from
     on           what was scored, in some words; of a folder the last name
-    alignments   alignment -> what viewnet.evaluate.evaluate says
+    alignments   alignment -> what viewnet.evaluate.evaluate says; of photographs also by the rotation that the
+                 estimator answers by, as `OWN`
 
     Alignments are fitted on the model's own validation views or, where photographs are scored, on those of them that
     calibrate: on `calibration` of either (all, if None). Raises ViewnetError where there is no model, for data of no
@@ -67,15 +71,19 @@ def scores(
     known(on.subset, SUBSETS, "subset")
     with tempfile.TemporaryDirectory(prefix="viewnet-") as folder:
         run = _run(where, on.cad_root, Path(folder))
-        told, predictions = _predictions(run, on, steps)
-        key = run.result.get("key")
+        told, predictions, calibrated_elsewhere = _predictions(run, on, steps)
+        result = run.result
     kinds = LEARNED if run.trained else UNTRAINED
+    found = {kind: evaluate.evaluate(predictions, kind, calibration) for kind in kinds}
+    if calibrated_elsewhere and result["metrics"] is not None:
+        rotation = np.array(result["metrics"]["procrustes"]["alignment"]["rotation"])
+        found = {OWN: evaluate.evaluate(_turned(predictions, rotation), "none", calibration), **found}
     return {
         "model": where,
         "name": runs.name(run.config),
-        "key": key,
+        "key": result.get("key"),
         "on": told,
-        "alignments": {kind: evaluate.evaluate(predictions, kind, calibration) for kind in kinds},
+        "alignments": found,
     }
 
 
@@ -120,11 +128,20 @@ def _rooted(config: RunConfig, cad_root: str | None) -> RunConfig:
     return replace(config, data=replace(config.data, root=folder_named(cad_root, "cad_root")))
 
 
-def _predictions(run: Run, on: Elsewhere, steps: Steps) -> tuple[str, Predictions]:
-    """What is scored, in some words, and what the run says of it: "val" to align on, "test" to score."""
+def _turned(predictions: Predictions, rotation: np.ndarray) -> Predictions:
+    """The same in the frame that `rotation` (3, 3) leads to."""
+    ups = None if predictions.ups is None else predictions.ups @ rotation.T
+    return replace(predictions, hypotheses=predictions.hypotheses @ rotation.T, ups=ups)
+
+
+def _predictions(run: Run, on: Elsewhere, steps: Steps) -> tuple[str, Predictions, bool]:
+    """What is scored, in some words; what the run says of it: "val" to align on, "test" to score.
+
+    And whether that "val" is of what is scored, and not of the run's own views.
+    """
     config, root, named = run.config, None, "a stand-in for photographs"
     if on.data_root is None and not on.stand_in:
-        return "its own test views", _own(run, steps).predictions
+        return "its own test views", _own(run, steps).predictions, False
     if on.data_root is not None:
         root, name = folder_named(on.data_root, "data_root"), Path(on.data_root).name
         named = f"photographs of {name}"
@@ -133,7 +150,7 @@ def _predictions(run: Run, on: Elsewhere, steps: Steps) -> tuple[str, Prediction
             data = make_config(
                 category=config.category, profile=config.profile, recipe=config.recipe, data_root=root
             ).data
-            return f"all models of {name}", runs.transferred(_own(run, steps), steps.views(data), steps)
+            return f"all models of {name}", runs.transferred(_own(run, steps), steps.views(data), steps), False
         if kind not in ("pascal3d", "photographs"):
             raise ViewnetError(
                 f"data_root {on.data_root}: is {kind}, whose viewpoints are not scored: name PASCAL3D+, a folder with "
@@ -148,7 +165,7 @@ def _predictions(run: Run, on: Elsewhere, steps: Steps) -> tuple[str, Prediction
     )
     if root is None and config.profile == "smoke":
         photographs = replace(photographs, models=SMOKE_MODELS, count=SMOKE_COUNT)
-    return named, runs.on_photographs(run, photo_views(photographs), steps)
+    return named, runs.on_photographs(run, photo_views(photographs), steps), True
 
 
 def _own(run: Run, steps: Steps) -> Run:
