@@ -32,6 +32,7 @@ PACKAGE = "viewnet"
 PROSE = {
     "README.md": "overview",
     "docs/README.md": "documents",
+    "docs/models.md": "models",
     "docs/your_method.md": "your_method_guide",
     "docs/recipes.md": "recipes",
     "docs/decisions.md": "decisions",

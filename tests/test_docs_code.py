@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import importlib
+import json
+import os
 import re
 import shlex
 import tomllib
@@ -20,7 +23,7 @@ from photo_data import keep_apart, make_photos
 from PIL import Image
 from test_estimator import photograph
 
-from viewnet import backbones, cli, config, data_sets, experiment, notebook
+from viewnet import backbones, cli, config, data_sets, experiment, model_scores, notebook
 from viewnet.data.store import ViewStore
 from viewnet.runs import ensure
 
@@ -49,7 +52,7 @@ def commands(text: str) -> list[list[str]]:
             begun = begun.removesuffix("\\") + "\n"
             continue
         begun = ""
-        found.append([word for word in words if word != "&"])
+        found.append([word.removeprefix(".venv/bin/") for word in words if word != "&"])
     assert not begun
     return [words for words in found if words]
 
@@ -98,6 +101,7 @@ def moved(words: list[str], world: Path) -> list[str]:
         for name in re.findall(r"/data/[\w.+]+", word):
             (world / name[1:]).mkdir(parents=True, exist_ok=True)
     places = {"saved/car": "KEY", "*.png": "car.png", f"runs/viewnet/{KEY}": f"runs/viewnet/{KEY}"}
+    places["docs/car.jpg"] = str(ROOT / "docs" / "car.jpg")
     return [places.get(word, word.replace("/data/", f"{world}/data/")) for word in words]
 
 
@@ -112,7 +116,13 @@ def obeyed(words: list[str], world: Path, monkeypatch) -> None:
     monkeypatch.setattr("viewnet.bench_report.as_text", lambda found: "measured")
     monkeypatch.setattr("viewnet.bench_report.write", lambda found, folder: [folder])
     # The last value of an option counts: two pictures of a turn are as good as 48.
-    assert cli.main([*moved(words, world), *(["--steps", "2"] if words[0] == "turntable" else [])]) == 0
+    words, output = (words[:-2], words[-1]) if ">" in words else (words, os.devnull)
+    if "--scores" in words:
+        Path("scores.json").write_text(json.dumps(model_scores.scores("KEY")))
+    with open(output, "w") as file, contextlib.redirect_stdout(file):
+        assert cli.main([*moved(words, world), *(["--steps", "2"] if words[0] == "turntable" else [])]) == 0
+    if words[-1] == "--json":
+        assert json.loads(Path(output).read_text())
     if words[0] in ("train", "notebook", "bench", "demo") and "--parameters" not in words:
         assert asked
 
@@ -235,7 +245,7 @@ def test_commands_within_sentences_exist():
 def test_every_block_is_of_a_kind_that_is_checked():
     checked = {"viewnet", "torchrun", "papermill", "python", "make", *FOREIGN}
     for page, block in BLOCKS:
-        assert block.language in ("", "python", "bibtex"), page.name
+        assert block.language in ("", "text", "python", "bibtex"), page.name
         if is_commands(block):
             assert {words[0] for words in commands(block.text)} <= checked, page.name
     assert {"viewnet", "torchrun", "papermill", "python", "make"} <= {

@@ -138,11 +138,17 @@ def test_the_card_of_a_saved_model_tells_scores_on_photographs(run, store, tmp_p
     assert close(again["alignments"]["procrustes"], found["alignments"]["procrustes"])
 
 
+SCORE = {"images": 1, "objects": 1, "acc30": 1.0, "median": 1.0, "dva": 1.0, "flips": 0.0, "intervals": {}}
+SCORE |= {"oracle": {"acc30": 1.0}, "alignment": {"kind": "none", "images": 1, "objects": 1}}
+OTHERS = json.dumps({"key": "ba9876543210", "on": "photographs", "alignments": {"own": SCORE}})
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ('{"key": "ba9876543210", "on": "photographs", "alignments": {}}', "scores: are of the run ba9876543210, and"),
+        (OTHERS, "scores: are of the run ba9876543210, and"),
         ('{"key": "0123456789ab", "on": "photographs"}', "scores: expected what viewnet evaluate --json says"),
+        ('{"key": "0123456789ab", "on": "photographs", "alignments": {}}', "scores: expected what viewnet evaluate"),
         ("[3]", "scores: expected what viewnet evaluate --json says"),
         ("{", "not JSON"),
     ],

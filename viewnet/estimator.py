@@ -87,7 +87,7 @@ class ViewpointEstimator(Painter):
         force_download: bool = False,
         local_files_only: bool = False,
     ) -> ViewpointEstimator:
-        """Of a category whose model comes with the package (viewnet.pretrained.shipped), or from elsewhere.
+        """Of a category whose model comes with the package ("car", viewnet.pretrained.shipped), or from elsewhere.
 
         That is a folder of `save_pretrained`, a finished run's folder or key, or the Hugging Face hub ("name/model").
 

@@ -79,15 +79,19 @@ def kept(scores: dict[str, Any], key: Any) -> dict[str, Any]:
 
     ViewnetError for anything else, and for scores of another run.
     """
+    unlike = ViewnetError("scores: expected what viewnet evaluate --json says of a model")
     try:
         whose, on = scores["key"], str(scores["on"])
         alignments = {
-            str(kind): {name: found[name] for name in ("images", "objects", *METRICS, "intervals")}
+            str(kind): {name: found[name] for name in ("images", "objects", *METRICS, "flips", "intervals")}
+            | {"oracle": {"acc30": found["oracle"]["acc30"]}}
             | {"alignment": {name: found["alignment"][name] for name in ("kind", "images", "objects")}}
             for kind, found in scores["alignments"].items()
         }
     except (KeyError, TypeError, AttributeError):
-        raise ViewnetError("scores: expected what viewnet evaluate --json says of a model") from None
+        raise unlike from None
+    if not alignments:
+        raise unlike
     if whose != key:
         raise ViewnetError(f"scores: are of the run {whose}, and the model of {key}: score this model")
     return {"on": on, "alignments": alignments}
@@ -106,20 +110,15 @@ def with_interval(scores: dict[str, Any], metric: str) -> str:
 def _scores(scores: dict[str, Any] | None) -> list[str]:
     if not scores:
         return ["Its own views have no annotated viewpoints: it was not scored."]
-    rows = [f"| {told} | {with_interval(scores, key)} |" for key, told in METRICS.items()]
     views, objects, fitted = scores["images"], scores["objects"], scores["alignment"]["images"]
     told = f"On {views} test views of {objects} objects that it has not seen, after a rotation fitted on {fitted} "
     told += "annotated validation views. In brackets 95 % intervals over objects."
-    return ["| | |", "|---|---|", *rows, "", told]
+    return [*_table({"": scores}), "", told]
 
 
 def _elsewhere(found: dict[str, Any]) -> list[str]:
     """What `kept` keeps, a column an alignment."""
     columns = found["alignments"]
-    rows = [
-        f"| {told} | {' | '.join(with_interval(scores, key) for scores in columns.values())} |"
-        for key, told in METRICS.items()
-    ]
     scores = next(iter(columns.values()))
     fitted = scores["alignment"]["images"]
     told = f"On {found['on']}: {scores['images']} pictures of {scores['objects']} objects, after each of these "
@@ -127,7 +126,16 @@ def _elsewhere(found: dict[str, Any]) -> list[str]:
     told += (
         "; but for `own`, the rotation of the model as it is, which has seen none of them." if "own" in columns else "."
     )
-    return ["", f"| | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}", *rows, "", told]
+    return ["", *_table(columns), "", told]
+
+
+def _table(columns: dict[str, dict[str, Any]]) -> list[str]:
+    """The scores of a dictionary, each below its name."""
+    rows = {told: [with_interval(scores, metric) for scores in columns.values()] for metric, told in METRICS.items()}
+    rows["half turns, %"] = [f"{scores['flips']:.1f}" for scores in columns.values()]
+    rows["the best hypothesis within 30 degrees, %"] = [f"{s['oracle']['acc30']:.1f}" for s in columns.values()]
+    head = [f"| | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}"]
+    return [*head, *(f"| {told} | {' | '.join(cells)} |" for told, cells in rows.items())]
 
 
 def _ours(data: DataConfig) -> bool:

@@ -80,6 +80,16 @@ KINDS = (
     Kind("audit_metrics", "Studies", ("audit_*", "stand_in_*")),
     Kind("architecture", "Studies", ("architecture_*",)),
     Kind(
+        "predicting",
+        "Machinery",
+        ("predicting.*",),
+        "benchmarks",
+        "Answers",
+        "How soon one picture's viewpoint is told by a fresh interpreter, and how many pictures a second the estimator "
+        "takes beside the bare network.",
+        "python benchmarks/predicting.py",
+    ),
+    Kind(
         "bench",
         "Machinery",
         ("*",),
@@ -98,6 +108,16 @@ KINDS = (
         "Every reader of files is given damaged ones. Each case has to end in a result, or in one error that names the "
         "file.",
         "python benchmarks/fuzz.py --cases 300",
+    ),
+    Kind(
+        "crashes",
+        "Machinery",
+        ("crashes.*", "pairs.*"),
+        "trust",
+        "Killed work",
+        "Views, runs and tables whose making is killed at any moment, or asked for by two processes at once: files "
+        "that were damaged, and whether the end is that of undisturbed work.",
+        "python benchmarks/crashes.py --kills 50 --pairs 20",
     ),
     Kind(
         "faults",

@@ -242,5 +242,7 @@ READERS: dict[str, Callable[[Files], Told]] = {
     "bench": bench,
     "fuzz": lists,
     "faults": lists,
+    "crashes": lists,
+    "predicting": lists,
 }
 """Section -> what reads its files, where `tables` does not."""

@@ -5,8 +5,8 @@
     README.md            a model card (viewnet.model_card)
 
 The files, their names and what is called how are huggingface_hub's conventions (ModelHubMixin), but nothing of it is
-needed for folders, and there is no way to a pickled file. Folders within `SHIPPED` go with the package, and are
-known by their category; there is none yet.
+needed for folders, and there is no way to a pickled file. Three such folders come with the package (`SHIPPED`), and
+are known by their category.
 """
 
 from __future__ import annotations

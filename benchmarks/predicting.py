@@ -1,0 +1,125 @@
+"""How soon a picture's viewpoint is told, and how much the estimator adds to the network's own time.
+
+    python benchmarks/predicting.py [--model car] [--picture docs/car.jpg] [--times 9] [-o paper_tables/benchmarks]
+
+Starts `viewnet predict` in fresh interpreters, in turns with ones that only import torch, and gives the same pictures,
+many at once, to the estimator and, ready on its device, to the bare network, in turns as well. `predicting.csv` has a
+row for each: the median, and the least and the most of all times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from PIL import Image
+
+from viewnet import paths, provenance
+from viewnet.estimator import BATCH, ViewpointEstimator
+from viewnet.files import replacing, write_json
+
+PICTURES = 8 * BATCH
+"""So many are predicted at once: several batches."""
+PHOTOGRAPH = (400, 300)
+"""Pixels of a picture that has to be cut to its box."""
+
+
+def seconds(work: Callable[[], object]) -> float:
+    """What it takes."""
+    begun = time.perf_counter()
+    work()
+    return time.perf_counter() - begun
+
+
+def in_turns(works: dict[str, Callable[[], object]], times: int) -> dict[str, list[float]]:
+    """Seconds of each piece of work, done once before it is measured."""
+    for work in works.values():
+        work()
+    found: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(times):
+        for name, work in works.items():
+            found[name].append(seconds(work))
+    return found
+
+
+def fresh(*arguments: str) -> Callable[[], object]:
+    """A call of Python with these arguments, which must succeed."""
+    hushed = {**os.environ, "TQDM_DISABLE": "1"}
+    return lambda: subprocess.run([sys.executable, *arguments], check=True, capture_output=True, env=hushed)
+
+
+def cold(model: str, picture: Path, box: list[str], times: int) -> list[dict[str, object]]:
+    """Rows of one answer from a fresh interpreter."""
+    told = ["-m", "viewnet", "predict", str(picture), "--model", model, "--box", *box]
+    works = {"a fresh interpreter, import torch": fresh("-c", "import torch"), "viewnet predict": fresh(*told)}
+    return [row(name, "seconds", values) for name, values in in_turns(works, times).items()]
+
+
+def batched(model: str, times: int) -> list[dict[str, object]]:
+    """Rows of many pictures at once."""
+    estimator = ViewpointEstimator.from_pretrained(model)
+    chance, size = np.random.default_rng(0), estimator.framing.size
+    views = chance.integers(0, 256, (PICTURES, size, size, 3), np.uint8)
+    ready = torch.from_numpy(views).movedim(-1, 1).to(estimator.device).float().div_(255).split(BATCH)
+
+    @torch.no_grad()
+    def bare() -> None:
+        found = [estimator.network.viewpoint(part) for part in ready]
+        found[-1].logits.cpu()  # a GPU is waited for
+
+    photographs = [Image.fromarray(view).resize(PHOTOGRAPH) for view in views[:BATCH]]
+    box = (40, 60, 380, 250)
+    found = in_turns(
+        {
+            "the bare network": bare,
+            "the estimator, pictures of just the size": lambda: estimator.predict(views),
+            "the estimator, photographs of 400 x 300 cut to a box": lambda: estimator.predict(
+                photographs, boxes=[box] * BATCH
+            ),
+        },
+        times,
+    )
+    rates = {name: [PICTURES / value for value in values] for name, values in found.items()}
+    cut = "the estimator, photographs of 400 x 300 cut to a box"
+    rates[cut] = [BATCH / value for value in found[cut]]
+    names = list(found)
+    shares = [100 * one / other for one, other in zip(found[names[0]], found[names[1]], strict=True)]
+    rows = [row(name, "pictures a second", values) for name, values in rates.items()]
+    return [*rows, row("the estimator against the bare network, in the same turn", "%", shares)]
+
+
+def row(name: str, unit: str, values: list[float]) -> dict[str, object]:
+    """A line of the table."""
+    return {"what": name, "unit": unit, "median": np.median(values), "least": min(values), "most": max(values)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    root = Path(__file__).resolve().parent.parent
+    parser.add_argument("--model", default="car", help="what viewnet predict takes (default: %(default)s)")
+    parser.add_argument("--picture", type=Path, default=root / "docs" / "car.jpg")
+    parser.add_argument("--box", nargs=4, default=["129", "108", "341", "200"], metavar=("X0", "Y0", "X1", "Y1"))
+    parser.add_argument("--times", type=int, default=9)
+    parser.add_argument("-o", "--output", type=Path, default=paths.tables() / "benchmarks")
+    options = parser.parse_args()
+    rows = cold(options.model, options.picture, options.box, options.times) + batched(options.model, options.times)
+    found = pd.DataFrame(rows).round(2)
+    print(found.to_string(index=False))
+    options.output.mkdir(parents=True, exist_ok=True)
+    with replacing(options.output / "predicting.csv") as temporary:
+        found.to_csv(temporary, index=False)
+    threads = torch.get_num_threads()
+    measured = {"hardware": provenance.hardware(threads), "versions": provenance.versions(), "git": provenance.commit()}
+    write_json(options.output / "predicting.json", {"model": options.model, "times": options.times, **measured})
+
+
+if __name__ == "__main__":
+    main()
