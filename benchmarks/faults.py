@@ -29,7 +29,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 import pandas as pd
 import torch
-from faulty import can_mount, clock_going_back, date_files, file_limit, grow, loss_after, read_only, small_disk
+from faulty import (
+    can_mount,
+    clock_going_back,
+    date_files,
+    file_limit,
+    grow,
+    loss_after,
+    read_only,
+    small_disk,
+    weights_spoilt_at,
+)
 from tasks import TASKS, Task, at, config, train, undisturbed
 from torchvision import models
 from works import files
@@ -216,16 +226,21 @@ def steps_of_an_epoch(reference: Path) -> int:
 
 
 def losses(place: Path, reference: Path) -> Iterator[Row]:
-    """A loss that is NaN for once, and a learning rate with which it explodes."""
+    """A loss or a weight that is NaN for once, and a learning rate with which the loss explodes."""
     task, epoch = TASKS[1], steps_of_an_epoch(reference)
-    for fault, steps in (("NaN in the first epoch", 1), ("NaN in the second epoch", epoch + 1)):
+    for fault, spoilt, kept in (
+        ("NaN in the first epoch", loss_after(1, float("nan")), False),
+        ("NaN in the second epoch", loss_after(epoch + 1, float("nan")), True),
+        ("NaN among the weights after the first epoch", weights_spoilt_at(epoch), False),
+        ("NaN among the weights after the second epoch", weights_spoilt_at(2 * epoch), True),
+    ):
         row, root = Row(fault, "training"), place / fault
         with at(root, reference, task):
-            with loss_after(steps, float("nan")):
+            with spoilt:
                 message = task.message()
             row.said(message, root / task.place, root)
             row.found(task.damage(root, reference))
-            row.problems += state_problems(root, message, expected=steps > epoch)
+            row.problems += state_problems(root, message, expected=kept)
             row.ended([again] if (again := task.message()) else task.differences(root, reference))
         yield row
     row, root = Row("exploding loss", "training"), place / "exploding"

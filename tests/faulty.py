@@ -103,3 +103,17 @@ def loss_after(steps: int, value: float) -> Iterator[None]:
 
     with mock.patch.object(training, "step_loss", step_loss):
         yield
+
+
+@contextlib.contextmanager
+def weights_spoilt_at(step: int) -> Iterator[None]:
+    """The step of this number, from 1, leaves a weight that is NaN."""
+    steps, real = iter(range(1, step + 1)), torch.optim.Adam.step
+
+    def spoiling(self: torch.optim.Adam, *arguments) -> None:
+        real(self, *arguments)
+        if next(steps, None) == step:
+            self.param_groups[0]["params"][0].data.view(-1)[0] = float("nan")
+
+    with mock.patch.object(torch.optim.Adam, "step", spoiling):
+        yield

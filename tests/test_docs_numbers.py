@@ -114,8 +114,22 @@ def answers(what: str, column: str = "median") -> float:
     return pd.read_csv(TABLES / "benchmarks" / "predicting.csv").set_index("what").loc[what, column]
 
 
+def trusted(file: str, *columns: str) -> list[int]:
+    """Sums of a report's columns."""
+    return pd.read_csv(TABLES / "trust" / f"{file}.csv")[list(columns)].sum().tolist()
+
+
 CARS_FIRST = ("car", "aeroplane", "chair")
 TEXTS = [
+    (
+        "docs/trust.md",
+        "work was killed {} times, and begun {} times to be killed; it ended as undisturbed work {} times, with {} "
+        "files damaged or left over. In {} of {} pairs",
+        lambda: [
+            *trusted("crashes", "kills", "trials", "identical", "damaged_or_left"),
+            *trusted("pairs", "same", "pairs"),
+        ],
+    ),
     (
         MODELS,
         "Of {:.0f} of Stanford Cars, with viewpoints in PASCAL3D+'s convention, it is within 30 degrees on {:.1f} "

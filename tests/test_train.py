@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import torch
 from boxes import box_store
+from faulty import weights_spoilt_at
 from PIL import Image
 from safetensors import safe_open
 from safetensors.torch import load_file
@@ -238,21 +239,13 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_state(store, tm
 
 
 @pytest.mark.parametrize("spoilt", [4, 6])  # the second epoch's first step and its last, after which it is validated
-def test_weights_that_are_not_finite_stop_and_keep_the_last_good_state(store, tmp_path, monkeypatch, spoilt):
-    step, calls = torch.optim.Adam.step, iter(range(1, 100))
-
-    def broken(self, *arguments):
-        step(self, *arguments)
-        if next(calls) == spoilt:
-            self.param_groups[0]["params"][0].data.fill_(math.nan)
-
+def test_weights_that_are_not_finite_stop_and_keep_the_last_good_state(store, tmp_path, spoilt):
     folder = tmp_path / "run"
-    with monkeypatch.context() as patch:
-        patch.setattr(torch.optim.Adam, "step", broken)
-        with pytest.raises(
-            ViewnetError, match=r"(is not finite after step 6|not finite at step 4).*: lower the learning"
-        ):
-            trained(store, folder)
+    with (
+        weights_spoilt_at(spoilt),
+        pytest.raises(ViewnetError, match=r"(is not finite after step 6|not finite at step 4).*: lower the learning"),
+    ):
+        trained(store, folder)
     assert all(value.isfinite().all() for value in torch.load(folder / "state.pt", weights_only=True)["model"].values())
     assert same(weights(trained(store, folder)), weights(trained(store, tmp_path / "whole")))
 
