@@ -180,9 +180,18 @@ def batches(
 
 
 def ready_batches(images: Tensor, framing: Framing, device: torch.device, batch_size: int) -> Iterator[Tensor]:
-    """Of pictures that `ready` gives, in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does."""
+    """Of pictures that `ready` gives, in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does.
+
+    A batch is overwritten by the next one: fresh memory would take several times as long as to fill it.
+    """
+    room = None
     for start in range(0, len(images), _count(batch_size)):
-        seen = _in_unit(images[start : start + batch_size].to(device))
+        part = images[start : start + batch_size].to(device)
+        if part.dtype == torch.uint8:
+            room = torch.empty_like(part, dtype=torch.float32) if room is None else room
+            seen = room[: len(part)].copy_(part).div_(255)
+        else:
+            seen = _in_unit(part)
         if start == 0:
             _warn(framing, _bright(seen), [_name(picture, row) for row, picture in enumerate(seen)])
         yield seen
@@ -201,9 +210,7 @@ def ready(images: Pictures, framing: Framing) -> Tensor | None:
 
 
 def _in_unit(images: Tensor) -> Tensor:
-    """Pictures in [0, 1] of uint8 or floating point in [0, 1]. ViewnetError for other values."""
-    if images.dtype == torch.uint8:
-        return images.float().div_(255)
+    """Pictures of floating point in [0, 1], as float32. ViewnetError for other values."""
     if not images.is_floating_point():
         raise ViewnetError(f"pictures are of {images.dtype}: expected uint8, or floating point in [0, 1]")
     low, high = (float(value) for value in images.detach().aminmax())
