@@ -243,7 +243,10 @@ def test_weights_that_are_not_finite_stop_and_keep_the_last_good_state(store, tm
     folder = tmp_path / "run"
     with (
         weights_spoilt_at(spoilt),
-        pytest.raises(ViewnetError, match=r"(is not finite after step 6|not finite at step 4).*: lower the learning"),
+        pytest.raises(
+            ViewnetError,
+            match=r"(weights are not finite after step 6|loss is not finite at step 4) .*: lower the learning",
+        ),
     ):
         trained(store, folder)
     assert all(value.isfinite().all() for value in torch.load(folder / "state.pt", weights_only=True)["model"].values())

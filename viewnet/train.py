@@ -190,8 +190,9 @@ def train(
             continue
         broken = [name for name, value in model.state_dict().items() if not value.isfinite().all()]
         if broken:  # by the last step, whose loss was not
+            step, names = (epoch + 1) * steps, ", ".join(broken[:3])
             raise ViewnetError(
-                f"{folder}: {broken[0]} is not finite after step {(epoch + 1) * steps}: lower the learning rate"
+                f"{folder}: the weights are not finite after step {step} ({names}): lower the learning rate"
             )
 
         # ---- validation: labels are used for the choice only where the recipe says so (section 4.1)
