@@ -442,9 +442,15 @@ def test_scores_of_the_models_that_come_along():
 
 
 def test_profiles_in_the_readme():
-    rows = page(README).table("profile", "seen", "volume and drawings", "recipe", "models")
+    rows = page(README).table("profile", "seen", "volume and drawings", "recipe", "models", "a training, on one core")
     assert [row[0].split()[0] for row in rows] == ["smoke", "tiny", "pocket", "small", "paper"]
-    for name, seen, drawn, recipe, models in rows:
+    ablation = json.loads((TABLES / "table2_ablation.json").read_text())["runs"].values()
+    trainings = [run["training"] for run in ablation if run.get("training")]
+    assert {training["hardware"]["threads"] for training in trainings} == {1}
+    smoke = pd.read_csv(TABLES / "trust" / "crashes.csv").set_index("what").loc["run", "undisturbed_s"]
+    minutes = np.median([training["seconds"] for training in trainings]) / 60
+    assert [row[-1] for row in rows[:2]] == [f"{smoke:.0f} seconds", f"{minutes:.0f} minutes"]
+    for name, seen, drawn, recipe, models, _ in rows:
         config = make_config(profile=name.split()[0])
         side, voxels, drawing_ = config.model.input_size, config.model.volume_size, config.model.render_size
         assert seen == f"{side}x{side}"
