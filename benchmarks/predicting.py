@@ -28,8 +28,10 @@ from viewnet.files import replacing, write_json
 
 PICTURES = 8 * BATCH
 """So many are predicted at once: several batches."""
-PHOTOGRAPH = (400, 300)
-"""Pixels of a picture that has to be cut to its box."""
+PHOTOGRAPH, BOX = (400, 300), (40, 60, 380, 250)
+"""Pixels of a picture that has to be cut, and to what."""
+BARE, READY = "the bare network", "the estimator, pictures of just the size"
+CUT = "the estimator, photographs of 400 x 300 cut to a box"
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -76,23 +78,17 @@ def batched(model: str, times: int) -> list[dict[str, object]]:
         found[-1].logits.cpu()  # a GPU is waited for
 
     photographs = [Image.fromarray(view).resize(PHOTOGRAPH) for view in views[:BATCH]]
-    box = (40, 60, 380, 250)
     found = in_turns(
         {
-            "the bare network": bare,
-            "the estimator, pictures of just the size": lambda: estimator.predict(views),
-            "the estimator, photographs of 400 x 300 cut to a box": lambda: estimator.predict(
-                photographs, boxes=[box] * BATCH
-            ),
+            BARE: bare,
+            READY: lambda: estimator.predict(views),
+            CUT: lambda: estimator.predict(photographs, boxes=[BOX] * len(photographs)),
         },
         times,
     )
-    rates = {name: [PICTURES / value for value in values] for name, values in found.items()}
-    cut = "the estimator, photographs of 400 x 300 cut to a box"
-    rates[cut] = [BATCH / value for value in found[cut]]
-    names = list(found)
-    shares = [100 * one / other for one, other in zip(found[names[0]], found[names[1]], strict=True)]
-    rows = [row(name, "pictures a second", values) for name, values in rates.items()]
+    counts = {BARE: len(views), READY: len(views), CUT: len(photographs)}
+    rows = [row(name, "pictures a second", [counts[name] / value for value in found[name]]) for name in found]
+    shares = [100 * one / other for one, other in zip(found[BARE], found[READY], strict=True)]
     return [*rows, row("the estimator against the bare network, in the same turn", "%", shares)]
 
 
