@@ -8,13 +8,13 @@ as a module of that name whose docstring it is. Nothing of what is written asks 
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import posixpath
 import re
 import shutil
-import sys
 import typing
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import ModuleType
 from urllib.parse import urlsplit
@@ -44,6 +44,8 @@ PROSE = {
     "CHANGELOG.md": "changelog",
 }
 """A page's path in the project -> its name in the documentation."""
+INDEX = "search.js"
+"""What the search looks in: a folder that has it was built before."""
 FILES = "files"
 """The folder for what pages lead to and is no page."""
 
@@ -72,7 +74,7 @@ def build(folder: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(pdoc.render.html_module(module, modules), encoding="utf-8")
     (folder / "index.html").write_text(pdoc.render.html_index(modules), encoding="utf-8")
-    (folder / "search.js").write_text(pdoc.render.search_index(modules), encoding="utf-8")
+    (folder / INDEX).write_text(pdoc.render.search_index(modules), encoding="utf-8")
 
 
 def _resolve_inherited(modules: Iterable[pdoc.doc.Module]) -> None:
@@ -160,5 +162,17 @@ def _list(paragraphs: list[str]) -> list[str]:
     return found
 
 
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "build" / "docs", metavar="FOLDER",
+                        help="emptied first (default: build/docs)")  # fmt: skip
+    folder = parser.parse_args(arguments).folder
+    if folder.exists() and not (folder / INDEX).is_file() and (not folder.is_dir() or any(folder.iterdir())):
+        parser.error(
+            f"{folder}: holds something else than this documentation, and would be emptied: name another folder"
+        )
+    build(folder)
+
+
 if __name__ == "__main__":
-    build(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "build" / "docs")
+    main()

@@ -121,3 +121,12 @@ def test_links_go_to_pages_and_to_copies_of_other_files(tmp_path):
         "files/CITATION.cff",
     ]
     assert (tmp_path / "files" / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
+
+
+def test_a_folder_of_something_else_is_not_emptied(tmp_path, capsys):
+    (tmp_path / "mine.txt").write_text("mine")
+    for place in (tmp_path, tmp_path / "mine.txt"):
+        with pytest.raises(SystemExit):
+            builder().main([str(place)])
+        assert "holds something else than this documentation" in capsys.readouterr().err
+    assert (tmp_path / "mine.txt").read_text() == "mine"
