@@ -283,7 +283,7 @@ def push(
             )
         )
 
-    return _asked(repo_id, upload)
+    return _asked(repo_id, upload, "takes no model")
 
 
 def _downloaded(name: str, hub: Hub) -> Path:
@@ -301,12 +301,12 @@ def _library(name: str) -> Any:
     return huggingface_hub
 
 
-def _asked(name: str, ask: Callable[[], str]) -> str:
+def _asked(name: str, ask: Callable[[], str], refusal: str = "gives no such model") -> str:
     try:
         return ask()
     except Exception as error:  # its own errors, and those of whichever HTTP library it uses
         raise ViewnetError(
-            f"{name}: the Hugging Face hub gives no such model ({type(error).__name__}: {_first(error)})"
+            f"{name}: the Hugging Face hub {refusal} ({type(error).__name__}: {_first(error)})"
         ) from error
 
 

@@ -68,7 +68,7 @@ def add(commands: Any) -> None:
         SAVING,
     )
     save.add_argument("model", metavar="WHERE", help="a finished run's key or folder, or another saved model's")
-    save.add_argument("folder", type=Path, metavar="FOLDER")
+    save.add_argument("folder", type=Path, metavar="FOLDER", help="where to write it")
     save.add_argument("--half", action="store_true", help="weights in 16 bits, at half the size")
     save.add_argument(
         "--license", help="of the weights, in the hub's words (default: mit of built-in models, else other)"
