@@ -4,12 +4,14 @@ import json
 
 import numpy as np
 import pytest
+import torch
 from boxes import box_store
 from drawn_models import finished_run
 from PIL import Image
 
 from viewnet import cli
 from viewnet.estimator import ViewpointEstimator
+from viewnet.geometry import azimuth_elevation
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +38,20 @@ def test_predict_prints_a_line_a_picture(pictures, capsys):
     for line, picture, one in zip(lines[1:], pictures, said, strict=True):
         shares = f"{one.azimuth:.1f}", f"{one.elevation:.1f}", f"{100 * one.confidence:.0f}", "%"
         assert line.split() == [picture, *shares]
+
+
+def test_predict_prints_every_hypothesis_where_it_is_asked_to(pictures, capsys):
+    assert cli.main(["predict", *pictures, "--all", "--model", "0123456789ab"]) == 0
+    lines = capsys.readouterr().out.splitlines()[1:]
+    said = ViewpointEstimator.from_pretrained("0123456789ab").predict(pictures)
+    expected = []
+    for picture, one in zip(pictures, said, strict=True):
+        order = np.argsort(-one.probabilities)
+        azimuths, elevations = (v.numpy()[order] for v in azimuth_elevation(torch.from_numpy(one.hypotheses)))
+        for name, *numbers in zip((picture, "", ""), azimuths, elevations, one.probabilities[order], strict=True):
+            shown = [f"{numbers[0]:.1f}", f"{numbers[1]:.1f}", f"{100 * numbers[2]:.0f}", "%"]
+            expected.append([name, *shown] if name else shown)
+    assert [line.split() for line in lines] == expected
 
 
 def test_predict_as_json_has_every_hypothesis(pictures, tmp_path, capsys):

@@ -62,7 +62,7 @@ def test_angles_can_be_read_off_the_drawings(azimuth, elevation):
 
 def test_every_hypothesis_is_numbered_and_as_wide_as_it_is_probable():
     found = told([(10, 0), (100, 30), (200, -20)], [0.0, 2.0, 1.0])
-    listed = compass.hypotheses(found)
+    listed = found.ranked()
     assert [round(one.azimuth) for one in listed] == [100, 200, 10]
     assert [one.number for one in listed] == [1, 2, 3]
     assert [one.chosen for one in listed] == [True, False, False]
@@ -84,7 +84,7 @@ def test_the_chosen_one_is_drawn_last_and_told_apart_without_colours():
 
 def test_equal_hypotheses_begin_with_the_chosen_one():
     found = told([(10, 0), (100, 0)], [0.5, 0.5])
-    assert [one.chosen for one in compass.hypotheses(found)] == [True, False]
+    assert [one.chosen for one in found.ranked()] == [True, False]
 
 
 def test_without_an_alignment_there_is_neither_front_nor_horizon():
@@ -121,7 +121,7 @@ def test_the_table_has_a_bar_as_long_as_each_probability():
     found = told([(10, 0), (100, 30), (200, -20)], [0.0, 2.0, 1.0])
     root = ElementTree.fromstring(compass.table(found))
     rows = list(root.find("tbody"))
-    for row, one in zip(rows, compass.hypotheses(found), strict=True):
+    for row, one in zip(rows, found.ranked(), strict=True):
         cells = [cell.text for cell in row][1:4]
         assert cells == [f"{one.azimuth:.1f}°", f"{one.elevation:.1f}°", f"{100 * one.probability:.1f} %"]
         assert f"width:{100 * one.probability:.1f}%" in row.find(".//span").get("style")

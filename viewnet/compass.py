@@ -9,13 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from html import escape
 
-import torch
-
-from viewnet.estimates import Viewpoint
-from viewnet.geometry import azimuth_elevation
+from viewnet.estimates import Hypothesis, Viewpoint
 
 CHOSEN, OTHER = "#d55e00", "#0072b2"
 SIDE = 260
@@ -29,28 +25,6 @@ BODY = 'fill="currentColor" fill-opacity="0.14" stroke="currentColor" stroke-lin
 SECTORS = ("front", "front left", "left", "back left", "back", "back right", "right", "front right")
 LEVELS = ((-60, "from below"), (-15, "from a little below"), (15, "level"), (60, "from a little above"))
 """Up to which elevation it is called what; beyond them it is from above."""
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """One of the viewpoints that the network holds possible; `number` counts from 1 by falling probability."""
-
-    number: int
-    azimuth: float
-    elevation: float
-    probability: float
-    chosen: bool
-
-
-def hypotheses(found: Viewpoint) -> list[Hypothesis]:
-    """Every hypothesis by falling probability; among equals the chosen one comes first."""
-    angles = [values.tolist() for values in azimuth_elevation(torch.from_numpy(found.hypotheses))]
-    rows = range(len(found.probabilities))
-    order = sorted(rows, key=lambda row: (-found.probabilities[row], row != found.choice))
-    return [
-        Hypothesis(number, angles[0][row], angles[1][row], float(found.probabilities[row]), row == found.choice)
-        for number, row in enumerate(order, 1)
-    ]
 
 
 def words(azimuth: float, elevation: float) -> str:
@@ -81,7 +55,7 @@ def from_the_side(found: Viewpoint) -> str:
 def table(found: Viewpoint) -> str:
     """HTML: every hypothesis with its angles and its probability, as a number and as a bar."""
     rows = []
-    for one in hypotheses(found):
+    for one in found.ranked():
         share = f"{100 * one.probability:.1f} %"
         colour = CHOSEN if one.chosen else OTHER
         bar = f'<span class="bar" style="width:{100 * one.probability:.1f}%;background:{colour}"></span>'
@@ -148,7 +122,7 @@ def _horizon(aligned: bool) -> Iterator[str]:
 
 def _cameras(found: Viewpoint, place: Callable[[Hypothesis], tuple[Point, Point]]) -> Iterator[str]:
     """Arrows from the cameras towards the object, the most probable on top."""
-    for one in reversed(hypotheses(found)):
+    for one in reversed(found.ranked()):
         (x, y), (dx, dy) = place(one)
         colour, width = (CHOSEN, 4.0) if one.chosen else (OTHER, 1.2 + 3 * one.probability)
         dashes = "" if one.chosen else ' stroke-dasharray="5 3"'

@@ -21,6 +21,17 @@ LINES = 12
 
 
 @dataclass(frozen=True)
+class Hypothesis:
+    """One of the viewpoints that the network holds possible; `number` counts from 1 by falling probability."""
+
+    number: int
+    azimuth: float
+    elevation: float
+    probability: float
+    chosen: bool
+
+
+@dataclass(frozen=True)
 class Viewpoint:
     """The viewpoint of one picture: a row of `Viewpoints`, whose fields say what these are."""
 
@@ -33,6 +44,21 @@ class Viewpoint:
     choice: int
     confidence: float
     aligned: bool
+
+    def ranked(self) -> list[Hypothesis]:
+        """Every hypothesis by falling probability; among equals the chosen one comes first.
+
+        >>> (one,) = Viewpoints.of([[[1.0, 0, 0], [0, 1, 0]]], [[0.0, 2.0]], None, aligned=True)
+        >>> [(other.azimuth, round(other.probability, 2)) for other in one.ranked()]
+        [(90.0, 0.88), (0.0, 0.12)]
+        """
+        angles = [values.tolist() for values in geometry.azimuth_elevation(torch.from_numpy(self.hypotheses))]
+        rows = range(len(self.probabilities))
+        order = sorted(rows, key=lambda row: (-self.probabilities[row], row != self.choice))
+        return [
+            Hypothesis(number, angles[0][row], angles[1][row], float(self.probabilities[row]), row == self.choice)
+            for number, row in enumerate(order, 1)
+        ]
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -12,6 +12,7 @@ PREDICTING = """
 viewnet predict car.jpg --model 0123456789ab                    all of the picture is the object
 viewnet predict car.jpg --model 0123456789ab --box 40 60 380 250
 viewnet predict a.jpg b.jpg --masks a_mask.png b_mask.png --model runs/viewnet/0123456789ab
+viewnet predict car.jpg --model car --all                       every hypothesis, the most probable first
 viewnet predict *.png --json --model saved/car                  cut out: transparency is a mask
 """
 TURNING = """
@@ -41,6 +42,7 @@ def add(commands: Any) -> None:
     predict.add_argument("--masks", nargs="+", type=Path, metavar="FILE", help="one a picture, in their order")
     predict.add_argument("--box", nargs=4, type=float, action="append", dest="boxes", metavar=("X0", "Y0", "X1", "Y1"),
                          help="the object's edges in pixels; once for all pictures, or once for each")  # fmt: skip
+    predict.add_argument("--all", action="store_true", help="every hypothesis, and not only the most probable")
     shared.add_json(predict, "every hypothesis, as JSON")
     predict.set_defaults(run=_predict)
     turntable = shared.add(
@@ -96,7 +98,9 @@ def _predict(options: argparse.Namespace) -> None:
     width = max(len(str(path)) for path in options.pictures)
     print(f"{'':{width}}  azimuth  elevation  confidence")
     for path, one in zip(options.pictures, found, strict=True):
-        print(f"{path!s:{width}}  {one.azimuth:7.1f}  {one.elevation:9.1f}  {100 * one.confidence:8.0f} %")
+        for told in one.ranked() if options.all else one.ranked()[:1]:
+            name = str(path) if told.chosen else ""
+            print(f"{name:{width}}  {told.azimuth:7.1f}  {told.elevation:9.1f}  {100 * told.probability:8.0f} %")
     if not found.aligned:
         print("in the network's own frame, to which no azimuth 0 and no up belong: it is aligned to none")
 
