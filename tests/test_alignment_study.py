@@ -169,6 +169,7 @@ def test_figures_show_every_predictor_and_category(found, tmp_path):
         assert all(file.stat().st_size > 1000 for file in figures.save(drawn, tmp_path, name))
 
 
+@pytest.mark.slow
 def test_the_study_of_an_experiment_has_every_predictor_of_the_table(tmp_path, monkeypatch):
     import sys
     import types

@@ -132,6 +132,7 @@ def quick(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_quick_writes_every_file(quick):
     assert {path.name for path in quick.iterdir()} == NAMES
     tex = (quick / "bench.tex").read_text()
@@ -140,6 +141,7 @@ def test_quick_writes_every_file(quick):
     assert {line.count("&") for line in lines} == {13}
 
 
+@pytest.mark.slow
 def test_what_was_measured_is_told_as_json(quick, tmp_path, monkeypatch, capsys):
     before = json.loads((quick / "bench.json").read_text())
     monkeypatch.setattr(bench, "measure", lambda settings: before)
@@ -149,6 +151,7 @@ def test_what_was_measured_is_told_as_json(quick, tmp_path, monkeypatch, capsys)
     assert told == before
 
 
+@pytest.mark.slow
 def test_quick_measures_what_it_says_and_leaves_the_rest_empty(quick):
     found = json.loads((quick / "bench.json").read_text())
     assert found["schema"] == bench.SCHEMA

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import functools
 import importlib
 import json
 import os
@@ -89,6 +90,11 @@ def made(folder: Path, make) -> ViewStore:
     return ViewStore.open(folder) if folder.exists() else make(folder)
 
 
+def photographs(world: Path):
+    """A few, as a store."""
+    return made(world / "photographs", lambda folder: make_photos(folder, size=32))
+
+
 def box_views(folder: Path) -> ViewStore:
     from boxes import box_store
 
@@ -115,6 +121,7 @@ def obeyed(words: list[str], world: Path, monkeypatch) -> None:
     monkeypatch.setattr("viewnet.bench.measure", lambda settings: asked.append(settings))
     monkeypatch.setattr("viewnet.bench_report.as_text", lambda found: "measured")
     monkeypatch.setattr("viewnet.bench_report.write", lambda found, folder: [folder])
+    monkeypatch.setattr("viewnet.model_scores.photo_views", lambda _: photographs(world))
     # The last value of an option counts: two pictures of a turn are as good as 48.
     words, output = (words[:-2], words[-1]) if ">" in words else (words, os.devnull)
     if "--scores" in words:
@@ -261,10 +268,7 @@ def test_python_runs(source, world, monkeypatch, capsys):
     monkeypatch.setenv("VIEWNET_PROFILE", "smoke")
     monkeypatch.setattr("viewnet.experiment.ensure", lambda configs, *_: ensure(configs, 1, False, STEPS))
     monkeypatch.setattr("viewnet.runs.default_steps", lambda: STEPS)
-    monkeypatch.setattr(
-        "viewnet.data.prepare.photo_views",
-        lambda *_, **__: made(world / "photographs", lambda folder: make_photos(folder, size=32)),
-    )
+    monkeypatch.setattr("viewnet.data.prepare.photo_views", lambda *_, **__: photographs(world))
     monkeypatch.setattr("viewnet.data.photos.summary", lambda store: f"{len(store)} photographs")
     names = {"my_network": lambda images: (images.mean((1, 2, 3)), np.zeros(len(images)))}
     exec(compile(source, "example", "exec"), names)
@@ -282,17 +286,27 @@ def strings(path: Path) -> set[str]:
     return found
 
 
-MODULES = sorted((ROOT / "viewnet").rglob("*.py"))
-PACKAGE = {path.stem for path in MODULES}.union(*(strings(path) for path in MODULES))
-BESIDE = set().union(*(strings(path) for folder in ("tests", "benchmarks") for path in (ROOT / folder).glob("*.py")))
+@functools.cache
+def package() -> set[str]:
+    """What the package's modules are called and hold."""
+    modules = sorted((ROOT / "viewnet").rglob("*.py"))
+    return {path.stem for path in modules}.union(*(strings(path) for path in modules))
+
+
+@functools.cache
+def beside() -> set[str]:
+    """What tests and benchmarks hold."""
+    return set().union(*(strings(path) for folder in ("tests", "benchmarks") for path in (ROOT / folder).glob("*.py")))
+
+
 VARIABLES = r"VIEWNET_[A-Z0-9]+(?:_[A-Z0-9]+)*"
 
 
 def test_environment_variables_are_read_and_those_that_are_read_are_told():
     told = set().union(*(re.findall(VARIABLES, page.text) for page in PAGES))
     weights = {backbones.variable(network) for network in data_sets.NETWORKS}
-    assert told <= {name for name in PACKAGE | BESIDE if name} | weights
-    read = {name for name in PACKAGE if name and re.fullmatch(VARIABLES, name)}
+    assert told <= {name for name in package() | beside() if name} | weights
+    read = {name for name in package() if name and re.fullmatch(VARIABLES, name)}
     assert {"VIEWNET_ROOT", "VIEWNET_RENDERER", "VIEWNET_TENSORBOARD"} <= read
     assert read <= told
 
@@ -328,7 +342,7 @@ def test_settings_and_other_identifiers_exist():
     for page, span in SPANS:
         if not re.fullmatch(r"[a-z]\w*", span) or re.fullmatch(COLUMN, span) or page.name == HISTORY:
             continue
-        known = asked if page.name == "docs/decisions.md" else asked | PACKAGE
+        known = asked if page.name == "docs/decisions.md" else asked | package()
         if span not in known and ("_" in span or page.name == "docs/decisions.md"):
             wrong.add((page.name, span))
     assert wrong == set()

@@ -81,6 +81,7 @@ def test_views_are_made_on_the_executor_too(monkeypatch):
     assert given == [executor]
 
 
+@pytest.mark.slow
 def test_a_process_makes_one_run_at_a_time(folders):
     plan(folders, seed0="slow", seed1="slow")
     with ThreadPoolExecutor(2) as executor:

@@ -198,6 +198,7 @@ def _draw_for_ever(note: Path) -> None:
         crew.submit(time.sleep, 600).result()
 
 
+@pytest.mark.slow
 def test_rendering_processes_end_with_the_one_that_asked(tmp_path):
     note = tmp_path / "note"
     parent = multiprocessing.get_context("spawn").Process(target=_draw_for_ever, args=(note,))

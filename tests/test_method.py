@@ -135,6 +135,7 @@ def alone(name, *submissions):
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+@pytest.mark.slow
 def test_the_same_predictions_score_the_same_as_ours_to_the_last_bit(photographs, tmp_path, suffix):
     asked, runs = on_cars(calibration=30)
     ours = on_photographs(next(run for run in runs if run.config.variant == "viewnet"), held_store(asked))
@@ -195,6 +196,7 @@ def test_the_dva_table_has_its_row_too(photographs):
     assert table.cell("Turned", "car", "confidence_index") is None
 
 
+@pytest.mark.slow
 def test_rows_stand_in_everything_a_reader_sees(photographs, tmp_path):
     asked, runs = on_cars()
     mine = Submission("Mine^2 & 100 %", Brightest())
@@ -387,6 +389,7 @@ def test_angles_and_vectors_are_each_other_s_inverse():
 
 
 class TestTheNotebook:
+    @pytest.mark.slow
     def test_runs_are_those_of_its_tables_each_once(self, photographs, drawn):
         asked = experiment("your_method", categories="car", seeds=2)
         assert isinstance(asked, MethodExperiment)

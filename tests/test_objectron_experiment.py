@@ -91,6 +91,7 @@ def test_bad_parameters_are_named(option, message):
     assert "weak_masks" in accepted("objectron") and "weak_masks" not in accepted("table4_freiburg")
 
 
+@pytest.mark.slow
 def test_every_training_has_its_row_beside_what_is_printed(fakes, folders, tmp_path):
     asked = experiment("objectron", profile="smoke", seeds=2, workers=1)
     runs = asked.run(progress=False)
@@ -109,6 +110,7 @@ def test_every_training_has_its_row_beside_what_is_printed(fakes, folders, tmp_p
     assert masks == [None, None, "masks", "masks", "masks_weak", "masks_weak"]
 
 
+@pytest.mark.slow
 def test_without_weak_masks_their_row_is_left_as_printed(fakes, tmp_path):
     root = tmp_path / "objectron"
     root.mkdir()

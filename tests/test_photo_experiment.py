@@ -135,6 +135,7 @@ def test_other_notebooks_take_nothing_of_photographs():
     assert "eval_root" in accepted("table2_ablation") and "eval_root" not in accepted("table5_dva")
 
 
+@pytest.mark.slow
 def test_predictions_of_photographs_are_kept_with_the_run(photographs, tmp_path):
     asked = experiment("table3_pascal3d", profile="smoke", categories="car")
     first, *_ = run(asked)
@@ -152,6 +153,7 @@ def test_predictions_of_photographs_are_kept_with_the_run(photographs, tmp_path)
     assert len(list(first.folder.glob("predictions-*.parquet"))) == 2
 
 
+@pytest.mark.slow
 def test_predictions_of_other_code_or_weights_are_made_anew(photographs, monkeypatch):
     asked = experiment("table3_pascal3d", profile="smoke", categories="car")
     first, *_ = run(asked)
@@ -176,6 +178,7 @@ def test_predictions_of_other_code_or_weights_are_made_anew(photographs, monkeyp
     assert kept.name.startswith(f"predictions-{store.identity}-edited-")
 
 
+@pytest.mark.slow
 def test_only_what_was_trained_looks_at_photographs(photographs):
     from viewnet.runs import untrained
 
@@ -185,6 +188,7 @@ def test_only_what_was_trained_looks_at_photographs(photographs):
         on_photographs(constant, asked.stores()["car"], STEPS)
 
 
+@pytest.mark.slow
 def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path):
     asked = experiment("table3_pascal3d", profile="smoke", categories="car,chair", calibration=30)
     runs = run(asked)
@@ -215,6 +219,7 @@ def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path
     assert "left out" in files[0].read_text()
 
 
+@pytest.mark.slow
 def test_the_dva_table_tells_the_confidence_index_of_the_photographs(photographs, steps):
     asked = experiment("table5_dva", profile="smoke", categories="car")
     table = asked.table(run(asked))

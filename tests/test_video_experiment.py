@@ -117,6 +117,7 @@ def test_bad_parameters_are_named(option, message):
     assert "video_root" in accepted("table4_freiburg") and "video_root" not in accepted("table3_pascal3d")
 
 
+@pytest.mark.slow
 def test_the_table_scores_photographs_beside_what_is_printed(fakes, freiburg, tmp_path):
     asked = experiment("table4_freiburg", profile="smoke", video_root=freiburg, workers=1)
     runs = asked.run(progress=False)
@@ -152,6 +153,7 @@ def test_the_video_regression_is_fitted_on_training_frames_only(fakes, freiburg)
     assert not np.allclose(fewer.hypotheses, said.hypotheses)
 
 
+@pytest.mark.slow
 def test_what_starts_from_cad_models_trains_those_once_and_first(fakes, freiburg, folders, monkeypatch):
     monkeypatch.setattr("viewnet.start.identity", lambda start: Path(start).name)
     asked = experiment("table4_freiburg", profile="smoke", video_root=freiburg, start="shapenet", seeds=2, workers=1)
