@@ -33,6 +33,7 @@ def errors_of(constants: np.ndarray, views: pd.DataFrame) -> np.ndarray:
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0, 360), st.floats(-89.9, 89.9), st.integers(0, 1000))
+@pytest.mark.slow
 def test_no_constant_passes_the_bounds(azimuth, elevation, seed):
     rng = np.random.default_rng(seed)
     views = rows(rng.normal(40, 50, 60) % 360, rng.normal(5, 20, 60).clip(-89, 89))
@@ -66,6 +67,7 @@ def test_means_of_viewpoints():
         audit.mean_view(true_vectors(rows([0, 180], [0, 0])))
 
 
+@pytest.mark.slow
 def test_verdicts_tell_the_definition_that_was_used(monkeypatch):
     """Numbers printed by one definition are reproduced by that one, and the two others are told apart from it."""
     rng = np.random.default_rng(0)

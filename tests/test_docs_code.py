@@ -135,6 +135,7 @@ def obeyed(words: list[str], world: Path, monkeypatch) -> None:
 
 
 @pytest.mark.parametrize("words", given("viewnet"))
+@pytest.mark.slow
 def test_viewnet_does_as_it_is_told(words, world, monkeypatch):
     obeyed(words[1:], world, monkeypatch)
 
@@ -264,6 +265,7 @@ PYTHON = [pytest.param(b.text, id=f"{p.name}: {b.text.splitlines()[0]}") for p, 
 
 
 @pytest.mark.parametrize("source", PYTHON)
+@pytest.mark.slow
 def test_python_runs(source, world, monkeypatch, capsys):
     monkeypatch.setenv("VIEWNET_PROFILE", "smoke")
     monkeypatch.setattr("viewnet.experiment.ensure", lambda configs, *_: ensure(configs, 1, False, STEPS))

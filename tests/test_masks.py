@@ -134,6 +134,7 @@ def test_deeplab_finds_what_it_holds_for_the_category(tmp_path, monkeypatch):
     assert sources[0].described != sources[1].described and sources[0].described["masks"] == "deeplabv3"
 
 
+@pytest.mark.slow
 def test_mask_rcnn_gives_instances_of_the_category(tmp_path, monkeypatch):
     network = detection.maskrcnn_resnet50_fpn(weights=None, weights_backbone=None)
     names = detection.MaskRCNN_ResNet50_FPN_Weights.COCO_V1.meta["categories"]

@@ -266,6 +266,7 @@ def test_models_go_to_the_hub(tmp_path, monkeypatch, pictures):
 
 
 @pytest.mark.parametrize("overrides", [{"recipe": "paper"}, {"in_plane": True}], ids=["replicate", "in plane"])
+@pytest.mark.slow
 def test_onnx_says_what_the_network_says(tmp_path, overrides):
     estimator = untrained(rotation=turned(30), **overrides)
     path = estimator.export_onnx(tmp_path / "models" / "car.onnx")

@@ -128,6 +128,7 @@ def test_few_categories_have_two_columns_each_and_metrics_stand_below_one_anothe
 
 
 @pytest.mark.parametrize("name", ["table3_pascal3d", "table5_dva"])
+@pytest.mark.slow
 def test_many_categories_have_one_column_each_and_ours_below_print(name):
     table = on_photographs(name, CATEGORIES[:5])
     text = table.latex()
