@@ -7,6 +7,7 @@ process that is alone (`size()` 1) takes the same path and pays nothing.
 
 from __future__ import annotations
 
+import atexit
 import datetime
 import os
 import sys
@@ -45,9 +46,18 @@ def start() -> None:
 
 
 def stop() -> None:
-    """Leave the other processes, when all is done."""
+    """Leave the other processes, when all is done. The process ends with exit code 0 once it has nothing more to do."""
     if _joined():
+        dist.all_reduce(torch.zeros(1))  # nobody leaves while another still talks
         dist.destroy_process_group()
+        # Gloo's threads may outlive the interpreter and abort the process while it is taken down: it ends before that.
+        atexit.register(_leave)
+
+
+def _leave() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(0)
 
 
 def size() -> int:
