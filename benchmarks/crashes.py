@@ -23,12 +23,12 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 import pandas as pd
-from kills import Tally, finish, trial, undisturbed
-from twice import QUESTIONS, two_processes
-from works import Work, drawing, table, training
+from helpers.kills import Tally, finish, trial, undisturbed
+from helpers.twice import QUESTIONS, two_processes
+from helpers.works import Work, drawing, table, training
 
 from viewnet import paths
-from viewnet.files import replacing
+from viewnet.runtime.files import replacing
 
 SHARES = {"view store": 0.4, "run": 0.4, "table": 0.2}
 """Of all kills."""

@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 import pandas as pd
 import torch
-from faulty import (
+from helpers.faulty import (
     can_mount,
     clock_going_back,
     date_files,
@@ -40,15 +40,15 @@ from faulty import (
     small_disk,
     weights_spoilt_at,
 )
-from tasks import TASKS, Task, at, config, train, undisturbed
+from helpers.tasks import TASKS, Task, at, config, train, undisturbed
+from helpers.works import files
 from torchvision import models
-from works import files
 
 from viewnet import paths
-from viewnet.estimator import ViewpointEstimator
-from viewnet.files import replacing
-from viewnet.render import views as rendering
-from viewnet.runs import STATE
+from viewnet.data import rendered_store as rendering
+from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
+from viewnet.runtime.files import replacing
+from viewnet.training.run_store import STATE
 
 SIZES = [4**power for power in range(3, 14)]
 """Of files and disks: 64 bytes to 64 MiB."""

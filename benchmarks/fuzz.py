@@ -25,14 +25,14 @@ os.environ.setdefault("TQDM_DISABLE", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 import pandas as pd
+from helpers.kept_readers import KEPT
+from helpers.readers import READERS, Reader, contents
+from helpers.survival import Broken, survives
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
-from kept_readers import KEPT
-from readers import READERS, Reader, contents
-from survival import Broken, survives
 
 from viewnet import paths
-from viewnet.files import replacing
+from viewnet.runtime.files import replacing
 
 
 def fuzz(reader: Reader, cases: int, number: int) -> tuple[dict[str, Any], Counter[str]]:

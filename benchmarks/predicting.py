@@ -22,9 +22,10 @@ import pandas as pd
 import torch
 from PIL import Image
 
-from viewnet import paths, provenance
-from viewnet.estimator import BATCH, ViewpointEstimator
-from viewnet.files import replacing, write_json
+from viewnet import paths
+from viewnet.estimator.viewpoint_estimator import BATCH, ViewpointEstimator
+from viewnet.runtime import provenance
+from viewnet.runtime.files import replacing, write_json
 
 PICTURES = 8 * BATCH
 """So many are predicted at once: several batches."""

@@ -20,8 +20,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from viewnet import volume, volume_triton
 from viewnet.geometry import look_at, view_vector
+from viewnet.model import volume
+from viewnet.model.kernels import volume_gpu
 
 FLOPS = 100
 """Of a step forwards: place 9, weights 14, four values from eight corners 64, stopping 13."""
@@ -117,8 +118,8 @@ def measure(side: int, options: argparse.Namespace, device: dict[str, float]) ->
     """All ways of drawing volumes of one size, on pictures of as many pixels and rays of as many steps."""
     inputs = scene(side, options.batch, options.views, options.occupied)
     ways: dict[str, Callable[..., Tensor]] = {
-        "fused": lambda v, r, f: volume_triton.render(v, r, f, side, side, False),
-        "fused_sparse": lambda v, r, f: volume_triton.render(v, r, f, side, side, True),
+        "fused": lambda v, r, f: volume_gpu.render(v, r, f, side, side, False),
+        "fused_sparse": lambda v, r, f: volume_gpu.render(v, r, f, side, side, True),
         "reference": lambda v, r, f: volume.render_reference(v, r, f, side, side),
     }
     row: dict[str, Any] = {"volume": side, "batch": options.batch, "views": options.views, "size": side, "steps": side}
@@ -151,7 +152,7 @@ def main() -> None:
     parser.add_argument("--occupied", type=float, default=0.1, help="share of a volume that is filled")
     parser.add_argument("--seconds", type=float, default=1.0, help="time for each figure")
     options = parser.parse_args()
-    if not volume_triton.available():
+    if not volume_gpu.available():
         print(json.dumps({"measured": None, "reason": "no usable GPU on this machine: nothing was measured"}))
         return
     torch.manual_seed(0)

@@ -25,10 +25,11 @@ from unittest import mock
 import pandas as pd
 from torch import Tensor
 
-from viewnet import provenance, volume
 from viewnet.config import make_config
-from viewnet.files import replacing, write_json
-from viewnet.progress import bar
+from viewnet.model import volume
+from viewnet.runtime import provenance
+from viewnet.runtime.files import replacing, write_json
+from viewnet.runtime.progress import bar
 
 USUAL = "as it is"
 
@@ -51,13 +52,13 @@ def _render(render: Callable[..., Tensor], *arguments: Any, **options: Any) -> T
 
 @contextlib.contextmanager
 def _plain_layers() -> Iterator[None]:
-    with mock.patch("viewnet.layers_cpu.usable", lambda _: False):
+    with mock.patch("viewnet.model.kernels.norm_relu_cpu.usable", lambda _: False):
         yield
 
 
 @contextlib.contextmanager
 def _full_resolution() -> Iterator[None]:
-    with mock.patch("viewnet.step._half", lambda model, shape, target: (shape, target)):
+    with mock.patch("viewnet.training.step._half", lambda model, shape, target: (shape, target)):
         yield
 
 
@@ -80,8 +81,8 @@ SWITCHES: dict[str, tuple[dict[str, Any], Patch]] = {
 
 def curve(switch: str, category: str, profile: str, epochs: int, seed: int) -> pd.DataFrame:
     """The log of one training, which is not kept."""
-    from viewnet.data.prepare import view_store
-    from viewnet.train import train
+    from viewnet.data.build import view_store
+    from viewnet.training.train import train
 
     overrides, patch = SWITCHES[switch]
     config = make_config("viewnet", category, profile, "matting", seed, epochs=epochs, validate_every=1, **overrides)
@@ -144,7 +145,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("paper_tables/benchmarks"))
     given = parser.parse_args()
 
-    from viewnet.data.prepare import view_store
+    from viewnet.data.build import view_store
 
     view_store(make_config("viewnet", given.category, given.profile, "matting").data)
     wanted = [USUAL, *(name for name in given.switches if name != USUAL)]

@@ -67,7 +67,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _fail_together(message: str) -> None:
-    from viewnet import distributed
+    from viewnet.runtime import distributed
 
     if distributed.size() > 1:
         distributed.fail(message)

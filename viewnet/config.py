@@ -181,7 +181,7 @@ class TrainConfig:
     cycle_head: Literal["selected", "closest"] = "selected"  # which head it pulls
     augment: bool = False  # random crop and +-3 degree rotation of the viewpoint encoder's input
     jitter: float = 0.0  # colours of that input change places, and strength by up to exp(+-2 jitter); 0: neither
-    # The same input made to look as if cut from a photograph (viewnet.scene), with DataConfig.backgrounds only:
+    # The same input made to look as if cut from a photograph (viewnet.data.augment), with DataConfig.backgrounds only:
     sightings: int = 1  # differently made pictures of each target that the viewpoint network learns from
     box_error: float = 0.0  # the crop is off by up to this share of its sides
     tilt: float = 0.0  # and tilted by up to so many degrees
@@ -306,7 +306,7 @@ VARIANTS: dict[str, Changes] = {
         "train": {"background": "black", "mask_weight": 0.0, "compare_masks": 0.0, "search": 0.0, "neighbours": 0.0},
     },
 }
-"""The trained rows of Tables 1 and 2. The constant predictor needs no training (viewnet.evaluate)."""
+"""The trained rows of Tables 1 and 2. The constant predictor needs no training (viewnet.evaluation.evaluate)."""
 
 _TINY: Changes = {
     "data": {"models": 1000},

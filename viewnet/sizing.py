@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from viewnet.data.shapenet import SHARES
+from viewnet.data.readers.shapenet import SHARES
 from viewnet.errors import ViewnetError
 
 SHAPENETCORE = (55, 51_300)

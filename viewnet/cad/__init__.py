@@ -14,17 +14,20 @@ from viewnet.cad.builder import Builder
 from viewnet.cad.writer import write_model
 from viewnet.config import CATEGORIES, SYNSETS
 from viewnet.errors import ViewnetError
-from viewnet.files import replacing
-from viewnet.progress import bar
+from viewnet.runtime.files import replacing
+from viewnet.runtime.progress import bar
 
 Generator = Callable[[np.random.Generator], Builder]
 
 # Part of every model's name: raise it when any generator changes, so that old and new models are never mixed.
 VERSION = 2
 SPLITS = {"train": 0.7, "val": 0.1, "test": 0.2}
+FOLDERS = {"bicycle": "cycles", "motorbike": "cycles", "diningtable": "furniture", "sofa": "furniture"}
+"""Categories that share parts share a folder; any other has one of its own."""
 # Each category's module has the function of the same name.
 GENERATORS: dict[str, Generator] = {
-    category: getattr(importlib.import_module(f"viewnet.cad.{category}"), category) for category in CATEGORIES
+    category: getattr(importlib.import_module(f"viewnet.cad.{FOLDERS.get(category, category)}.{category}"), category)
+    for category in CATEGORIES
 }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from viewnet.cad.builder import Array, Builder
-from viewnet.files import filling
+from viewnet.runtime.files import filling
 
 # A millionth of the diagonal: far below a pixel, and it lets vertices that meet be shared.
 DIGITS = 5

@@ -85,21 +85,21 @@ def add(commands: Any) -> None:
 
 
 def _data(options: argparse.Namespace) -> None:
-    from viewnet import data_sets
+    from viewnet.data import catalogue
 
     if options.what and options.folder is None:
         raise ViewnetError("data check: name the folder to check")
-    found = data_sets.check(options.folder) if options.what else None
+    found = catalogue.check(options.folder) if options.what else None
     if options.json:
-        shared.print_json(data_sets.as_dict(found))
+        shared.print_json(catalogue.as_dict(found))
     else:
-        print(data_sets.as_text(found))
+        print(catalogue.as_text(found))
     if found is not None and found.problems and not any(found.counts.values()):
         raise ViewnetError(f"{found.folder}: nothing in it can be used")
 
 
 def _audit(options: argparse.Namespace) -> None:
-    from viewnet.audit import audit_list
+    from viewnet.experiments.audit import audit_list
 
     found = audit_list(options.viewpoints)
     files = found.write(options.output) if options.output else []
@@ -124,9 +124,10 @@ def _audit(options: argparse.Namespace) -> None:
 
 
 def _bench(options: argparse.Namespace) -> None:
-    from viewnet import bench, bench_report, paths
+    from viewnet import paths
+    from viewnet.bench import measure, report
 
-    settings = bench.Settings.default(
+    settings = measure.Settings.default(
         sizes=None if options.sizes is None else tuple(options.sizes),
         batch=options.batch,
         repeat=options.repeat,
@@ -134,10 +135,10 @@ def _bench(options: argparse.Namespace) -> None:
         accuracy=options.accuracy,
         quick=options.quick,
     )
-    found = bench.measure(settings)
-    files = bench_report.write(found, options.output or paths.tables() / "benchmarks")
+    found = measure.measure(settings)
+    files = report.write(found, options.output or paths.tables() / "benchmarks")
     if options.json:
         shared.print_json(found | {"files": [str(path) for path in files]})
     else:
-        print(bench_report.as_text(found))
+        print(report.as_text(found))
         print(*files, sep="\n")

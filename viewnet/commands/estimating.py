@@ -83,7 +83,7 @@ def add(commands: Any) -> None:
 
 def _predict(options: argparse.Namespace) -> None:
     """A line a picture, or JSON: {"frame": "annotated" or "own", "pictures": [...]}."""
-    from viewnet.estimator import ViewpointEstimator
+    from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 
     boxes = options.boxes
     if boxes is not None and len(boxes) == 1:
@@ -107,7 +107,7 @@ def _predict(options: argparse.Namespace) -> None:
 
 def _turntable(options: argparse.Namespace) -> None:
     """Writes the animation and prints where it is."""
-    from viewnet.estimator import ViewpointEstimator
+    from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 
     estimator = ViewpointEstimator.from_pretrained(options.model, device=options.device)
     estimator.turntable(
@@ -118,8 +118,8 @@ def _turntable(options: argparse.Namespace) -> None:
 
 def _save(options: argparse.Namespace) -> None:
     """Writes the folder and prints where it is."""
-    from viewnet.estimator import ViewpointEstimator
-    from viewnet.files import read_json
+    from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
+    from viewnet.runtime.files import read_json
 
     estimator = ViewpointEstimator.from_pretrained(options.model, device="cpu")
     scores = []

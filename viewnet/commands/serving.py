@@ -50,11 +50,11 @@ def start(options: argparse.Namespace) -> Any:
     if not 0 < options.port < 65536:
         raise ViewnetError(f"--port {options.port}: expected 1 to 65535")
     _check_free(options.host, options.port)
-    from viewnet import demo, examples
-    from viewnet.estimator import ViewpointEstimator
+    from viewnet.estimator.demo import app, examples
+    from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 
     estimator = ViewpointEstimator.from_pretrained(options.model, device=options.device)
-    page = demo.build(estimator, examples.drawn(estimator))
+    page = app.build(estimator, examples.drawn(estimator))
     try:
         page.launch(
             server_name=options.host,
@@ -65,8 +65,8 @@ def start(options: argparse.Namespace) -> Any:
             quiet=True,
             show_error=False,
             max_file_size=LARGEST_FILE,
-            theme=demo.theme(),
-            css=demo.STYLE,
+            theme=app.theme(),
+            css=app.STYLE,
             footer_links=[],
             run_history=False,
             ssr_mode=False,

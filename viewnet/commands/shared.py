@@ -7,9 +7,9 @@ import json
 import os
 from typing import Any
 
-from viewnet.cluster import VARIABLE
 from viewnet.config import CATEGORIES, PROFILES, RECIPES, VARIANTS, RunConfig, make_config
 from viewnet.errors import ViewnetError
+from viewnet.training.dask_cluster import VARIABLE
 
 
 def add(commands: Any, name: str, help: str, description: str, examples: str) -> argparse.ArgumentParser:
@@ -59,7 +59,7 @@ def add_configuration(parser: argparse.ArgumentParser) -> None:
 
 def configurations(options: argparse.Namespace, seed: int = 0) -> list[RunConfig]:
     """One a category. Raises ViewnetError as make_config does."""
-    from viewnet.experiment import folder_named
+    from viewnet.experiments.request import folder_named
 
     given = dict(_setting(text) for text in options.set)
     root, splits = (folder_named(getattr(options, name) or "", name) for name in ("data_root", "splits"))

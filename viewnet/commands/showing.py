@@ -66,7 +66,7 @@ def add(commands: Any) -> None:
 
 
 def _notebook(options: argparse.Namespace) -> None:
-    from viewnet import notebook
+    from viewnet.experiments import notebook
 
     if options.parameters:
         for name, found in notebook.parameters(notebook.find(options.name)).items():
@@ -82,7 +82,9 @@ def _notebook(options: argparse.Namespace) -> None:
 
 
 def _tables(options: argparse.Namespace) -> int:
-    from viewnet import all_notebooks, overview, paths
+    from viewnet import paths
+    from viewnet.experiments import all_notebooks
+    from viewnet.experiments.page import page
 
     if options.page and (options.only or options.profile or options.seeds):
         raise ViewnetError("--page runs nothing: give it alone, or leave it out")
@@ -94,12 +96,12 @@ def _tables(options: argparse.Namespace) -> int:
             done.append(one)
             if not options.json:
                 print(one, flush=True)
-    page = overview.write(paths.tables())
+    written = page.write(paths.tables())
     failed = [one.name for one in done if one.error]
     if options.json:
-        shared.print_json({"notebooks": [one.as_dict() for one in done], "page": str(page)})
+        shared.print_json({"notebooks": [one.as_dict() for one in done], "page": str(written)})
     else:
-        print(page)
+        print(written)
         if failed:
             print(f"{len(failed)} of {len(done)} notebooks failed: {', '.join(failed)}")
     return 1 if failed else 0

@@ -90,16 +90,17 @@ def add(commands: Any) -> None:
 
 
 def _render(options: argparse.Namespace) -> None:
-    from viewnet import cluster, runs, scene
+    from viewnet.data import augment
+    from viewnet.training import dask_cluster, run_store
 
     configs = shared.configurations(options)
     shared.choose_cluster(options)
-    views = runs.default_steps().views
+    views = run_store.default_steps().views
     found = []
-    with cluster.executor() if cluster.named() else contextlib.nullcontext() as executor:
+    with dask_cluster.executor() if dask_cluster.named() else contextlib.nullcontext() as executor:
         for config in configs:
             store = views(config.data, workers=options.workers, progress=True, executor=executor)
-            scenery = scene.wanted(config.data, config.model.input_size)
+            scenery = augment.wanted(config.data, config.model.input_size)
             index = store.index
             found.append(
                 {
@@ -128,19 +129,20 @@ def _render(options: argparse.Namespace) -> None:
 
 
 def _train(options: argparse.Namespace) -> None:
-    from viewnet import distributed, runs
+    from viewnet.runtime import distributed
+    from viewnet.training import run_store
 
     distributed.start()
     configs = shared.configurations(options, options.seed)
     shared.choose_cluster(options)
-    found = runs.ensure(configs, options.workers)
+    found = run_store.ensure(configs, options.workers)
     if distributed.rank() == 0:
         if options.json:
             shared.print_json([_told(run) for run in found])
         for run in found if not options.json else ():
-            print(f"{runs.name(run.config)}: {run.folder}")
+            print(f"{run_store.name(run.config)}: {run.folder}")
             if not run.scored:
-                print(f"  not scored: {runs.NOT_SCORED}")
+                print(f"  not scored: {run_store.NOT_SCORED}")
                 continue
             score = run.result["metrics"][run.alignment]
             print(f"  test: within 30 degrees {score['acc30']:.1f} %, median {score['median']:.1f} degrees")
@@ -153,11 +155,11 @@ def _told(run: Any) -> dict[str, Any]:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    from viewnet import model_scores
+    from viewnet.experiments import score_model
 
-    asked = model_scores.Elsewhere(options.data_root, options.stand_in, options.subset, options.cad_root)
-    found = [model_scores.scores(where, asked, options.calibration) for where in options.models]
+    asked = score_model.Elsewhere(options.data_root, options.stand_in, options.subset, options.cad_root)
+    found = [score_model.scores(where, asked, options.calibration) for where in options.models]
     if options.json:
         shared.print_json(found)
     else:
-        print("\n\n".join(model_scores.as_text(one) for one in found))
+        print("\n\n".join(score_model.as_text(one) for one in found))

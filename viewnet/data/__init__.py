@@ -1,1 +1,1 @@
-"""Reading CAD collections and keeping rendered views."""
+"""View stores and the pairs drawn from them, whether rendered, cut from photographs or from videos."""

@@ -18,12 +18,12 @@ import numpy as np
 from PIL import Image
 
 from viewnet import paths
-from viewnet.data import scenes
-from viewnet.data.pictures import opened
 from viewnet.data.store import identity_of
+from viewnet.data.synthetic import scenes
 from viewnet.errors import ViewnetError
-from viewnet.files import filling, load_array, locked
-from viewnet.progress import bar
+from viewnet.runtime.files import filling, load_array, locked
+from viewnet.runtime.images import opened
+from viewnet.runtime.progress import bar
 
 DRAWN = "drawn"
 """The source that needs no pictures."""
@@ -58,7 +58,7 @@ class Backgrounds:
 def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: bool = True) -> Backgrounds:
     """`count` pictures of size x size pixels from `source`, or all of its usable ones where it has fewer.
 
-    `source` is "drawn" (viewnet.data.scenes), the folder of SUN397 (a `ClassName.txt` that lists class folders such as
+    `source` is "drawn" (viewnet.data.synthetic.scenes), the folder of SUN397 (a `ClassName.txt` that lists class folders such as
     /a/abbey) or any folder of pictures, which is read with all folders in it. Of more than `count` pictures classes
     have as many each as can be. Every picture is cut to a square at a place drawn by `seed` and its path. Pictures
     that cannot be used are in `rejected`, and others take their place.

@@ -24,17 +24,17 @@ from scipy import ndimage
 from viewnet.config import CATEGORIES, known
 from viewnet.data import frames
 from viewnet.data.clips import Clip, Frame
-from viewnet.data.cutting import Crop, bounds, cut, inside, shrunk
-from viewnet.data.freiburg import Rejected
+from viewnet.data.crop import Crop, bounds, cut, inside, shrunk
 from viewnet.data.masks import MaskSource
-from viewnet.data.pascal3d import tally
-from viewnet.data.photos import described
-from viewnet.data.shapenet import SPLITS
+from viewnet.data.photo_store import described
+from viewnet.data.readers.freiburg import Rejected
+from viewnet.data.readers.pascal3d import tally
+from viewnet.data.readers.shapenet import SPLITS
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
-from viewnet.files import scratch
-from viewnet.processes import processors
-from viewnet.progress import bar
+from viewnet.runtime.files import scratch
+from viewnet.runtime.parallel import processors
+from viewnet.runtime.progress import bar
 
 VERSION = 1
 """Raise it when a change alters what is cut out: it is part of every store's identity."""

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from viewnet.data.cutting import Box
+from viewnet.data.crop import Box
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from viewnet.data.backgrounds import SUFFIXES
-from viewnet.data.pictures import MOST_PIXELS, opened
 from viewnet.errors import ViewnetError
+from viewnet.runtime.images import MOST_PIXELS, opened
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp")
 """How names of video files end."""

@@ -20,12 +20,12 @@ from PIL import Image
 from scipy import ndimage
 from torch import nn
 
-from viewnet import backbones
 from viewnet.config import CATEGORIES, known
 from viewnet.data.clips import Clip
-from viewnet.data.cutting import coverage
-from viewnet.data.pictures import opened
+from viewnet.data.crop import coverage
 from viewnet.errors import ViewnetError
+from viewnet.runtime import torchvision_weights
+from viewnet.runtime.images import opened
 
 VERSION = 1
 """Raise it when a change alters masks: it is part of every store's identity."""
@@ -166,11 +166,11 @@ def predicted(network: str, category: str, weights: Path | None = None) -> Predi
     """
     full = NETWORKS[known(network, NETWORKS, "network for masks")]
     known(category, CATEGORIES, "category")
-    path = weights or backbones.weights_file(full)
+    path = weights or torchvision_weights.weights_file(full)
     if not path.is_file():
         raise ViewnetError(
             f"no {network} weights at {path}: download {weights_url(full)} to that place, name another file by "
-            f"{backbones.variable(full)}, or use masks from files or from the pictures' alpha"
+            f"{torchvision_weights.variable(full)}, or use masks from files or from the pictures' alpha"
         )
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     segment = (_maskrcnn if network == "maskrcnn" else _deeplab)(category, path, device)
@@ -216,7 +216,8 @@ def _deeplab(category: str, path: Path, device: torch.device) -> Segmenter:
     names = segmentation.DeepLabV3_ResNet50_Weights.COCO_WITH_VOC_LABELS_V1.meta["categories"]
     label = names.index(category)
     mean, deviation = (
-        torch.tensor(values).view(3, 1, 1) for values in (backbones.IMAGENET_MEAN, backbones.IMAGENET_STD)
+        torch.tensor(values).view(3, 1, 1)
+        for values in (torchvision_weights.IMAGENET_MEAN, torchvision_weights.IMAGENET_STD)
     )
 
     @torch.no_grad()

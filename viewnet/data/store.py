@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from viewnet.errors import ViewnetError
-from viewnet.files import filling, load_array, read_csv, read_json
+from viewnet.runtime.files import filling, load_array, read_csv, read_json
 
 if TYPE_CHECKING:
     # Loaded where it is needed: to estimate a viewpoint this module is imported, but no store is opened.
@@ -58,7 +58,7 @@ class ViewStore:
 
         folder = Path(folder)
         if not folder.is_dir():
-            raise ViewnetError(f"{folder}: no such view store: make it first (viewnet.data.prepare.view_store)")
+            raise ViewnetError(f"{folder}: no such view store: make it first (viewnet.data.build.view_store)")
         for name in ("views.npy", "index.parquet", "meta.json", "rejected.csv"):
             if not (folder / name).is_file():
                 raise ViewnetError(f"{folder / name}: missing from the view store: {_AGAIN}")

@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from viewnet.data.mesh import Mesh
 from viewnet.errors import ViewnetError
 from viewnet.render.camera import RADIUS, camera_frames
+from viewnet.render.mesh import Mesh
 
 Backend = Literal["auto", "raycast", "pyrender"]
 

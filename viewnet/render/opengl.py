@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from viewnet.data.mesh import Mesh, surfaces
 from viewnet.render.camera import DISTANCE, FOCAL, RADIUS
+from viewnet.render.mesh import Mesh, surfaces
 from viewnet.render.raycast import ALPHA_CUT, AMBIENT
 
 _VERTEX = """#version 330 core
@@ -93,7 +93,7 @@ _LINEAR, _REPEAT = 9729, 10497
 @lru_cache(maxsize=1)
 def check() -> None:
     """Draw one triangle; whatever is wrong with OpenGL or pyrender here is raised."""
-    from viewnet.data.mesh import Material
+    from viewnet.render.mesh import Material
 
     corners = np.array([[0.0, -0.3, -0.3], [0.0, 0.3, -0.3], [0.0, 0.0, 0.3]])
     mesh = Mesh(corners, np.array([[0, 1, 2]], np.int32), np.zeros(1, np.int32), (Material(),))

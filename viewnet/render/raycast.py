@@ -18,8 +18,8 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore import EmbreeDevice
 from embreex.rtcore_scene import EmbreeScene
 
-from viewnet.data.mesh import Mesh, surfaces
 from viewnet.render.camera import DISTANCE, FOCAL, project
+from viewnet.render.mesh import Mesh, surfaces
 
 AMBIENT = 0.4
 # Texels more transparent than this are holes.

@@ -1,0 +1,210 @@
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+
+import pytest
+from helpers.fake_steps import STEPS
+
+from viewnet import cli
+from viewnet.config import make_config
+from viewnet.data import build
+from viewnet.data.store import ViewStore
+from viewnet.experiments import notebook
+from viewnet.training import run_store
+
+COMMANDS = (
+    *("notebook", "tables", "render", "train", "evaluate", "predict", "turntable", "save", "demo"),
+    *("data", "audit", "bench", "completion"),
+)
+
+
+@pytest.fixture(autouse=True)
+def folders(tmp_path, monkeypatch):
+    monkeypatch.setenv("VIEWNET_RUNS", str(tmp_path / "runs"))
+    monkeypatch.setenv("VIEWNET_DATA", str(tmp_path / "data"))
+    monkeypatch.delenv("VIEWNET_CLUSTER", raising=False)
+    monkeypatch.setattr(run_store, "default_steps", lambda: STEPS)
+    return tmp_path
+
+
+def test_train_prints_runs_and_scores(folders, capsys):
+    arguments = ["train", "car", "chair", "--profile", "smoke", "--seed", "3", "--workers", "1"]
+    arguments += ["-s", "epochs=5", "-s", "amp=off", "-s", "betas=[0.8, 0.9]"]
+    assert cli.main(arguments) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in lines[::2]] == [
+        "viewnet car seed 3 (smoke, matting)",
+        "viewnet chair seed 3 (smoke, matting)",
+    ]
+    (config,) = folders.glob(f"runs/viewnet/{lines[0].rpartition('/')[2]}/config.json")
+    made = run_store.RunConfig.from_dict(run_store.read_json(config))
+    assert (made.train.epochs, made.train.amp, made.train.betas) == (5, "off", (0.8, 0.9))
+    assert lines[1].startswith("  test: within 30 degrees ")
+
+
+def test_train_as_json_has_every_metric(folders, capsys):
+    assert cli.main(["train", "car", "--profile", "smoke", "--workers", "1", "--json"]) == 0
+    (told,) = json.loads(capsys.readouterr().out)
+    (result,) = folders.glob(f"runs/viewnet/{told['key']}/result.json")
+    assert told == {"folder": str(result.parent), **run_store.read_json(result)}
+
+
+def test_train_says_what_is_trained_and_not_scored(capsys, monkeypatch):
+    def opened(folder):
+        store = STEPS.open(folder)
+        return replace(store, index=store.index[store.index["split"] == "train"])
+
+    monkeypatch.setattr(run_store, "default_steps", lambda: replace(STEPS, open=opened))
+    assert cli.main(["train", "car", "--profile", "smoke", "--workers", "1"]) == 0
+    assert "  not scored: its own views have no annotated val and test split" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["train", "cart"], "unknown category 'cart'"),
+        (["train", "car", "-s", "epochs"], "-s epochs: expected NAME=VALUE"),
+        (["train", "car", "-s", "epoch=3"], "unknown setting 'epoch'"),
+        (["train", "car", "-s", "epochs=many"], "config.train.epochs: expected int, got 'many'"),
+        (["train", "car", "--data-root", "nowhere"], "data_root nowhere: no such folder"),
+        (["train", "car", "--cluster", "scheduler-file:nowhere"], "cluster scheduler-file:nowhere: "),
+    ],
+)
+def test_what_cannot_be_trained_is_said(arguments, message, capsys, monkeypatch):
+    monkeypatch.setenv("VIEWNET_CLUSTER", "")  # what the command sets goes with the test
+    assert cli.main(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"viewnet: {message}")
+    assert said.count("\n") == 1
+
+
+def test_a_notebook_s_kernel_is_told_the_cluster(monkeypatch, capsys):
+    monkeypatch.setenv("VIEWNET_CLUSTER", "")
+    monkeypatch.setattr(notebook, "run", lambda *_: os.environ["VIEWNET_CLUSTER"])
+    assert cli.main(["notebook", "table2_ablation", "--cluster", "tcp://host:8786"]) == 0
+    assert capsys.readouterr().out == "tcp://host:8786\n"
+
+
+def test_render_makes_what_training_asks_for(folders, capsys, monkeypatch):
+    monkeypatch.undo()  # real views, of few pixels
+    monkeypatch.setenv("VIEWNET_DATA", str(folders / "data"))
+    arguments = ["car", "--profile", "smoke", "-s", "models=10", "-s", "views=2", "-s", "image_size=16"]
+    assert cli.main(["render", *arguments, "--workers", "1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    store = ViewStore.open(lines[0].removeprefix("car: "))
+    assert lines[1] == "  20 views: 14 train (7 models), 2 val (1 models), 4 test (2 models)"
+    asked = make_config(category="car", profile="smoke", models=10, views=2, image_size=16).data
+    monkeypatch.setattr(build, "render_views", lambda *_, **__: pytest.fail("drawn again"))
+    assert build.view_store(asked, progress=False).identity == store.identity
+    assert cli.main(["render", *arguments, "--json"]) == 0
+    (told,) = json.loads(capsys.readouterr().out)
+    assert (told["folder"], told["identity"], told["views"]) == (str(store.folder), store.identity, 20)
+    assert told["splits"]["test"] == {"models": 2, "views": 4}
+    assert (told["rejected"], told["backgrounds"]) == ([], 0)
+
+
+def test_the_version_is_the_package_s(capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.main(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out == f"viewnet {importlib.metadata.version('viewnet')}\n"
+
+
+def test_the_help_names_every_command_and_exit_code(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["--help"])
+    said = capsys.readouterr().out
+    for name in COMMANDS:
+        assert re.search(rf"\n    {name}\s+\w", said)
+    for code in (0, 1, 2, 130):
+        assert f"\n  {code} " in said
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_s_examples_are_ones_that_it_takes(command, capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.main([command, "--help"])
+    assert end.value.code == 0
+    examples = capsys.readouterr().out.partition("examples:\n")[2].strip().splitlines()
+    lines = [
+        line.partition("   ")[0].split("-m viewnet ")[-1].replace('eval "$(', "").replace(')"', "") for line in examples
+    ]
+    taken = []
+    for line in lines:
+        words = line.partition(" > ")[0].split()
+        words = words[1:] if words[0] == "viewnet" else words
+        assert cli.parser().parse_args(words).run
+        taken.append(words[0])
+    assert command in taken
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "the following arguments are required: COMMAND (see viewnet --help)"),
+        (["train"], "the following arguments are required: CATEGORY (see viewnet train --help)"),
+        (["bench", "--batch", "many"], "argument --batch: invalid int value: 'many' (see viewnet bench --help)"),
+        (["tables", "--pages"], "unrecognized arguments: --pages (see viewnet --help)"),
+    ],
+)
+def test_what_is_no_command_line_is_told_in_one_line(arguments, message, capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.main(arguments)
+    assert end.value.code == 2
+    assert capsys.readouterr().err == f"viewnet: {message}\n"
+
+
+def test_an_interruption_is_told(capsys, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(notebook, "run", interrupted)
+    assert cli.main(["notebook", "table2_ablation"]) == 130
+    assert capsys.readouterr().err == "viewnet: interrupted: the same command goes on where it was\n"
+
+
+@pytest.fixture
+def completed(tmp_path, capsys):
+    """What bash offers for a command line whose last word is begun."""
+    if shutil.which("bash") is None:
+        pytest.skip("bash is not installed")
+    assert cli.main(["completion", "bash"]) == 0
+    script = tmp_path / "completion.bash"
+    script.write_text(capsys.readouterr().out)
+    (tmp_path / "place" / "photographs").mkdir(parents=True)
+    (tmp_path / "place" / "picture.png").write_bytes(b"")
+
+    def complete(*words: str) -> set[str]:
+        ask = f'source {script}; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _shtab_viewnet; '
+        ask += 'printf "%s\\n" "${COMPREPLY[@]}"'
+        command = ["bash", "-c", ask, "bash", "viewnet", *words]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path / "place", timeout=60)
+        assert done.returncode == 0, done.stderr
+        return {word.rstrip("/ ") for word in done.stdout.split("\n") if word.strip()}
+
+    return complete
+
+
+def test_bash_completes_commands_options_names_and_files(completed):
+    assert completed("t") == {"tables", "train", "turntable"}
+    assert completed("train", "ca") == {"car"}
+    assert completed("train", "car", "--prof") == {"--profile"}
+    assert completed("train", "car", "--profile", "s") == {"smoke", "small"}
+    assert completed("tables", "--only", "table1_shapenet", "table2") == {"table2_ablation"}
+    assert completed("predict", "p") == {"photographs", "picture.png"}
+    assert completed("train", "car", "--data-root", "p") == {"photographs"}
+    assert completed("completion", "z") == {"zsh"}
+
+
+@pytest.mark.parametrize(("shell", "begins"), [("zsh", "#compdef viewnet"), ("tcsh", "# AUTOMATICALLY GENERATED")])
+def test_other_shells_have_their_scripts(shell, begins, capsys):
+    assert cli.main(["completion", shell]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(begins)
+    assert "turntable" in said

@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import pytest
+import torch
+from helpers.boxes import box_store
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from viewnet.data.pairs import Views, draw_pairs, load_views, resize, step_generator, tight_crop
+from viewnet.errors import ViewnetError
+
+CPU = torch.device("cpu")
+
+
+def views_of(counts: list[int]) -> Views:
+    """Objects with so many views each, without pictures."""
+    count = torch.tensor(counts)
+    objects = torch.arange(len(counts)).repeat_interleave(count)
+    total = int(count.sum())
+    return Views(torch.zeros(total, 4, 1, 1), None, objects, torch.zeros(total, 2), count.cumsum(0) - count, count)
+
+
+# Pairs
+
+
+@given(st.lists(st.integers(2, 6), min_size=1, max_size=12), st.integers(1, 8), st.integers(1, 4), st.integers(0, 99))
+def test_a_target_shows_the_same_object_from_another_view(counts, objects, targets, step):
+    views = views_of(counts)
+    appearance, target = draw_pairs(views, objects, targets, 7, step)
+    assert appearance.shape == (objects,)
+    assert target.shape == (objects * targets,)
+    assert torch.equal(views.objects[appearance].repeat_interleave(targets), views.objects[target])
+    assert (appearance.repeat_interleave(targets) != target).all()
+    for group in target.view(objects, targets):
+        available = int(views.count[views.objects[group[0]]]) - 1
+        assert len(set(group.tolist())) == min(targets, available)
+
+
+@given(st.integers(2, 11), st.integers(1, 9), st.integers(0, 1000))
+@settings(max_examples=20)
+def test_every_object_is_visited_equally_often(total, objects, seed):
+    views = views_of([3] * total)
+    visits = torch.cat([views.objects[draw_pairs(views, objects, 1, seed, step)[0]] for step in range(total)])
+    assert torch.equal(torch.bincount(visits, minlength=total), torch.full((total,), objects))
+
+
+def test_every_pair_of_views_comes_up():
+    views = views_of([4])
+    pairs = {tuple(int(x) for x in torch.cat(draw_pairs(views, 1, 1, 0, step))) for step in range(200)}
+    assert len(pairs) == 12
+
+
+def test_a_draw_is_a_function_of_seed_and_step():
+    views = views_of([5] * 20)
+
+    def draw(seed: int, step: int) -> list[int]:
+        return torch.cat(draw_pairs(views, 8, 2, seed, step)).tolist()
+
+    torch.manual_seed(0)
+    expected = draw(3, 10)
+    torch.manual_seed(1)
+    draw(3, 4)
+    assert draw(3, 10) == expected
+    assert draw(3, 11) != expected
+    assert draw(4, 10) != expected
+    one, other = (torch.rand(4, generator=step_generator(3, step)) for step in (10, 11))
+    assert torch.equal(one, torch.rand(4, generator=step_generator(3, 10)))
+    assert not torch.equal(one, other)
+
+
+def test_a_single_view_cannot_be_paired():
+    with pytest.raises(ViewnetError, match="two views or more of every object"):
+        draw_pairs(views_of([3, 1]), 1, 1, 0, 0)
+
+
+# Crops
+
+
+def picture_of(rows: slice, columns: slice, size: int = 32) -> torch.Tensor:
+    picture = torch.zeros(1, 4, size, size)
+    picture[:, :, rows, columns] = torch.tensor([0.8, 0.4, 0.2, 1.0]).view(4, 1, 1)
+    return picture
+
+
+def test_a_square_object_fills_its_crop_up_to_the_margin():
+    crop = tight_crop(picture_of(slice(3, 13), slice(18, 28)), 110, margin=0.05)[0]
+    inside, edge = crop[:, 10:-10, 10:-10], crop[3, :4]
+    assert torch.allclose(inside, torch.tensor([0.8, 0.4, 0.2, 1.0]).view(4, 1, 1).expand_as(inside), atol=1e-4)
+    assert edge.max() < 0.5  # enlarging blurs an edge by half a pixel of the original
+    assert crop[3].mean().sqrt() == pytest.approx(1 / 1.1, abs=0.02)
+
+
+def test_a_long_object_keeps_its_aspect_and_is_centred():
+    crop = tight_crop(picture_of(slice(10, 14), slice(2, 22)), 64, margin=0.0)[0, 3]
+    rows, columns = crop.mean(1) > 0.5, crop[32] > 0.5
+    assert columns.sum() >= 62
+    assert rows.sum() == pytest.approx(64 * 4 / 20, abs=2)
+    assert (torch.arange(64.0)[rows].mean() - 31.5).abs() < 1
+
+
+def test_a_stretched_crop_is_filled_both_ways():
+    crop = tight_crop(picture_of(slice(10, 14), slice(2, 22)), 64, stretch=True, margin=0.0)[0, 3]
+    assert (crop[10:-10, 4:-4] > 0.9).all()
+    framed = tight_crop(picture_of(slice(10, 14), slice(2, 22)), 64, stretch=True, margin=0.5)[0, 3] > 0.5
+    assert framed.any(0).sum() == pytest.approx(32, abs=2) and framed.any(1).sum() == pytest.approx(32, abs=8)
+
+
+def test_photographs_are_left_whole():
+    photograph = torch.rand(2, 4, 16, 16)
+    photograph[:, 3] = 1
+    assert torch.allclose(tight_crop(photograph, 16), photograph, atol=1e-5)
+
+
+def test_a_crop_may_reach_beyond_the_picture():
+    crop = tight_crop(picture_of(slice(0, 30), slice(0, 4)), 30, margin=0.0)[0]
+    assert crop[3].mean(0).argmax() in range(12, 18)  # centred, with nothing on either side
+    assert crop[:, :, :10].abs().max() < 1e-4
+
+
+def test_where_the_object_is_and_how_large_does_not_matter():
+    small, large = picture_of(slice(4, 8), slice(20, 28)), picture_of(slice(8, 24), slice(0, 32))
+    assert (tight_crop(small, 32, margin=0.0) - tight_crop(large, 32, margin=0.0)).abs().mean() < 0.05
+
+
+def test_a_picture_without_an_object_is_left_whole():
+    empty = torch.zeros(2, 4, 16, 16)
+    faint = empty.clone()
+    faint[:, :, 3, 4] = 0.2
+    assert not tight_crop(empty, 8).any()
+    assert tight_crop(faint, 8).any()
+
+
+# Views of a store
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return box_store(tmp_path_factory.mktemp("views") / "boxes", {"train": 3, "val": 2}, views=3, size=32)
+
+
+def test_views_of_a_split(store):
+    views = load_views(store, "train", 32)
+    assert views.pixels.shape == (9, 4, 32, 32)
+    assert views.crops is None
+    assert views.objects.tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    assert views.first.tolist() == [0, 3, 6]
+    assert views.count.tolist() == [3, 3, 3]
+    rows = store.index[store.index["split"] == "train"]
+    assert views.truth.numpy() == pytest.approx(rows[["azimuth", "elevation"]].to_numpy(), rel=1e-6)
+    pictures = views.pictures(torch.tensor([4]), 32, CPU)
+    straight = torch.from_numpy(store.images[4].copy()).permute(2, 0, 1).float() / 255
+    assert (pictures[0, :3] - straight[:3] * straight[3:]).abs().max() <= 0.5 / 255 + 1e-6
+    assert torch.equal(pictures[0, 3], straight[3])
+    assert torch.equal(views.seen(torch.tensor([4]), 32, CPU), pictures)
+
+
+def test_smaller_pictures_are_means_of_weighted_colours(store):
+    fine, coarse = load_views(store, "val", 32), load_views(store, "val", 16)
+    rows = torch.arange(6)
+    expected = resize(fine.pictures(rows, 32, CPU), 16)
+    assert (coarse.pictures(rows, 16, CPU) - expected).abs().max() < 1.01 / 255
+    assert torch.equal(fine.pictures(rows, 16, CPU), expected)
+
+
+def test_crops_are_what_the_viewpoint_network_sees(store):
+    views = load_views(store, "train", 32, crop=16)
+    seen = views.seen(torch.arange(9), 16, CPU)
+    assert seen.shape == (9, 4, 16, 16)
+    assert (seen[:, 3].mean((1, 2)) > views.pictures(torch.arange(9), 16, CPU)[:, 3].mean((1, 2))).all()
+
+
+def test_a_split_without_views(store):
+    with pytest.raises(ViewnetError, match="no views in split 'test'"):
+        load_views(store, "test", 32)

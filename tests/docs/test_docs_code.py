@@ -1,0 +1,377 @@
+"""What the documents show of code and commands is so: commands are given, Python is run, and names exist."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import functools
+import importlib
+import json
+import os
+import re
+import shlex
+import tomllib
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers.documents import NOTEBOOKS, PAGES, ROOT
+from helpers.drawn_models import finished_run
+from helpers.fake_steps import STEPS
+from helpers.photo_data import keep_apart, make_photos
+from PIL import Image
+from test_estimator import photograph
+
+from viewnet import cli, config
+from viewnet.data import catalogue
+from viewnet.data.store import ViewStore
+from viewnet.experiments import notebook, request, score_model
+from viewnet.runtime import torchvision_weights
+from viewnet.training.run_store import ensure
+
+KEY = "0123456789ab"
+FOREIGN = {"dask", "srun", "helm", "kubectl"}
+"""Programs of clusters, whose options are not ours to check."""
+OTHER = ("category,model_id,view,", "target  rgb alpha")
+"""How blocks begin that are neither Python nor commands: a file's first lines, a formula."""
+HISTORY = "CHANGELOG.md"
+"""It names what is no longer there."""
+
+BLOCKS = [(page, block) for page in PAGES for block in page.blocks]
+SPANS = [(page, span) for page in [*PAGES, *NOTEBOOKS] for span in dict.fromkeys(page.spans)]
+
+
+def commands(text: str) -> list[list[str]]:
+    """The commands of a block, word by word: comments left out, continued lines and quoted lines joined."""
+    found, begun = [], ""
+    for line in text.splitlines():
+        begun += line
+        try:
+            if begun.endswith("\\"):
+                raise ValueError
+            words = shlex.split(begun, comments=True)
+        except ValueError:  # a quotation is open
+            begun = begun.removesuffix("\\") + "\n"
+            continue
+        begun = ""
+        found.append([word.removeprefix(".venv/bin/") for word in words if word != "&"])
+    assert not begun
+    return [words for words in found if words]
+
+
+def is_commands(block) -> bool:
+    return not block.language and not block.text.startswith(OTHER)
+
+
+def given(kind: str) -> list:
+    """The commands of every block of the documents, and of `viewnet --help`, that start with a program."""
+    shown = [(page.name, words) for page, block in BLOCKS if is_commands(block) for words in commands(block.text)]
+    found = [(name, words) for name, words in shown if words[0] == kind]
+    return [pytest.param(words, id=f"{name}: {' '.join(words)[:60]}") for name, words in found]
+
+
+@pytest.fixture
+def world(tmp_path, monkeypatch) -> Path:
+    """A working directory with what the examples name: a finished run KEY, pictures, a list, folders below /data."""
+    keep_apart(tmp_path, monkeypatch)
+    monkeypatch.setenv("VIEWNET_CLUSTER", "")  # what a command sets goes with the test
+    monkeypatch.chdir(tmp_path)
+    store = made(tmp_path / "views", lambda folder: box_views(folder))
+    for place in ("KEY", f"runs/viewnet/{KEY}"):
+        finished_run(tmp_path / place, store)
+    for number, name in enumerate(("street.jpg", "yard.jpg", "car.jpg", "a.jpg", "b.jpg", "car.png")):
+        Image.fromarray(photograph(400, 300, number)).save(tmp_path / name)
+    for name in ("a_mask.png", "b_mask.png"):
+        Image.fromarray(np.full((300, 400), 255, np.uint8)).save(tmp_path / name)
+    (tmp_path / "FILE").write_text("category,azimuth_deg,elevation_deg\ncar,10,5\ncar,200,10\n")
+    return tmp_path
+
+
+def made(folder: Path, make) -> ViewStore:
+    return ViewStore.open(folder) if folder.exists() else make(folder)
+
+
+def photographs(world: Path):
+    """A few, as a store."""
+    return made(world / "photographs", lambda folder: make_photos(folder, size=32))
+
+
+def box_views(folder: Path) -> ViewStore:
+    from helpers.boxes import box_store
+
+    return box_store(folder, {"val": 2, "test": 2}, views=3)
+
+
+def moved(words: list[str], world: Path) -> list[str]:
+    """The same with what lies in /data in the test's folder, and made; saved/car and a run's folder there as well."""
+    for word in words:
+        for name in re.findall(r"/data/[\w.+]+", word):
+            (world / name[1:]).mkdir(parents=True, exist_ok=True)
+    places = {"saved/car": "KEY", "*.png": "car.png", f"runs/viewnet/{KEY}": f"runs/viewnet/{KEY}"}
+    places["docs/car.jpg"] = str(ROOT / "docs" / "car.jpg")
+    return [places.get(word, word.replace("/data/", f"{world}/data/")) for word in words]
+
+
+def obeyed(words: list[str], world: Path, monkeypatch) -> None:
+    """Give a command to `viewnet` with what takes long replaced: training, kernels, measurements and serving."""
+    asked = []
+    page = SimpleNamespace(local_url="here", share_url=None, block_thread=lambda: None)
+    monkeypatch.setattr("viewnet.commands.serving.start", lambda options: asked.append(options) or page)
+    monkeypatch.setattr("viewnet.training.run_store.ensure", lambda configs, workers=None: asked.extend(configs) or [])
+    monkeypatch.setattr("papermill.execute_notebook", lambda source, *_, **__: asked.append(source))
+    monkeypatch.setattr("viewnet.bench.measure.measure", lambda settings: asked.append(settings))
+    monkeypatch.setattr("viewnet.bench.report.as_text", lambda found: "measured")
+    monkeypatch.setattr("viewnet.bench.report.write", lambda found, folder: [folder])
+    monkeypatch.setattr("viewnet.experiments.score_model.photo_views", lambda _: photographs(world))
+    # The last value of an option counts: two pictures of a turn are as good as 48.
+    words, output = (words[:-2], words[-1]) if ">" in words else (words, os.devnull)
+    if "--scores" in words:
+        Path("scores.json").write_text(json.dumps(score_model.scores("KEY")))
+    with open(output, "w") as file, contextlib.redirect_stdout(file):
+        assert cli.main([*moved(words, world), *(["--steps", "2"] if words[0] == "turntable" else [])]) == 0
+    if words[-1] == "--json":
+        assert json.loads(Path(output).read_text())
+    if words[0] in ("train", "notebook", "bench", "demo") and "--parameters" not in words:
+        assert asked
+
+
+@pytest.mark.parametrize("words", given("viewnet"))
+@pytest.mark.slow
+def test_viewnet_does_as_it_is_told(words, world, monkeypatch):
+    obeyed(words[1:], world, monkeypatch)
+
+
+@pytest.mark.parametrize("words", given("torchrun"))
+def test_torchrun_takes_its_options_and_viewnet_the_rest(words, world, monkeypatch):
+    from torch.distributed.run import get_args_parser
+
+    found = get_args_parser().parse_args(words[1:])
+    assert (found.module, found.training_script) == (True, "viewnet")
+    obeyed(found.training_script_args, world, monkeypatch)
+
+
+@pytest.mark.parametrize("words", given("papermill"))
+def test_papermill_is_given_parameters_that_notebooks_have(words, world):
+    source, _, *rest = words[1:]
+    assert rest[::3] == ["-p"] * (len(rest) // 3)
+    notebook.checked(ROOT / source, list(zip(rest[1::3], rest[2::3], strict=True)))
+
+
+@pytest.mark.parametrize("words", given("python"))
+def test_programs_are_there_and_have_the_options(words):
+    if words[1] == "-c":
+        ast.parse(words[2])
+        return
+    assert check_program(words[1:]) is None
+
+
+def check_program(words: list[str]) -> str | None:
+    """What is wrong with a file of ours and its options."""
+    if not (ROOT / words[0]).is_file():
+        return "no such file"
+    source = (ROOT / words[0]).read_text()
+    unknown = [word for word in words[1:] if word.startswith("-") and f'"{word}"' not in source]
+    return f"no option {unknown[0]}" if unknown else None
+
+
+def check_make(words: list[str]) -> str | None:
+    makefile = (ROOT / "Makefile").read_text()
+    for word in words:
+        name, variable, _ = word.partition("=")
+        if word != "..." and not re.search(rf"^{name} \?=" if variable else rf"^{name}:.*## ", makefile, re.MULTILINE):
+            return f"no such {'variable' if variable else 'target'}: {name}"
+    return None
+
+
+@pytest.mark.parametrize("words", given("make"))
+def test_make_has_the_targets(words):
+    assert check_make(words[1:]) is None
+
+
+def check_viewnet(words: list[str]) -> str | None:
+    """Whether a command within a sentence, often only its beginning, is one."""
+    try:
+        cli.parser().parse_args(words if len(words) > 1 else [*words, "--help"])
+    except SystemExit as ended:
+        return f"refused: {words}" if ended.code else None
+    return None
+
+
+def check_torchrun(words: list[str]) -> str | None:
+    from torch.distributed.run import get_args_parser
+
+    known = get_args_parser()._option_string_actions
+    unknown = [word for word in words if word.startswith("--") and word not in known]
+    return f"no option {unknown[0]}" if unknown else None
+
+
+def check_pip(words: list[str]) -> str | None:
+    """Only ours: extras of the package."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    asked = [re.fullmatch(r"(?:viewnet|\.)\[(\w+)\]", word) for word in words]
+    unknown = [found[1] for found in asked if found and found[1] not in extras]
+    return f"no extra {unknown[0]}" if unknown else None
+
+
+def check_setting(words: list[str]) -> str | None:
+    """-p NAME VALUE of a notebook, -s NAME=VALUE of a run."""
+    for kind, word in pairwise(words):
+        if kind == "-p" and word not in PARAMETERS:
+            return f"no notebook has a parameter {word}"
+        if kind == "-s" and word.partition("=")[0] not in FIELDS:
+            return f"no setting {word}"
+    return None
+
+
+CHECKS = {
+    "viewnet": check_viewnet,
+    "make": check_make,
+    "torchrun": check_torchrun,
+    "pip": check_pip,
+    "python": check_program,
+}
+FIELDS = {
+    name
+    for kind in (config.DataConfig, config.PhotoConfig, config.VideoConfig, config.ModelConfig, config.TrainConfig)
+    for name in kind.__dataclass_fields__
+}
+PARAMETERS = {name for design in request.DESIGNS for name in request.accepted(design)}
+COLUMN = r"(h|up)\d_[xyz]|logit_\d"
+"""Of predictions, whose number is that of a hypothesis."""
+CHOICES = {*config.RECIPES, *config.PROFILES, *config.VARIANTS, "code"}
+
+
+def test_commands_within_sentences_exist():
+    wrong = {}
+    for page, span in SPANS:
+        words = shlex.split(span) if span.split(" ")[0] in {*CHECKS, "-p", "-s"} else [""]
+        check = check_setting if words[0] in ("-p", "-s") else CHECKS.get(words[0])
+        if check is not None and (why := check(words if check is check_setting else words[1:])):
+            wrong[page.name, span] = why
+    assert wrong == {}
+
+
+def test_every_block_is_of_a_kind_that_is_checked():
+    checked = {"viewnet", "torchrun", "papermill", "python", "make", *FOREIGN}
+    for page, block in BLOCKS:
+        assert block.language in ("", "text", "python", "bibtex"), page.name
+        if is_commands(block):
+            assert {words[0] for words in commands(block.text)} <= checked, page.name
+    assert {"viewnet", "torchrun", "papermill", "python", "make"} <= {
+        words[0] for _, block in BLOCKS if is_commands(block) for words in commands(block.text)
+    }
+
+
+PYTHON = [pytest.param(b.text, id=f"{p.name}: {b.text.splitlines()[0]}") for p, b in BLOCKS if b.language == "python"]
+
+
+@pytest.mark.parametrize("source", PYTHON)
+@pytest.mark.slow
+def test_python_runs(source, world, monkeypatch, capsys):
+    monkeypatch.setenv("VIEWNET_PROFILE", "smoke")
+    monkeypatch.setattr("viewnet.experiments.request.ensure", lambda configs, *_: ensure(configs, 1, False, STEPS))
+    monkeypatch.setattr("viewnet.training.run_store.default_steps", lambda: STEPS)
+    monkeypatch.setattr("viewnet.data.build.photo_views", lambda *_, **__: photographs(world))
+    monkeypatch.setattr("viewnet.data.photo_store.summary", lambda store: f"{len(store)} photographs")
+    names = {"my_network": lambda images: (images.mean((1, 2, 3)), np.zeros(len(images)))}
+    exec(compile(source, "example", "exec"), names)
+    assert len(names) > 2
+
+
+def strings(path: Path) -> set[str]:
+    """Every string of a Python file, whole, and every name in it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found.add(node.value)
+        for name in ("id", "attr", "name", "arg"):
+            found.add(getattr(node, name, None))
+    return found
+
+
+@functools.cache
+def package() -> set[str]:
+    """What the package's modules are called and hold."""
+    modules = sorted((ROOT / "viewnet").rglob("*.py"))
+    return {path.stem for path in modules}.union(*(strings(path) for path in modules))
+
+
+@functools.cache
+def beside() -> set[str]:
+    """What tests and benchmarks hold."""
+    return set().union(*(strings(path) for folder in ("tests", "benchmarks") for path in (ROOT / folder).glob("*.py")))
+
+
+VARIABLES = r"VIEWNET_[A-Z0-9]+(?:_[A-Z0-9]+)*"
+
+
+def test_environment_variables_are_read_and_those_that_are_read_are_told():
+    told = set().union(*(re.findall(VARIABLES, page.text) for page in PAGES))
+    weights = {torchvision_weights.variable(network) for network in catalogue.NETWORKS}
+    assert told <= {name for name in package() | beside() if name} | weights
+    read = {name for name in package() if name and re.fullmatch(VARIABLES, name)}
+    assert {"VIEWNET_ROOT", "VIEWNET_RENDERER", "VIEWNET_TENSORBOARD"} <= read
+    assert read <= told
+
+
+def test_names_of_the_package_exist():
+    names = {(page.name, span) for page, span in SPANS if re.match(r"viewnet(\.\w+)+", span)}
+    assert len(names) > 5
+    for page, span in sorted(names):
+        parts = re.match(r"viewnet(?:\.\w+)+", span)[0].split(".")
+        found = importlib.import_module("viewnet")
+        for end, part in enumerate(parts[1:], 2):
+            if not hasattr(found, part):
+                importlib.import_module(".".join(parts[:end]))
+            found = getattr(found, part)
+            assert found is not None, (page, span)
+
+
+def test_files_exist():
+    folders = ("viewnet", "tests", "docs", "benchmarks", "notebooks", "paper_tables")
+    names = [(page, span) for page, span in SPANS if re.fullmatch(rf"({'|'.join(folders)})/[\w./{{}},-]*", span)]
+    assert len(names) > 10
+    for page, span in names:
+        start, braces, rest = span.partition("{")
+        endings, _, _ = rest.partition("}")
+        for ending in endings.split(",") if braces else [""]:
+            assert (ROOT / f"{start}{ending}").exists(), (page.name, span)
+
+
+def test_settings_and_other_identifiers_exist():
+    """docs/decisions.md promises that what is in code there can be set."""
+    asked = FIELDS | PARAMETERS | CHOICES
+    wrong = set()
+    for page, span in SPANS:
+        if not re.fullmatch(r"[a-z]\w*", span) or re.fullmatch(COLUMN, span) or page.name == HISTORY:
+            continue
+        known = asked if page.name == "docs/decisions.md" else asked | package()
+        if span not in known and ("_" in span or page.name == "docs/decisions.md"):
+            wrong.add((page.name, span))
+    assert wrong == set()
+
+
+@pytest.mark.parametrize(
+    ("check", "words"),
+    [
+        (check_viewnet, ["predicts"]),
+        (check_viewnet, ["bench", "--accuracy"]),
+        (check_make, ["table9"]),
+        (check_make, ["COLOUR=red", "test"]),
+        (check_torchrun, ["--processes", "4"]),
+        (check_pip, ["install", "viewnet[hubs]"]),
+        (check_program, ["benchmarks/nothing.py"]),
+        (check_program, ["benchmarks/fuzz.py", "--casts", "3"]),
+        (check_setting, ["-p", "sede", "3"]),
+        (check_setting, ["-s", "epoch=3"]),
+    ],
+)
+def test_what_is_wrong_is_found(check, words):
+    assert check(words)
+
+
+def test_commands_are_taken_from_blocks_as_a_shell_would():
+    text = "a b \\\n  c  # and so on\n\npython -c \"x = 1\ny\" &\n# nothing\nd 'e f'"
+    assert commands(text) == [["a", "b", "c"], ["python", "-c", "x = 1\ny"], ["d", "e f"]]

@@ -1,0 +1,404 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from helpers.boxes import box_store
+from helpers.drawn_models import finished_run, untrained_drawer
+from PIL import Image
+from test_run_renderer import turned
+
+from viewnet.config import VideoConfig, make_config
+from viewnet.data.crop import Crop, bounds, cut
+from viewnet.data.photo_store import Listed, photo_store
+from viewnet.errors import ViewnetError
+from viewnet.estimator import turntable, volume_mesh
+from viewnet.estimator.inputs import Given, opened
+from viewnet.estimator.preprocess import HIDDEN, Framing, batches, viewed
+from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
+from viewnet.evaluation.predict import predict
+from viewnet.geometry import look_at
+from viewnet.model import rendering
+
+SQUARE = {"crop": "square"}
+STRETCHED = {"recipe": "photos", "backgrounds": None}
+PHOTOS = {"recipe": "photos"}
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return box_store(tmp_path_factory.mktemp("estimator") / "views", {"val": 3, "test": 3}, views=3)
+
+
+@pytest.fixture(scope="module")
+def pictures(store):
+    """Its test views (9, 32, 32, 4)."""
+    return np.asarray(store.images[store.split("test")])
+
+
+def estimator_of(drawer) -> ViewpointEstimator:
+    return ViewpointEstimator(drawer.network, drawer.config, drawer.aligned.alignment.rotation)
+
+
+def untrained(in_plane: bool = False, rotation: np.ndarray | None = None, **overrides: object) -> ViewpointEstimator:
+    """Of a network of the profile smoke."""
+    config = make_config(profile="smoke", in_plane=in_plane, **overrides)
+    torch.manual_seed(0)
+    return ViewpointEstimator(rendering.ViewNet(config.model).eval(), config, rotation)
+
+
+def photograph(width: int = 90, height: int = 60, seed: int = 0) -> np.ndarray:
+    """Smooth colours, brighter to the right and below."""
+    rng = np.random.default_rng(seed)
+    small = Image.fromarray(rng.integers(60, 220, (6, 9, 3), dtype=np.uint8))
+    return np.asarray(small.resize((width, height), Image.Resampling.BICUBIC))
+
+
+def same(one, other, tolerance: float = 1e-6) -> bool:
+    return np.allclose(one.hypotheses, other.hypotheses, atol=tolerance) and np.allclose(
+        one.probabilities, other.probabilities, atol=tolerance
+    )
+
+
+@pytest.mark.parametrize("overrides", [{}, SQUARE, STRETCHED], ids=["whole", "square", "stretched"])
+def test_views_get_the_answers_that_runs_are_scored_by(store, pictures, overrides):
+    drawer = untrained_drawer(store, **overrides)
+    said = estimator_of(drawer).predict(pictures)
+    assert np.allclose(said.hypotheses, drawer.aligned.hypotheses, atol=1e-6)
+    assert np.array_equal(said.choice, drawer.aligned.predictions.choice)
+    assert np.allclose(said.vector, drawer.aligned.selected, atol=1e-6)
+    logits = torch.tensor(drawer.aligned.predictions.logits)
+    assert np.allclose(said.probabilities, logits.softmax(1))
+
+
+def test_photographs_get_the_answers_that_they_are_scored_by(tmp_path):
+    boxes = [(5, 8, 70, 41), (-3, 10, 40, 80), (30.5, 2, 61, 59)]
+    listed, files = [], []
+    for number, split in enumerate(("val", "test", "test")):
+        files.append(tmp_path / "images" / f"{number}.png")
+        files[-1].parent.mkdir(exist_ok=True)
+        Image.fromarray(photograph(seed=number)).save(files[-1])
+        listed.append(Listed(str(number), "car", split, files[-1], boxes[number], 0.0, 0.0))
+    for overrides in (PHOTOS, SQUARE):
+        estimator = untrained(**overrides)
+        crop = Crop(64, square=overrides is SQUARE)
+        photos = photo_store(listed, tmp_path / f"store-{crop.square}", crop, {"made": str(crop)}, tmp_path)
+        scored = predict(estimator.network, photos)
+        assert np.allclose(estimator.predict(files, boxes=boxes).hypotheses, scored.hypotheses, atol=1e-6)
+
+
+def test_whatever_a_picture_comes_as_it_is_the_same_picture(tmp_path):
+    estimator, array = untrained(**PHOTOS), photograph()
+    tensor = torch.tensor(array).movedim(-1, 0)
+    Image.fromarray(array).save(tmp_path / "a.png")
+    rotated = Image.fromarray(array).transpose(Image.Transpose.ROTATE_90)
+    exif = Image.Exif()
+    exif[0x0112] = 6  # the camera was held so that the file has to be turned by 90 degrees clockwise
+    rotated.save(tmp_path / "turned.png", exif=exif)
+    expected = estimator.predict(array)
+    for image in (
+        Image.fromarray(array),
+        str(tmp_path / "a.png"),
+        tmp_path / "a.png",
+        tmp_path / "turned.png",
+        array / 255,
+        (array / 255).astype(np.float32),
+        tensor,
+        tensor.double() / 255,
+        np.dstack([array, np.full(array.shape[:2], 255, np.uint8)]),
+    ):
+        assert same(estimator.predict(image), expected)
+    both = [array, array[:, ::-1]]
+    several = estimator.predict(both)
+    assert same(several[:1], expected)
+    assert not same(several[1:], expected)
+    stacked = np.stack(both)
+    for images in (stacked, stacked / 255, torch.tensor(stacked).movedim(-1, 1), [Image.fromarray(a) for a in both]):
+        assert same(estimator.predict(images, batch_size=1), several)
+
+
+def test_grey_pictures_are_pictures():
+    estimator, grey = untrained(**PHOTOS), photograph()[..., 0]
+    expected = estimator.predict(np.dstack([grey] * 3))
+    for image in (grey, grey[..., None], Image.fromarray(grey), torch.tensor(grey)[None]):
+        assert same(estimator.predict(image), expected)
+
+
+@pytest.mark.parametrize("overrides", [{}, PHOTOS, SQUARE])
+def test_pictures_that_are_ready_are_not_cut(overrides):
+    estimator = untrained(**overrides)
+    ready = np.stack([photograph(32, 32, seed) // 20 for seed in range(3)])
+    at_once, one_by_one = estimator.predict(ready), estimator.predict(list(ready))
+    assert same(at_once, one_by_one)
+    assert same(estimator.predict(torch.tensor(ready / 255).movedim(-1, 1)), one_by_one)
+    assert same(estimator.predict((ready / 255).astype(">f4")), one_by_one)
+    backwards = ready[::-1]
+    backwards.flags.writeable = False
+    assert same(estimator.predict(backwards), one_by_one[::-1])
+
+
+def seen(estimator: ViewpointEstimator, images, masks=None) -> torch.Tensor:
+    """What the viewpoint network sees of pictures that make one batch."""
+    (found,) = batches(images, masks, None, estimator.framing, estimator.device, 99)
+    return found.seen
+
+
+def placed(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A view (S, S, 4) twice as large, off the centre of a larger picture; and its mask."""
+    large = np.asarray(Image.fromarray(picture).resize((64, 64), Image.Resampling.BICUBIC))
+    canvas = np.zeros((120, 200, 4), np.uint8)
+    canvas[50:114, 20:84] = large
+    return canvas[..., :3].copy(), canvas[..., 3]
+
+
+@pytest.mark.parametrize("overrides", [SQUARE, STRETCHED])
+def test_a_masked_object_is_seen_as_in_training_wherever_it_is(pictures, overrides):
+    estimator = untrained(**overrides)
+    found = [placed(picture) for picture in pictures]
+    images, masks = [image for image, _ in found], [mask for _, mask in found]
+    cut_out, whole = seen(estimator, images, masks), seen(estimator, list(pictures))
+    apart = (cut_out[:, None] - whole[None]).abs().flatten(2).mean(2)
+    assert torch.equal(apart.argmin(1), torch.arange(len(pictures)))
+    assert apart.diagonal().mean() < apart.mean() / 3
+    # Transparency is a mask, and so is any array that says where the object is.
+    transparent = [np.dstack(both) for both in found]
+    expected = estimator.predict(images, masks)
+    assert same(estimator.predict(transparent), expected)
+    solid = estimator.predict(images, [mask > 127 for mask in masks])
+    for kind in ([Image.fromarray(mask > 127) for mask in masks], [(mask > 127).astype(np.uint8) for mask in masks]):
+        assert same(estimator.predict(images, kind), solid)
+
+
+def test_what_is_beside_a_mask_is_seen_by_those_who_always_saw_something(pictures):
+    image, mask = placed(pictures[0])
+    other = np.where(mask[..., None] > 0, image, 200).astype(np.uint8)
+    black, photos = untrained(), untrained(**PHOTOS)
+    assert (seen(photos, [image], mask) - seen(photos, [other], mask)).abs().max() > 0.5
+    assert (seen(black, [image], mask) - seen(black, [other], mask)).abs().max() == 0
+    assert same(photos.predict(other, mask), photos.predict(other, boxes=bounds(mask)))
+    # What is transparent has no colour of its own.
+    clear = np.dstack([other, np.where(mask > 127, 255, 0).astype(np.uint8)])
+    solid = np.where(mask[..., None] > 127, image, HIDDEN).astype(np.uint8)
+    assert same(photos.predict(clear), photos.predict(solid, mask))
+
+
+def test_of_a_mask_what_lies_in_the_box_is_the_object():
+    mask = np.zeros((60, 90), np.uint8)
+    mask[10:30, 5:25] = mask[20:50, 60:80] = 255
+    alone = mask.copy()
+    alone[:, 30:] = 0
+    found = opened(photograph(), mask, (4.0, 9.0, 26.0, 31.0))
+    assert np.array_equal(found.mask, alone)
+    assert found.box == (5, 10, 25, 30)
+
+
+def test_filmed_objects_are_cut_out_as_frames_were():
+    video = VideoConfig("car", size=48, margin=0.1)
+    mask = np.zeros((60, 90), np.uint8)
+    mask[10:30, 20:60] = 255
+    given = Given(Image.fromarray(photograph()), mask, bounds(mask))
+    framing = Framing.of(make_config(profile="smoke", video=video))
+    assert np.array_equal(viewed(given, framing).pixels, cut(given.picture, given.box, Crop(48, 0.1), mask))
+    # Without masks in training there were none: frames were seen as they are, and so is the picture.
+    framing = Framing.of(make_config(profile="smoke", video=replace(video, masks="none"), crop="square"))
+    assert np.array_equal(viewed(given, framing).pixels, cut(given.picture, given.box, Crop(64, 0.1)))
+
+
+def test_pictures_unlike_those_of_training_are_named(caplog):
+    bright, dark = photograph(), photograph() // 30
+    untrained(**SQUARE).predict([dark, bright])
+    untrained(**SQUARE).predict([dark, bright], [np.ones((60, 90), bool)] * 2)
+    untrained(**PHOTOS).predict(bright)
+    assert [record.message.partition(" is not")[0] for record in caplog.records] == ["picture 1"]
+
+
+def test_networks_that_see_whole_views_say_so_of_what_is_cut(caplog):
+    dark, box = photograph() // 30, (5, 5, 50, 50)
+    untrained().predict(dark)
+    untrained(video=VideoConfig("car")).predict(dark, boxes=box)
+    untrained(**SQUARE).predict(dark, boxes=box)
+    assert not caplog.records
+    untrained().predict([dark, dark], boxes=[box, None], batch_size=1)
+    assert [record.message.partition(":")[0] for record in caplog.records] == [
+        "the network knows whole views as a rendering camera frames them"
+    ]
+
+
+def test_viewpoints_are_rows(store, pictures):
+    said = estimator_of(untrained_drawer(store)).predict(pictures)
+    assert len(said) == 9
+    assert [one.azimuth for one in said] == said.azimuth.tolist()
+    assert said[4].hypotheses.shape == (3, 3)
+    assert isinstance(said[4].choice, int)
+    assert np.array_equal(said[-1].vector, said.vector[8])
+    assert np.array_equal(said[[2, 0]].elevation, said.elevation[[2, 0]])
+    assert len(said[said.azimuth < -1]) == 0
+    frame = said.to_frame()
+    assert frame.shape == (9, 4 + 3 * 3)
+    chosen = frame.to_numpy()[np.arange(9), 4 + 3 * said.choice]
+    assert np.allclose(chosen, frame["azimuth"])
+    assert np.allclose(said.probabilities.sum(1), 1)
+    assert np.array_equal(said.confidence, said.probabilities.max(1))
+    assert np.allclose(said.frame, look_at(torch.tensor(said.vector)).numpy())
+    assert repr(said).splitlines()[0] == "9 viewpoints in the annotated frame"
+    assert f"{said.azimuth[3]:.1f}°" in repr(said).splitlines()[5]
+    assert repr(said[[0] * 20]).splitlines()[-1] == "  and 8 more"
+
+
+def test_in_plane_rotation_is_in_the_frames(pictures):
+    rotation = turned(50)
+    own, there = untrained(True).predict(pictures), untrained(True, rotation).predict(pictures)
+    assert not np.allclose(own.frame, look_at(torch.tensor(own.vector)).numpy(), atol=1e-2)
+    assert np.allclose(there.frame, rotation @ own.frame, atol=1e-6)
+    assert np.allclose((there.azimuth - own.azimuth) % 360, 50, atol=1e-4)
+
+
+def test_without_alignment_the_frame_is_the_network_s(pictures):
+    estimator = untrained()
+    said = estimator.predict(pictures)
+    assert not estimator.aligned
+    assert not said.aligned
+    assert not said[0].aligned
+    assert "own frame: not aligned" in repr(estimator)
+    assert "own frame: not aligned" in repr(said)
+    with torch.no_grad():
+        seen = torch.tensor(pictures).movedim(-1, 1).float() / 255
+        seen[:, :3] *= seen[:, 3:]
+        found = estimator.network.viewpoint(estimator.network.see(seen))
+    assert np.allclose(said.hypotheses, found.vectors, atol=1e-2)
+
+
+def test_volumes_and_meshes_are_those_of_the_run(store, pictures):
+    drawer = untrained_drawer(store)
+    estimator = estimator_of(drawer)
+    volume = drawer.imagine([4]).shape[0]
+    assert torch.allclose(estimator.volume(pictures[4]), volume, atol=1e-4)
+    expected = volume_mesh.surface(volume, drawer.rotation, 0.3)
+    mesh = estimator.mesh(pictures[4], level=0.3)
+    assert np.allclose(mesh.bounds, expected.bounds, atol=1e-3)
+    assert mesh.is_watertight
+    hologan = estimator_of(untrained_drawer(store, variant="hologan_decoder"))
+    for ask in (hologan.volume, hologan.mesh):
+        with pytest.raises(ViewnetError, match="HoloGAN decoder has no volume"):
+            ask(pictures[4])
+    assert hologan.reconstruct(pictures[:2]).shape == (2, 16, 16, 3)
+
+
+def test_reconstructions_are_those_of_the_run(store, pictures):
+    drawer = untrained_drawer(store)
+    found = estimator_of(drawer).reconstruct(pictures, size=24)
+    expected = drawer.painted(drawer.reconstruct(list(range(9)), 24))
+    assert np.abs(found.astype(int) - expected).max() <= 1
+
+
+def test_photographs_are_drawn_cut_to_their_object():
+    drawn = untrained(**PHOTOS).reconstruct([photograph(seed=seed) for seed in range(2)])
+    assert (drawn.min(-1) < 250).any(2).sum(1).min() >= drawn.shape[1] - 2
+
+
+def test_appearance_is_the_object_s_alone_before_what_is_there():
+    estimator = untrained(**PHOTOS)
+    mask = np.zeros((60, 90), bool)
+    mask[10:50, 20:70] = True
+    mask[10:20, 20:30] = False
+    (shown,) = batches(photograph(), mask, None, estimator.framing, estimator.device, 1)
+    assert torch.allclose(shown.object[:, 3].mean(), torch.tensor(0.95), atol=0.01)
+    assert torch.allclose(estimator.network.see(shown.object, shown.behind), shown.seen[:, :3], atol=0.005)
+
+
+def test_the_view_from_the_predicted_viewpoint_is_the_reconstruction(store, pictures):
+    estimator = estimator_of(untrained_drawer(store, turned(70)))
+    said = estimator.predict(pictures)
+    again = estimator.novel_view(pictures, said.azimuth, said.elevation, size=24)
+    assert np.abs(again.astype(int) - estimator.reconstruct(pictures, size=24)).max() <= 2
+    other = estimator.novel_view(pictures, 10, 20, size=24)
+    assert np.abs(again.astype(int) - other).max() > 20
+    for azimuth in ([1.0, 2.0], np.nan):
+        with pytest.raises(ViewnetError, match=r"azimuth .*: expected degrees, one number or 9"):
+            estimator.novel_view(pictures, azimuth, 0)
+
+
+def test_turntables_are_those_of_the_run(store, pictures, tmp_path):
+    drawer = untrained_drawer(store)
+    frames = estimator_of(drawer).turntable(pictures[5], tmp_path / "a.gif", steps=5, hold=0, size=64)
+    expected = turntable.turntable(drawer, 5, steps=5, hold=0, size=64)
+    assert len(frames) == len(expected) == 5
+    assert max(np.abs(one.astype(int) - other).max() for one, other in zip(frames, expected, strict=True)) <= 2
+    with Image.open(tmp_path / "a.gif") as back:
+        assert back.n_frames == 5
+    with pytest.raises(ViewnetError, match=r"a\.webm: unknown kind of animation"):
+        untrained().turntable(pictures[5], tmp_path / "a.webm")
+    with pytest.raises(ViewnetError, match="9 pictures: expected one"):
+        untrained().turntable(pictures)
+    with pytest.raises(ViewnetError, match="steps 0"):
+        untrained().turntable(pictures[5], steps=0)
+
+
+@pytest.mark.parametrize(
+    ("image", "given", "message"),
+    [
+        ([], {}, "pictures: none were given"),
+        (7, {}, "pictures: got int"),
+        ([7], {}, "picture 0: got int: expected a PIL picture"),
+        (np.zeros((4, 5, 2), np.uint8), {}, r"picture 0: picture is \(4, 5, 2\): expected \(H, W\)"),
+        (torch.zeros(5, 4, 3), {}, r"picture is \(5, 4, 3\): expected .*\(3, H, W\)"),
+        (np.zeros((0, 5, 3), np.uint8), {}, r"picture is \(0, 5, 3\)"),
+        (np.zeros((4, 5, 3), np.int64), {}, "picture is of int64: expected uint8"),
+        (np.full((4, 5, 3), 2.0), {}, "values from 2 to 2: expected 0 to 1"),
+        (np.full((4, 5, 3), np.nan), {}, "values from nan to nan"),
+        (np.full((2, 32, 32, 3), np.nan), {}, "pictures have values from nan"),
+        (np.zeros((2, 32, 32, 3), np.int32), {}, "picture 0: picture is of int32"),
+        (torch.zeros(2, 3, 32, 32, dtype=torch.int32), {}, "pictures are of torch.int32"),
+        (photograph(), {"masks": np.zeros((60, 90), bool)}, "picture 0: mask is empty"),
+        (photograph(), {"masks": np.ones((90, 60), bool)}, "mask is 60 x 90, its picture 90 x 60"),
+        (photograph(), {"masks": [None, None]}, "masks: 2 for 1 pictures"),
+        (photograph(), {"masks": [np.zeros((2, 2, 2))]}, r"mask is \(2, 2, 2\): expected \(H, W\)"),
+        (photograph(), {"masks": "nowhere.png"}, "no such mask nowhere.png"),
+        (photograph(), {"boxes": (5, 5, 5, 9)}, r"box .* x0 below x1"),
+        (photograph(), {"boxes": [(1, 2, 3)]}, r"box \(1, 2, 3\): expected four numbers"),
+        (photograph(), {"boxes": [(1, 2, 3, 4)] * 2}, "boxes: 2 for 1 pictures"),
+        ([photograph()] * 2, {"boxes": [None, (200, 0, 210, 5)]}, "picture 1: box has no part in the picture"),
+        (photograph(), {"batch_size": 0}, "batch_size 0: expected"),
+        (np.zeros((8, 8, 4), np.uint8), {}, "picture 0: mask is empty"),
+    ],
+)
+def test_what_is_no_picture_is_said(image, given, message):
+    with pytest.raises(ViewnetError, match=message):
+        untrained().predict(image, **given)
+
+
+def test_files_that_are_no_pictures_are_named(tmp_path):
+    (tmp_path / "text.jpg").write_text("no picture")
+    for name, message in (("text.jpg", "picture does not decode"), ("missing.jpg", "no such picture")):
+        with pytest.raises(ViewnetError, match=rf"{name}: {message}"):
+            untrained().predict(tmp_path / name)
+
+
+FRESH = """
+import json, sys
+from viewnet.estimator import ViewpointEstimator
+print(ViewpointEstimator.from_pretrained(sys.argv[1], device="cpu").predict(sys.argv[2]).azimuth[0])
+print(json.dumps(sorted(sys.modules)))
+"""
+
+
+def test_one_answer_needs_no_heavy_library(store, tmp_path):
+    run = finished_run(tmp_path / "run", store)
+    picture = tmp_path / "a.png"
+    Image.fromarray(photograph() // 30).save(picture)
+    root = Path(__file__).resolve().parents[2]
+    environment = os.environ | {"PYTHONPATH": str(root), "HF_HUB_OFFLINE": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", FRESH, run.folder, picture], env=environment, capture_output=True, text=True, check=True
+    )
+    azimuth, modules = done.stdout.splitlines()
+    assert float(azimuth) == pytest.approx(ViewpointEstimator.from_pretrained(run.folder).predict(picture).azimuth[0])
+    heavy = {"pandas", "scipy", "matplotlib", "trimesh", "numba", "skimage", "torchvision", "av", "huggingface_hub"}
+    assert heavy & set(json.loads(modules)) == set()

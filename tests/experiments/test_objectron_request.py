@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from helpers.fake_steps import STEPS, calls
+from helpers.photo_data import keep_apart, make_photos
+
+from viewnet.config import PhotoConfig, VideoConfig
+from viewnet.data.store import ViewStore
+from viewnet.errors import ViewnetError
+from viewnet.experiments.objectron import ObjectronExperiment
+from viewnet.experiments.request import accepted, experiment
+
+ROWS = ("Constant", "ShapeNet", "+ Objectron, supervised masks", "+ Objectron, weak masks")
+ALIGNED = {row: (f"{row}*", row, f"{row} (robust)") for row in ROWS[1:]}
+
+
+@pytest.fixture(autouse=True)
+def folders(tmp_path, monkeypatch):
+    return keep_apart(tmp_path, monkeypatch)
+
+
+@pytest.fixture
+def fakes(tmp_path, monkeypatch):
+    """Trainings, videos and photographs that are made up in a moment."""
+
+    def photo_views(config, workers=None, progress=True):
+        folder = tmp_path / "photos"
+        return ViewStore.open(folder) if folder.exists() else make_photos(folder, category="chair", size=32)
+
+    monkeypatch.setattr("viewnet.data.build.photo_views", photo_views)
+    monkeypatch.setattr("viewnet.data.build.video_views", lambda video, workers, progress: video)
+    monkeypatch.setattr("viewnet.data.clip_store.summary", lambda video: f"cut out by {video.mask_folder}/")
+    monkeypatch.setattr("viewnet.data.photo_store.summary", lambda store: f"{len(store)} photographs")
+    monkeypatch.setattr("viewnet.model.checkpoint.identity", lambda start: Path(start).name)
+    monkeypatch.setattr("viewnet.training.run_store.default_steps", lambda: STEPS)
+
+
+def test_defaults_start_on_models_and_go_on_to_ten_frames_a_video_with_either_masks():
+    asked = experiment("objectron")
+    assert isinstance(asked, ObjectronExperiment)
+    assert (asked.profile, asked.recipe, asked.label, asked.categories) == ("tiny", "photos", "", ("chair",))
+    begun, supervised, weak = asked.configs
+    assert begun.data.video is None and begun.train.start is None and begun.train.search > 0
+    video = VideoConfig("chair", kind="objectron", count=10, videos=160, frames=30)
+    assert (supervised.data.video, supervised.train.search) == (video, 0)
+    assert weak.data.video.mask_folder == "masks_weak" and weak.model == supervised.model == begun.model
+    assert asked.photo_config("chair") == PhotoConfig("chair", size=32, square=False)
+    assert asked.note.startswith(
+        "a stand-in for photographs; trained on built-in models, then on a stand-in for Objectron, profile tiny"
+    )
+
+
+def test_of_objectron_itself_weak_masks_are_used_where_they_are_named(tmp_path):
+    root = str(tmp_path)
+    plain = experiment("objectron", video_root=root, masks="deeplabv3", cad_root=root)
+    assert [config.data.video and config.data.video.masks for config in plain.configs] == [None, "deeplabv3"]
+    assert plain.configs[0].data.root == root and "a CAD collection, then on Objectron" in plain.note
+    assert plain.unasked == ALIGNED[ROWS[3]]
+    both = experiment("objectron", video_root=root, masks="deeplabv3", weak_masks="elsewhere")
+    weak = both.configs[2].data.video
+    assert (weak.masks, weak.mask_folder, weak.count) == ("files", "elsewhere", 10)
+    assert both.unasked == ()
+
+
+def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
+    root = {"video_root": str(tmp_path)}
+    options = [
+        {"profile": "smoke"}, {"category": "bottle"}, root, root | {"weak_masks": "weak"}, {"data_root": str(tmp_path)},
+        {"cad_root": str(tmp_path)}, {"masks": "maskrcnn"}, {"backgrounds": str(tmp_path)}, {"recipe": "matting"},
+    ]  # fmt: skip
+    labels = [experiment("objectron", **option).label for option in options]
+    assert len({"", *labels}) == len(options) + 1
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"category": "car"}, "unknown category 'car': choose one of bicycle, bottle, chair"),
+        ({"masks": "none"}, "unknown masks 'none': choose one of files, alpha, maskrcnn, deeplabv3"),
+        ({"weak_masks": "weak"}, "weak_masks weak: the stand-in has masks of its own"),
+        ({"video_root": "nowhere"}, "video_root nowhere: no such folder"),
+        ({"categories": "chair"}, "objectron takes no categories"),
+        ({"start": "shapenet"}, "unknown parameter of objectron 'start'"),
+    ],
+)
+def test_bad_parameters_are_named(option, message):
+    with pytest.raises(ViewnetError, match=message):
+        experiment("objectron", **option)
+    assert "weak_masks" in accepted("objectron") and "weak_masks" not in accepted("table4_freiburg")
+
+
+@pytest.mark.slow
+def test_every_training_has_its_row_beside_what_is_printed(fakes, folders, tmp_path):
+    asked = experiment("objectron", profile="smoke", seeds=2, workers=1)
+    runs = asked.run(progress=False)
+    assert len(runs) == len(asked.configs) == len(calls(folders)) == 6
+    table = asked.table(runs)
+    assert all(table.checks().values()), table.checks()
+    assert table.rows == (ROWS[0], *ALIGNED[ROWS[1]], *ALIGNED[ROWS[2]], *ALIGNED[ROWS[3]])
+    assert [table.cell(row, "chair", "acc30")["printed"] for row in ROWS] == ["", "83", "91", "89"]
+    assert [table.cell(row, "chair", "median")["printed"] for row in ROWS] == ["", "", "8.8", "10.1"]
+    for row, mine in zip(ROWS[1:], (runs[:2], runs[2:4], runs[4:]), strict=True):
+        for label in ALIGNED[row]:
+            cell = table.cell(label, "chair", "acc30")
+            assert cell["seeds"] == 2
+            assert {key.partition("/")[0] for key in cell["runs"].split()} == {run.key for run in mine}
+    masks = [run.config.data.video and run.config.data.video.mask_folder for run in runs]
+    assert masks == [None, None, "masks", "masks", "masks_weak", "masks_weak"]
+
+
+@pytest.mark.slow
+def test_without_weak_masks_their_row_is_left_as_printed(fakes, tmp_path):
+    root = tmp_path / "objectron"
+    root.mkdir()
+    asked = experiment("objectron", profile="smoke", video_root=str(root), workers=1)
+    table = asked.table(asked.run(progress=False))
+    assert all(table.checks().values()), table.checks()
+    cell = table.cell(ROWS[3], "chair", "acc30")
+    assert (cell["printed"], cell["seeds"]) == ("89", 0)
+    assert any("supervised masks (files in masks): cut out by masks/" in line for line in table.remarks)
+    assert not any("weak masks" in line for line in table.remarks)

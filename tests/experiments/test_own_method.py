@@ -1,0 +1,433 @@
+"""Methods of a reader's own in the tables: scored as ours are, given nothing but pictures, and held to account."""
+
+from __future__ import annotations
+
+import json
+import sys
+import types
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from helpers.evaluation_data import make_index, noisy
+from helpers.fake_steps import STEPS
+from helpers.photo_data import keep_apart, make_photos
+from test_tables import assert_tabular
+
+from viewnet.config import CATEGORIES
+from viewnet.data.pairs import load_views
+from viewnet.data.store import ViewStore, write_store
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.evaluate import align
+from viewnet.evaluation.predictions import Predictions, true_vectors
+from viewnet.experiments import own_method
+from viewnet.experiments.own_method import Submission, angles, held_out, predictions, view_vectors, with_methods
+from viewnet.experiments.own_method_request import MethodExperiment
+from viewnet.experiments.request import accepted, experiment
+from viewnet.tables.published import DASH
+from viewnet.tables.table import Entry, Table
+from viewnet.training.run_store import ensure, on_photographs
+
+SCORES = ("measured", "low", "high", "images", "objects")
+
+
+class Brightest:
+    """Where the bright square of viewnet's made-up photographs stands, in a frame a quarter turn off."""
+
+    def predict(self, images):
+        rows, columns = np.indices(images.shape[1:3]) - images.shape[1] / 2 + 0.5
+        bright = images[..., 0] > 100
+        turn = np.degrees(np.arctan2((bright * rows).sum((1, 2)), (bright * columns).sum((1, 2))))
+        return view_vectors(turn + 90, np.zeros(len(images)))
+
+
+class Nearest:
+    """The viewpoint of the calibration image with the least difference; keeps what it is given."""
+
+    def __init__(self):
+        self.fits, self.shown = [], []
+
+    def fit(self, images, vectors):
+        self.fits.append((images, vectors))
+
+    def predict(self, images):
+        self.shown.append(images)
+        known, vectors = self.fits[-1]
+        away = [np.abs(known.astype(float) - image).sum((1, 2, 3)).argmin() for image in images]
+        return vectors[away]
+
+
+class Says:
+    """Whatever it is told to."""
+
+    def __init__(self, said):
+        self.said = said
+
+    def predict(self, images):
+        return self.said(len(images))
+
+
+def straight(count):
+    return np.tile([1.0, 0.0, 0.0], (count, 1))
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """Where runs are kept: no test changes one."""
+    return tmp_path_factory.mktemp("runs")
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path, monkeypatch, trained):
+    keep_apart(tmp_path, monkeypatch)
+    monkeypatch.setenv("VIEWNET_RUNS", str(trained))
+    monkeypatch.setattr("viewnet.training.run_store.default_steps", lambda: STEPS)
+
+
+@pytest.fixture
+def photographs(tmp_path, monkeypatch):
+    """Photographs that are made up in a moment, 40 to calibrate on and 40 to score in each category."""
+
+    def views(config, workers=None, progress=True):
+        folder = tmp_path / "photos" / config.category
+        if folder.exists():
+            return ViewStore.open(folder)
+        return make_photos(folder, category=config.category, seed=CATEGORIES.index(config.category))
+
+    monkeypatch.setattr("viewnet.data.build.photo_views", views)
+    monkeypatch.setitem(
+        sys.modules, "viewnet.data.photo_store", types.SimpleNamespace(summary=lambda store: "all used")
+    )
+
+
+@pytest.fixture
+def drawn(tmp_path, monkeypatch):
+    """Views with what is transparent in them, indexed as those that the made-up runs are trained on."""
+
+    def views(config, workers=None, progress=True):
+        other = "other-" if config.root else ""
+        folder = tmp_path / "drawn" / f"{other}{config.category}"
+        if folder.exists():
+            return ViewStore.open(folder)
+        index = make_index(30, 4, config.category, seed=config.seed).assign(source="made up")
+        index["model_id"] = other + index["model_id"]
+        images = np.random.default_rng(7).integers(0, 256, (len(index), 16, 16, 4), dtype=np.uint8)
+        return write_store(folder, [images], index, {"made up": folder.name})
+
+    monkeypatch.setattr("viewnet.data.build.view_store", views)
+
+
+def finished(asked):
+    return ensure(asked.configs, workers=1, progress=False, steps=STEPS)
+
+
+def of_cars(name="table3_pascal3d", **options):
+    return experiment(name, profile="smoke", categories="car", **options)
+
+
+def on_cars(name="table3_pascal3d", **options):
+    asked = of_cars(name, **options)
+    return asked, finished(asked)
+
+
+def alone(name, *submissions):
+    """The table of cars with nothing measured but these."""
+    return Table.of(name, [], ["car"], added=own_method.entries(of_cars(name), submissions))
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+@pytest.mark.slow
+def test_the_same_predictions_score_the_same_as_ours_to_the_last_bit(photographs, tmp_path, suffix):
+    asked, runs = on_cars(calibration=30)
+    ours = on_photographs(next(run for run in runs if run.config.variant == "viewnet"), held_store(asked))
+    file = tmp_path / f"said{suffix}"
+    ours.to_parquet(file)
+    if suffix == ".csv":
+        pd.read_parquet(file).sample(frac=1, random_state=0).to_csv(file, index=False)
+    kinds = {"ViewNet": "procrustes", "ViewNet*": "linear", "ViewNet (robust)": "robust"}
+    table = with_methods(asked, runs, [Submission(f"By file, {kind}", file, kind) for kind in kinds.values()])
+    for row, kind in kinds.items():
+        for metric in ("acc30", "median"):
+            mine, theirs = (table.cell(r, "car", metric) for r in (f"By file, {kind}", row))
+            assert [mine[s] for s in SCORES] == [theirs[s] for s in SCORES]
+    assert table.rows[-3:] == tuple(f"By file, {kind}" for kind in kinds.values())
+    assert all(table.checks().values()), table.checks()
+
+
+def held_store(asked, category="car"):
+    return asked.stores()[category]
+
+
+def test_table_1_scores_views_of_cad_models(drawn, tmp_path):
+    asked, runs = on_cars("table1_shapenet")
+    ours = next(run for run in runs if run.config.variant == "viewnet").predictions
+    ours.to_parquet(tmp_path / "said.parquet")
+    mine = [Submission("Straight", Says(straight), "none"), Submission("By file", tmp_path / "said.parquet")]
+    table = with_methods(asked, runs, mine)
+    for metric in ("acc30", "median"):
+        scores = [[table.cell(row, "car", metric)[s] for s in SCORES] for row in ("ViewNet", "By file")]
+        assert scores[0] == scores[1]
+    ids = held_out(asked, "car").ids
+    expected = np.median(
+        align(Predictions(ids, straight(len(ids))[:, None], np.zeros((len(ids), 1))), "none").selected_errors
+    )
+    assert table.cell("Straight", "car", "median")["measured"] == pytest.approx(expected)
+    assert_tabular(table.latex())
+    assert "Straight: added, by predict; alignment none" in table.latex()
+
+
+def test_another_collection_is_scored_as_a_whole(drawn, tmp_path):
+    asked, runs = on_cars("table1_shapenet", eval_root=str(tmp_path))
+    images = held_out(asked, "car")
+    assert images.ids["split"].value_counts().to_dict() == {"test": 120, "val": 32}
+    assert images.ids.loc[images.ids["split"] == "test", "model_id"].str.startswith("other-").all()
+    table = with_methods(asked, runs, [Submission("Straight", Says(straight))])
+    assert table.cell("Straight", "car", "acc30")["images"] == table.cell("ViewNet", "car", "acc30")["images"] == 120
+
+
+def test_a_method_without_labels_is_aligned(photographs):
+    table = alone("table3_pascal3d", Submission("As is", Brightest(), "none"), Submission("Turned", Brightest()))
+    assert table.cell("As is", "car", "acc30")["measured"] == 0
+    assert table.cell("Turned", "car", "acc30")["measured"] > 95
+
+
+def test_the_dva_table_has_its_row_too(photographs):
+    table = alone("table5_dva", Submission("Turned", Brightest()))
+    assert table.cell("Turned", "car", "dva")["measured"] > 95
+    assert table.cell("Turned", "car", "confidence_index") is None
+
+
+@pytest.mark.slow
+def test_rows_stand_in_everything_a_reader_sees(photographs, tmp_path):
+    asked, runs = on_cars()
+    mine = Submission("Mine^2 & 100 %", Brightest())
+    table = with_methods(asked, runs, [mine])
+    bare = asked.table(runs)
+    assert table.frame().drop("Mine^2 & 100 %").equals(bare.frame())
+    row = table.frame().loc["Mine^2 & 100 %"]
+    assert (row.xs("print", level=2) == DASH).all()
+    assert (row.xs("ours", level=2) != DASH).all()
+    assert ("Mine^2 & 100 %", "car") in table.measurements().index
+    assert "Mine^2 & 100 %" in table.differences().index
+    files = table.write(tmp_path / "written")
+    assert_tabular(files[0].read_text().replace(r"\textasciicircum{}", ""))
+    assert r"Mine\textasciicircum{}2 \& 100 \% & -- &" in files[0].read_text()
+    told = json.loads(files[2].read_text())
+    (cell,) = [c for c in told["cells"] if c["row"] == mine.label and c["metric"] == "acc30"]
+    assert cell["printed"] == "" and cell["measured"] > 95
+    (key,) = cell["runs"]
+    origin = told["runs"][key]
+    assert (origin["label"], origin["alignment"], origin["source"]) == (mine.label, "procrustes", "Brightest")
+    assert origin["images"] == held_store(asked).identity
+    assert origin["predictions"] == own_method.digest(predictions(asked, mine))
+    assert "Mine^2 & 100 %: added, by predict; alignment procrustes" in told["remarks"]
+
+
+def test_many_categories_have_the_row_in_one_line():
+    added = [Entry("Mine", c, 0, "procrustes", c, noisy(make_index(20, 2, c)), {}) for c in CATEGORIES[:5]]
+    text = Table.of("table3_pascal3d", [], CATEGORIES[:5], added=added).latex()
+    assert_tabular(text)
+    assert "Mine, \\textit{ours} & \\textit{" in text
+
+
+def test_the_key_is_of_what_was_said_and_how_it_is_aligned(photographs):
+    asked = of_cars()
+    submissions = [
+        Submission("A", Brightest()), Submission("B", Brightest()), Submission("A", Brightest(), "linear"),
+        Submission("A", Says(straight)), Submission("A", Brightest()),
+    ]  # fmt: skip
+    keys = [own_method.entries(asked, [submission])[0].key for submission in submissions]
+    assert len(set(keys)) == 4
+    assert keys[0] == keys[4]
+
+
+def test_a_method_sees_the_pixels_that_our_networks_see(drawn):
+    images = held_out(of_cars("table1_shapenet"), "car")
+    for split in ("val", "test"):
+        store, rows = images.stores[split]
+        ours = load_views(store, split, store.images.shape[1]).pixels[:, :3].permute(0, 2, 3, 1)
+        assert np.array_equal(images.images(split, np.arange(len(rows))), ours.numpy())
+
+
+def test_nothing_but_pictures_is_handed_out(photographs, monkeypatch):
+    monkeypatch.setattr(own_method, "BATCH", 16)
+    asked = of_cars(calibration=20)
+    nearest = Nearest()
+    said = predictions(asked, Submission("Nearest", nearest, "none"))
+    ((fitted, vectors),) = nearest.fits
+    store = held_store(asked)
+    assert len(fitted) == len(vectors) == 20
+    # The same as predictions are aligned on, each with its own viewpoint.
+    drawn = align(said, "none", 20).calibration
+    assert np.array_equal(vectors, drawn.truth)
+    mine = store.index["model_id"].isin(drawn.ids["model_id"])
+    assert np.array_equal(fitted, store.images[mine][..., :3])
+    for images in nearest.shown:
+        assert type(images) is np.ndarray and images.base is None
+        assert images.shape[1:] == (24, 24, 3) and images.dtype == np.uint8 and len(images) <= 16
+        images[:] = 0  # it may do with them what it likes
+    assert sum(map(len, nearest.shown)) == 80
+    assert np.array_equal(ViewStore.open(store.folder).images, store.images) and store.images.any()
+
+
+def test_images_come_in_an_order_of_their_own_and_answers_find_their_places(photographs):
+    asked = of_cars()
+    seen = []
+
+    class Watching(Brightest):
+        def predict(self, images):
+            seen.append(images.copy())
+            return super().predict(images)
+
+    said = predictions(asked, Submission("Watching", Watching()))
+    store = held_store(asked)
+    val = store.images[store.split("val")][..., :3]
+    assert not np.array_equal(seen[0], val)
+    assert np.array_equal(np.sort(seen[0].sum((1, 2, 3))), np.sort(val.sum((1, 2, 3))))
+    turned = angles(said.selected)[0] - said.ids["azimuth"].to_numpy() - 90
+    assert np.median(np.abs((turned + 180) % 360 - 180)) < 10
+
+
+def test_a_category_may_have_a_method_of_its_own_and_learns_by_itself(photographs):
+    asked = experiment("table3_pascal3d", profile="smoke", categories="car,chair")
+    nearest = Nearest()
+    said = predictions(asked, Submission("Nearest", nearest))
+    assert len(nearest.fits) == 2
+    assert not np.array_equal(nearest.fits[0][0], nearest.fits[1][0])
+    assert said.ids["category"].unique().tolist() == ["car", "chair"]
+    both = Submission("Both", {"car": Says(straight), "chair": Says(lambda n: -straight(n))})
+    vectors = predictions(asked, both)
+    assert (vectors.selected[:, 0] == np.where(vectors.ids["category"] == "car", 1, -1)).all()
+    with pytest.raises(ViewnetError, match="method 'Half': there is none for chair, only for car"):
+        predictions(asked, Submission("Half", {"car": Says(straight)}))
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        (["Mine", "Mine"], "row 'Mine': there is one of that name already: choose another label"),
+        (["ViewNet"], "row 'ViewNet': there is one"),
+        (["SSV*"], r"row 'SSV\*': there is one"),
+        (["Liao"], "row 'Liao': there is one"),  # in print under that name
+        (["VGG view* (pixels)"], r"row 'VGG view\* \(pixels\)': there is one"),
+    ],
+)
+def test_a_label_is_there_once_and_that_is_found_before_a_method_is_asked(photographs, labels, message):
+    refusing = Says(lambda count: pytest.fail("asked"))
+    with pytest.raises(ViewnetError, match=message):
+        own_method.entries(of_cars(), [Submission(label, refusing) for label in labels])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("", Brightest()), "method '': expected a label in a line of text"),
+        (("a\nb", Brightest()), "expected a label in a line of text"),
+        ((3, Brightest()), "method 3: expected a label"),
+        (("Mine", Brightest), r"method 'Mine': Brightest is a class: give Brightest\(\)"),
+        (("Mine", object()), r"method 'Mine': has no predict\(images\)"),
+        (("Mine", {"car": None}), r"method 'Mine': has no predict\(images\)"),
+        (("Mine", Brightest(), "rigid"), "unknown alignment of Mine 'rigid': choose one of"),
+    ],
+)
+def test_what_is_no_submission_is_told(arguments, message):
+    with pytest.raises(ViewnetError, match=message):
+        Submission(*arguments)
+
+
+def with_nan(count):
+    return np.where(np.arange(count)[:, None] == 5, np.nan, straight(count))
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        (with_nan, r"predict returned \(nan, nan, nan\) for image 5 of the 40 it was shown: .* \(1 are none\)"),
+        (lambda n: 2 * straight(n), r"predict returned \(2, 0, 0\) for image 0 of the 40 .* \(40 are none\)"),
+        (lambda n: straight(n - 1), r"predict returned \(39, 3\) for 40 images: expected \(40, 3\)"),
+        (lambda n: straight(n)[:, :2], r"predict returned \(40, 2\) for 40 images"),
+        (lambda n: None, r"predict returned \(\) for 40 images"),
+        (lambda n: ["front"] * n, "predict returned no array of numbers"),
+        (lambda n: torch.ones(n, 3, requires_grad=True), "predict returned no array of numbers .*requires grad"),
+    ],
+)
+def test_bad_answers_are_named(photographs, said, message):
+    with pytest.raises(ViewnetError, match=f"^method 'Mine', car: {message}"):
+        own_method.entries(of_cars(), [Submission("Mine", Says(said))])
+
+
+def test_a_method_s_own_errors_are_its_own(photographs):
+    with pytest.raises(ZeroDivisionError):
+        own_method.entries(of_cars(), [Submission("Mine", Says(lambda n: n / 0))])
+
+
+def test_only_tables_take_methods():
+    with pytest.raises(ViewnetError, match="unknown table 'figure3_azimuth': choose one of table1_shapenet"):
+        with_methods(experiment("figure3_azimuth", profile="smoke"), [], [])
+
+
+def test_a_second_collection_shares_no_model_with_the_first(tmp_path, monkeypatch):
+    def views(config, workers=None, progress=True):
+        folder = tmp_path / "same"
+        if folder.exists():
+            return ViewStore.open(folder)
+        index = make_index(30, 4, "car").assign(source="")
+        return write_store(folder, [np.zeros((len(index), 8, 8, 4), np.uint8)], index, {})
+
+    monkeypatch.setattr("viewnet.data.build.view_store", views)
+    asked = of_cars("table1_shapenet", eval_root=str(tmp_path))
+    with pytest.raises(ViewnetError, match="model 00000 is in the collection trained on as well"):
+        held_out(asked, "car")
+
+
+def test_angles_and_vectors_are_each_other_s_inverse():
+    rng = np.random.default_rng(0)
+    azimuth, elevation = rng.uniform(0, 360, 50), rng.uniform(-89, 89, 50)
+    vectors = view_vectors(azimuth, elevation)
+    assert np.allclose(vectors, true_vectors(pd.DataFrame({"azimuth": azimuth, "elevation": elevation})))
+    assert np.allclose(view_vectors([0, 90], [0, 0]), [[1, 0, 0], [0, 1, 0]])
+    assert np.allclose(angles(vectors), [azimuth, elevation])
+
+
+class TestTheNotebook:
+    @pytest.mark.slow
+    def test_runs_are_those_of_its_tables_each_once(self, photographs, drawn):
+        asked = experiment("your_method", categories="car", seeds=2)
+        assert isinstance(asked, MethodExperiment)
+        assert asked.profile == "smoke"
+        names = ("table1_shapenet", "table3_pascal3d", "table5_dva")
+        alone = {name: experiment(name, profile="smoke", categories="car", seeds=2) for name in names}
+        assert tuple(asked.tables) == names
+        assert {name: part.configs for name, part in asked.tables.items()} == {n: a.configs for n, a in alone.items()}
+        assert asked.configs == alone[names[0]].configs + alone[names[1]].configs
+        tables = asked.score(finished(asked), [Submission("Mine", Says(straight))])
+        for name, table in tables.items():
+            assert table.name == name and all(table.checks().values())
+            assert table.rows[-1] == "Mine"
+
+    def test_its_tables_go_where_no_other_does(self, tmp_path):
+        options = [{}, {"profile": "tiny"}, {"categories": "car"}, {"calibration": 8}, {"backgrounds": str(tmp_path)},
+                   {"data_root": str(tmp_path)}, {"cad_root": str(tmp_path)}]  # fmt: skip
+        folders = [experiment("your_method", **option).folder for option in options]
+        assert len(set(folders)) == len(options)
+        assert folders[0] == tmp_path / "tables" / "your_method"
+        assert folders[1:3] == [folders[0] / "tiny", folders[0] / "smoke-car"]
+
+    def test_parameters_reach_the_tables(self, tmp_path):
+        for place in ("cad", "photos"):
+            (tmp_path / place).mkdir()
+        cad, photos = str(tmp_path / "cad"), str(tmp_path / "photos")
+        asked = experiment("your_method", cad_root=cad, data_root=photos, calibration=16, backgrounds="drawn")
+        assert asked.tables["table1_shapenet"].configs[0].data.root == cad
+        on_photos = asked.tables["table3_pascal3d"]
+        assert (on_photos.configs[0].data.root, on_photos.photographs.root) == (cad, photos)
+        assert on_photos.calibration == asked.tables["table5_dva"].calibration == 16
+
+    @pytest.mark.parametrize(
+        "option", [{"recipe": "paper"}, {"splits": "x"}, {"eval_root": "x"}, {"variant": "viewnet"}]
+    )
+    def test_what_it_does_not_take_is_told(self, option):
+        with pytest.raises(ViewnetError, match=f"your_method takes no {next(iter(option))}"):
+            experiment("your_method", **option)
+        assert not set(option) & accepted("your_method")

@@ -1,0 +1,257 @@
+from __future__ import annotations
+
+import os
+import sys
+import types
+
+import numpy as np
+import pytest
+from helpers.fake_steps import STEPS
+from helpers.photo_data import keep_apart, make_photos
+
+from viewnet import config
+from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES, PhotoConfig
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.evaluate import align
+from viewnet.experiments import photos
+from viewnet.experiments.photos import PhotoExperiment
+from viewnet.experiments.request import accepted, experiment
+from viewnet.tables.layouts import LAYOUTS
+from viewnet.training.run_store import ensure, on_photographs
+
+
+@pytest.fixture(autouse=True)
+def folders(tmp_path, monkeypatch):
+    return keep_apart(tmp_path, monkeypatch)
+
+
+@pytest.fixture
+def photographs(tmp_path, monkeypatch):
+    """Photographs that are made up in a moment; asked for by their configurations."""
+    asked: list[PhotoConfig] = []
+
+    def views(config, workers=None, progress=True):
+        asked.append(config)
+        folder = tmp_path / "photos" / config.category
+        if folder.exists():
+            return photo_store(folder)
+        return make_photos(folder, category=config.category, seed=CATEGORIES.index(config.category))
+
+    from viewnet.data.store import ViewStore
+
+    photo_store = ViewStore.open
+    monkeypatch.setattr("viewnet.data.build.photo_views", views, raising=False)
+    photos = types.SimpleNamespace(summary=lambda store: f"{len(store)} used, {len(store.rejected)} left out")
+    monkeypatch.setitem(sys.modules, "viewnet.data.photo_store", photos)
+    return asked
+
+
+def run(asked: PhotoExperiment):
+    return ensure(asked.configs, workers=1, progress=False, steps=STEPS)
+
+
+@pytest.fixture
+def steps(monkeypatch):
+    monkeypatch.setattr("viewnet.training.run_store.default_steps", lambda: STEPS)
+
+
+def test_defaults_train_over_backgrounds_and_make_a_stand_in(folders):
+    asked = experiment("table3_pascal3d")
+    assert isinstance(asked, PhotoExperiment)
+    assert asked.categories == SHAPENET_CATEGORIES
+    assert (asked.profile, asked.recipe, asked.label) == ("tiny", "photos", "")
+    assert [(c.variant, c.category) for c in asked.configs] == [
+        (variant, category) for variant in ("viewnet", "viewnet_cycle") for category in SHAPENET_CATEGORIES
+    ]
+    assert all(c.data.backgrounds == "drawn" and c.data.root is None for c in asked.configs)
+    assert asked.photo_config("chair") == PhotoConfig("chair", size=32, square=False)
+    assert asked.note.startswith("a stand-in for photographs; trained on built-in models, profile tiny, recipe photos")
+    assert experiment("table5_dva").configs == asked.configs
+    assert experiment("alignment_study").configs == asked.configs
+    assert experiment("table3_pascal3d", categories="everything").categories == CATEGORIES
+    assert experiment("table3_pascal3d", profile="smoke").photo_config("car").count < 100
+
+
+def test_parameters_reach_the_photographs_and_the_training(tmp_path):
+    (tmp_path / "pascal" / "Annotations").mkdir(parents=True)
+    (tmp_path / "cad").mkdir()
+    places = {name: str(tmp_path / name) for name in ("pascal", "cad")}
+    asked = experiment(
+        "table3_pascal3d", data_root=places["pascal"], cad_root=places["cad"], extra_cad=places["pascal"],
+        backgrounds=places["cad"], subset="pascal", keep="easy", margin="0.1", ridge="50", calibration=64,
+        backbone="pixels", categories="car", seeds=2,
+    )  # fmt: skip
+    photos = asked.photo_config("car")
+    assert (photos.root, photos.subset, photos.keep, photos.margin) == (places["pascal"], "pascal", "easy", 0.1)
+    data = asked.configs[0].data
+    assert (data.root, data.extra, data.backgrounds) == (places["cad"], places["pascal"], places["cad"])
+    assert (asked.ridge, asked.calibration) == (50, 64)
+    assert [c.seed for c in asked.configs] == [0, 1, 0, 1]
+    assert asked.label == (
+        "tiny-car-data_root-cad_root-extra_cad-backgrounds-pascal-easy-margin0.1-pixels-ridge50-calibration64"
+    )
+    assert asked.note.startswith("PASCAL3D+ (pascal); trained on a CAD collection and a second one")
+
+
+def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
+    root = str(tmp_path)
+    options = [
+        {"profile": "smoke"}, {"categories": "everything"}, {"categories": "car"}, {"data_root": root},
+        {"cad_root": root}, {"extra_cad": root}, {"backgrounds": root}, {"subset": "both"}, {"keep": "first"},
+        {"margin": 0.2}, {"backbone": "pixels"}, {"ridge": 1}, {"calibration": 16}, {"recipe": "matting"},
+    ]  # fmt: skip
+    labels = [experiment("table5_dva", **option).label for option in options]
+    assert len({"", *labels}) == len(options) + 1
+    assert experiment("table5_dva", categories="everything").label == "tiny-everything"
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"subset": "voc"}, "unknown subset 'voc': choose one of imagenet, pascal, both"),
+        ({"keep": "hard"}, "unknown keep 'hard'"),
+        ({"margin": "wide"}, "margin 'wide': expected a number"),
+        ({"margin": -1}, "margin -1: expected 0 to 2"),
+        ({"ridge": 0}, "ridge 0: expected more than 0"),
+        ({"calibration": 3}, "calibration 3: expected a whole number from 4, or 0 for all"),
+        ({"calibration": True}, "calibration True"),
+        ({"backbone": "vgg99"}, "unknown network 'vgg99'"),
+        ({"backbone": "resnet18"}, "no resnet18 weights at"),
+        ({"data_root": "nowhere"}, "data_root nowhere: no such folder"),
+        ({"backgrounds": "nowhere"}, "backgrounds nowhere: no such folder"),
+        ({"eval_root": "x"}, "table3_pascal3d takes no eval_root"),
+        ({"variant": "viewnet"}, "table3_pascal3d takes no variant"),
+        ({"margins": 1}, "unknown parameter of table3_pascal3d 'margins': choose one of"),
+    ],
+)
+def test_bad_parameters_are_named(option, message):
+    with pytest.raises(ViewnetError, match=message):
+        experiment("table3_pascal3d", **option)
+
+
+def test_other_notebooks_take_nothing_of_photographs():
+    with pytest.raises(ViewnetError, match="table2_ablation takes no ridge"):
+        experiment("table2_ablation", ridge=3)
+    assert "ridge" in accepted("table5_dva") and "ridge" not in accepted("table2_ablation")
+    assert "eval_root" in accepted("table2_ablation") and "eval_root" not in accepted("table5_dva")
+
+
+@pytest.mark.slow
+def test_predictions_of_photographs_are_kept_with_the_run(photographs, tmp_path):
+    asked = experiment("table3_pascal3d", profile="smoke", categories="car")
+    first, *_ = run(asked)
+    store = asked.stores()["car"]
+    said = on_photographs(first, store, STEPS)
+    assert len(said.subset("val")) == len(said.subset("test")) == 40
+    (kept,) = first.folder.glob("predictions-*.parquet")
+    assert store.identity in kept.name
+    nothing = STEPS.__class__(STEPS.views, STEPS.open, STEPS.train, lambda *a, **k: pytest.fail("predicted again"))
+    assert np.array_equal(on_photographs(first, store, nothing).hypotheses, said.hypotheses)
+    other = make_photos(tmp_path / "other", seed=99)
+    with pytest.raises(pytest.fail.Exception):
+        on_photographs(first, other, nothing)
+    on_photographs(first, other, STEPS)
+    assert len(list(first.folder.glob("predictions-*.parquet"))) == 2
+
+
+@pytest.mark.slow
+def test_predictions_of_other_code_or_weights_are_made_anew(photographs, monkeypatch):
+    asked = experiment("table3_pascal3d", profile="smoke", categories="car")
+    first, *_ = run(asked)
+    store = asked.stores()["car"]
+    on_photographs(first, store, STEPS)
+    calls = []
+    counting = STEPS.__class__(
+        STEPS.views, STEPS.open, STEPS.train, lambda *a, **k: calls.append(1) or STEPS.predict(*a, **k)
+    )
+    (first.folder / "checkpoint.safetensors").write_bytes(b"other weights")
+    on_photographs(first, store, counting)
+    assert len(calls) == 1
+    monkeypatch.setattr("viewnet.runtime.provenance.code_identity", lambda modules: "edited")
+    on_photographs(first, store, counting)
+    assert len(calls) == 2
+    (kept,) = first.folder.glob("predictions-*.parquet")
+    os.utime(kept, (4e9, 4e9))  # a clock that was ahead
+    (first.folder / "checkpoint.safetensors").write_bytes(b"weights of a third kind")
+    on_photographs(first, store, counting)
+    assert len(calls) == 3
+    (kept,) = first.folder.glob("predictions-*.parquet")
+    assert kept.name.startswith(f"predictions-{store.identity}-edited-")
+
+
+@pytest.mark.slow
+def test_only_what_was_trained_looks_at_photographs(photographs):
+    from viewnet.training.run_store import untrained
+
+    asked = experiment("table3_pascal3d", profile="smoke", categories="car")
+    (constant,) = ensure([untrained("constant", asked.configs[0])], progress=False, steps=STEPS)
+    with pytest.raises(ViewnetError, match=r"constant car .* has no network to look at photographs"):
+        on_photographs(constant, asked.stores()["car"], STEPS)
+
+
+@pytest.mark.slow
+def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path):
+    asked = experiment("table3_pascal3d", profile="smoke", categories="car,chair", calibration=30)
+    runs = run(asked)
+    table = asked.table(runs)
+    assert all(table.checks().values()), table.checks()
+    rows = [row for row, variant in LAYOUTS["table3_pascal3d"].rows if variant]
+    measured = table.cells[table.cells["seeds"] > 0]
+    assert set(measured["row"]) == {*rows, "VGG view* (pixels)"} - {"VGG view*"}
+    store = asked.stores()["car"]
+    car = next(r for r in runs if (r.config.variant, r.config.category) == ("viewnet", "car"))
+    said = on_photographs(car, store)
+    for row, kind in (("ViewNet", "procrustes"), ("ViewNet*", "linear")):
+        errors = align(said, kind, 30).selected_errors
+        assert table.cell(row, "car", "median")["measured"] == pytest.approx(np.median(errors))
+    keys = {row: table.cell(row, "car", "median")["runs"] for row in table.rows}
+    assert keys["ViewNet"] == car.key and keys["ViewNet*"] == f"{car.key}/linear"
+    assert table.provenance[keys["ViewNet*"]]["alignment"] == "linear"
+    assert table.provenance[keys["ViewNet*"]]["photographs"] == store.identity
+    regression = table.provenance[keys["VGG view* (pixels)"]]
+    assert (regression["backbone"], regression["ridge"], regression["calibration"]) == ("pixels", 1000, 30)
+    # Printed numbers stay with their rows, whatever the rows are called.
+    assert table.cell("VGG view* (pixels)", "car", "acc30")["printed"] == "56"
+    assert table.cell("Liao (withdrawn)", "car", "acc30")["printed"] == "93"
+    assert table.cell("SSV*", "car", "acc30")["seeds"] == 0
+    assert "80 used, 1 left out" in table.remarks
+    assert any("30 calibration photographs" in line for line in table.remarks)
+    files = table.write(tmp_path / "written")
+    assert "left out" in files[0].read_text()
+
+
+@pytest.mark.slow
+def test_the_dva_table_tells_the_confidence_index_of_the_photographs(photographs, steps):
+    asked = experiment("table5_dva", profile="smoke", categories="car")
+    table = asked.table(run(asked))
+    assert all(table.checks().values()), table.checks()
+    from viewnet.evaluation.metrics import confidence_index, dva
+
+    store = asked.stores()["car"]
+    test = store.index[store.index["split"] == "test"]
+    cell = table.cell("Confidence index", "car", "confidence_index")
+    assert cell["measured"] == confidence_index(test["azimuth"].to_numpy())
+    assert cell["printed"] == "1"
+    frame = table.frame()
+    assert frame.loc["Confidence index", ("dva", "car", "ours")] == f"{cell['measured']:.2f}"
+    found = align(on_photographs(run(asked)[0], store), "linear")
+    expected = dva(found.selected_errors, test["azimuth"].to_numpy())
+    assert table.cell("ViewNet*", "car", "dva")["measured"] == pytest.approx(expected)
+    assert table.cell("ViewNet*", "car", "dva")["low"] < expected < table.cell("ViewNet*", "car", "dva")["high"]
+    assert list(table.measurements().columns) == ["DVA, % [95 %]", "seeds", "objects", "images"]
+    assert "Confidence index" not in table.differences().index
+
+
+def test_baselines_are_fitted_on_as_many_photographs_as_are_asked_for(photographs):
+    asked = experiment("table3_pascal3d", profile="smoke", categories="car", calibration=16)
+    store = asked.stores()["car"]
+    for variant in ("constant", "constant_rotation", "view_regression"):
+        said, _ = asked.fitted(variant, store, 16)
+        assert len(said.subset("val")) == 16
+        everything, _ = asked.fitted(variant, store)
+        assert not np.allclose(said.subset("test").selected, everything.subset("test").selected)
+
+
+def test_recipes_named_here_exist():
+    assert set(photos.PROFILE_RECIPE) == set(config.PROFILES)
+    assert set(photos.PROFILE_RECIPE.values()) <= set(config.RECIPES)

@@ -1,0 +1,232 @@
+"""viewnet evaluate: a run and the model saved from it score alike, and what is scored decides no alignment."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from helpers.boxes import box_store
+from helpers.drawn_models import finished_run
+from helpers.fake_steps import STEPS
+from PIL import Image
+
+from viewnet import cli
+from viewnet.config import make_config
+from viewnet.errors import ViewnetError
+from viewnet.estimator.model_card import with_interval
+from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
+from viewnet.evaluation import evaluate, metrics
+from viewnet.evaluation.predictions import Predictions
+from viewnet.experiments import score_model
+from viewnet.experiments.score_model import Elsewhere, scores
+from viewnet.geometry import view_vector
+from viewnet.training import run_store
+
+KEY = "0123456789ab"
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return box_store(tmp_path_factory.mktemp("scores") / "views", {"val": 4, "test": 4}, views=3)
+
+
+@pytest.fixture
+def run(store, tmp_path, monkeypatch):
+    """A finished run in a run store of its own."""
+    for name in ("RUNS", "DATA"):
+        monkeypatch.setenv(f"VIEWNET_{name}", str(tmp_path / name.lower()))
+    return finished_run(tmp_path / "runs" / "viewnet" / KEY, store)
+
+
+def steps_of(store):
+    return replace(run_store.default_steps(), views=lambda config, **_: store)
+
+
+def close(one, other) -> bool:
+    """Whether two scores are alike."""
+    return all(one[name] == pytest.approx(other[name], abs=1e-3) for name in ("acc30", "median", "dva", "flips"))
+
+
+def test_a_run_s_own_test_views_are_scored_by_each_alignment(run):
+    said = Predictions.from_parquet(run.folder / "predictions.parquet")
+    for where in (KEY, str(run.folder)):
+        found = scores(where)
+        assert found["on"] == "its own test views"
+        assert found["alignments"] == {
+            kind: evaluate.evaluate(said, kind) for kind in ("procrustes", "robust", "linear")
+        }
+    assert scores(KEY, calibration=6)["alignments"]["procrustes"]["alignment"]["images"] == 6
+
+
+def test_a_saved_model_scores_as_the_run_it_is_of(run, store, tmp_path):
+    ViewpointEstimator.from_pretrained(KEY, device="cpu").save_pretrained(tmp_path / "saved")
+    found = scores(str(tmp_path / "saved"), steps=steps_of(store))
+    for kind, score in scores(KEY)["alignments"].items():
+        assert close(found["alignments"][kind], score), kind
+    assert sorted(path.name for path in (tmp_path / "saved").iterdir()) == [
+        "README.md",
+        "config.json",
+        "model.safetensors",
+    ]
+
+
+def test_a_saved_model_is_not_scored_on_views_it_may_have_seen(run, tmp_path):
+    ViewpointEstimator.from_pretrained(KEY, device="cpu").save_pretrained(tmp_path / "saved")
+    other = box_store(tmp_path / "other", {"val": 4, "test": 4}, views=3, seed=1)
+    with pytest.raises(ViewnetError, match="are not those it was trained with: name the collection"):
+        scores(str(tmp_path / "saved"), steps=steps_of(other))
+
+
+def photographs(folder: Path, store, turn: float) -> Path:
+    """Views as photographs with a list, the azimuths of those that are scored turned."""
+    (folder / "images").mkdir(parents=True)
+    lines = ["file,azimuth_deg,elevation_deg,split"]
+    for number, row in enumerate(store.index.itertuples()):
+        Image.fromarray(np.asarray(store.images[number][..., :3])).save(folder / "images" / f"{number}.png")
+        azimuth = (row.azimuth + (turn if row.split == "test" else 0)) % 360
+        lines.append(f"{number}.png,{azimuth:.3f},{row.elevation:.3f},{row.split}")
+    (folder / "viewpoints.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_labels_of_what_is_scored_have_no_part_in_the_alignment(run, store, tmp_path, monkeypatch):
+    monkeypatch.setattr("viewnet.evaluation.features.SIZE", 32)
+    as_it_is = scores(KEY, Elsewhere(str(photographs(tmp_path / "photos", store, 0))))
+    turned = scores(KEY, Elsewhere(str(photographs(tmp_path / "turned", store, 77))))
+    assert as_it_is["on"] == "photographs of photos"
+    assert list(as_it_is["alignments"]) == ["own", "procrustes", "robust", "linear"]
+    assert as_it_is["alignments"].pop("own")["alignment"]["kind"] == "none"
+    for kind, score in as_it_is["alignments"].items():
+        assert turned["alignments"][kind]["alignment"] == score["alignment"]
+        assert turned["alignments"][kind]["median"] != score["median"]
+
+
+def test_photographs_are_scored_by_the_rotation_of_the_estimator_s_answers(run, store, tmp_path, monkeypatch):
+    monkeypatch.setattr("viewnet.evaluation.features.SIZE", 32)
+    place = photographs(tmp_path / "photos", store, 0)
+    found = scores(KEY, Elsewhere(str(place)))["alignments"]["own"]
+    listed = pd.read_csv(place / "viewpoints.csv")
+    listed = listed[listed["split"] == "test"]
+    said = ViewpointEstimator.from_pretrained(KEY, device="cpu").predict([place / "images" / f for f in listed["file"]])
+    truth = view_vector(*(torch.tensor(listed[name].to_numpy()) for name in ("azimuth_deg", "elevation_deg")))
+    errors = metrics.vector_error(np.stack([one.vector for one in said]), truth.numpy())
+    assert found["audit"]["vector"]["median"] == pytest.approx(np.median(errors), abs=0.5)
+
+
+def test_the_card_of_a_saved_model_tells_scores_on_photographs(run, store, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("viewnet.evaluation.features.SIZE", 32)
+    place = photographs(tmp_path / "photos", store, 0)
+    assert cli.main(["evaluate", KEY, "--data-root", str(place), "--json"]) == 0
+    (tmp_path / "scores.json").write_text(said := capsys.readouterr().out)
+    command = ["save", KEY, str(tmp_path / "saved"), "--half", "--license", "cc0-1.0"]
+    assert cli.main([*command, "--scores", str(tmp_path / "scores.json")]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'saved'}\n"
+    card = (tmp_path / "saved" / "README.md").read_text()
+    (found,) = json.loads(said)
+    assert "| | own | procrustes | robust | linear |\n" in card
+    median = " | ".join(with_interval(found["alignments"][kind], "median") for kind in ("own", *score_model.LEARNED))
+    assert f"| median error, degrees | {median} |\n" in card
+    assert "On photographs of photos: 12 pictures of 12 objects, after each" in card
+    assert "| licence of the weights | cc0-1.0 |" in card
+    (kept,) = ViewpointEstimator.from_pretrained(tmp_path / "saved").about["scores"]
+    assert kept["alignments"]["robust"]["intervals"] == found["alignments"]["robust"]["intervals"]
+    # It is known whose scores they are, also after saving.
+    again = scores(str(tmp_path / "saved"), Elsewhere(str(place)))
+    assert again["key"] == KEY
+    assert close(again["alignments"]["procrustes"], found["alignments"]["procrustes"])
+
+
+SCORE = {"images": 1, "objects": 1, "acc30": 1.0, "median": 1.0, "dva": 1.0, "flips": 0.0, "intervals": {}}
+SCORE |= {"oracle": {"acc30": 1.0}, "alignment": {"kind": "none", "images": 1, "objects": 1}}
+OTHERS = json.dumps({"key": "ba9876543210", "on": "photographs", "alignments": {"own": SCORE}})
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (OTHERS, "scores: are of the run ba9876543210, and"),
+        ('{"key": "0123456789ab", "on": "photographs"}', "scores: expected what viewnet evaluate --json says"),
+        ('{"key": "0123456789ab", "on": "photographs", "alignments": {}}', "scores: expected what viewnet evaluate"),
+        ("[3]", "scores: expected what viewnet evaluate --json says"),
+        ("{", "not JSON"),
+    ],
+)
+def test_a_card_takes_no_other_scores(run, tmp_path, capsys, given, message):
+    (tmp_path / "scores.json").write_text(given)
+    assert cli.main(["save", KEY, str(tmp_path / "saved"), "--scores", str(tmp_path / "scores.json")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "saved").exists()
+
+
+def test_another_collection_is_scored_whole_and_aligned_on_own_views(tmp_path, monkeypatch):
+    for name in ("RUNS", "DATA"):
+        monkeypatch.setenv(f"VIEWNET_{name}", str(tmp_path / name.lower()))
+    (run,) = run_store.ensure([make_config(profile="smoke")], workers=1, progress=False, steps=STEPS)
+    (tmp_path / "cad" / "02958343").mkdir(parents=True)
+    found = scores(run.key, Elsewhere(str(tmp_path / "cad")), steps=STEPS)
+    other = STEPS.views(make_config(profile="smoke", data_root=str(tmp_path / "cad")).data)
+    for score in found["alignments"].values():
+        assert score["images"] == len(other.index)
+        assert score["alignment"]["images"] == len(run.predictions.subset("val"))
+    assert found["alignments"]["procrustes"] == run_store.score_on(run, other, steps=STEPS)
+
+
+@pytest.mark.parametrize(
+    ("where", "on", "message"),
+    [
+        ("nowhere", Elsewhere(), "nowhere: no model there"),
+        (KEY, Elsewhere("nowhere"), "data_root nowhere: no such folder"),
+        (KEY, Elsewhere(subset="imagenet10"), "unknown subset 'imagenet10': choose one of imagenet, pascal, both"),
+        (KEY, Elsewhere(cad_root="nowhere"), "cad_root nowhere: no such folder"),
+    ],
+)
+def test_what_cannot_be_scored_is_said(run, where, on, message):
+    with pytest.raises(ViewnetError) as error:
+        scores(where, on)
+    assert str(error.value).startswith(message)
+
+
+def test_folders_without_viewpoints_are_not_scored_on(run, tmp_path):
+    (tmp_path / "pictures").mkdir()
+    Image.new("RGB", (8, 8)).save(tmp_path / "pictures" / "a.jpg")
+    with pytest.raises(ViewnetError, match="is backgrounds, whose viewpoints are not scored"):
+        scores(KEY, Elsewhere(str(tmp_path / "pictures")))
+
+
+def test_a_run_without_scores_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("VIEWNET_RUNS", str(tmp_path / "runs"))
+    finished_run(tmp_path / "own", None)
+    with pytest.raises(ViewnetError, match=run_store.NOT_SCORED):
+        scores(str(tmp_path / "own"))
+
+
+def test_the_command_prints_a_line_an_alignment(run, capsys):
+    assert cli.main(["evaluate", KEY]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"{run_store.name(run.config)}: {KEY}"
+    assert lines[1].startswith("  its own test views: 12 of 4 objects; aligned on 12 of 4; ")
+    assert [line.split()[0] for line in lines[2:]] == ["aligned", "procrustes", "robust", "linear"]
+    score = scores(KEY)["alignments"]["procrustes"]
+    low, high = score["intervals"]["acc30"]
+    assert f"{score['acc30']:.1f} [{low:.1f}, {high:.1f}]" in lines[3]
+    assert cli.main(["evaluate", KEY, str(run.folder), "--calibration", "6", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [one["model"] for one in told] == [KEY, str(run.folder)]
+    assert told[0]["alignments"]["linear"]["alignment"]["images"] == 6
+    assert "flips" in told[0]["alignments"]["robust"]
+
+
+def test_constants_are_scored_as_they_are(tmp_path, monkeypatch):
+    for name in ("RUNS", "DATA"):
+        monkeypatch.setenv(f"VIEWNET_{name}", str(tmp_path / name.lower()))
+    (run,) = run_store.ensure(
+        [run_store.untrained("constant", make_config(profile="smoke"))], workers=1, progress=False, steps=STEPS
+    )
+    found = scores(run.key)
+    assert list(found["alignments"]) == list(score_model.UNTRAINED)
+    assert found["alignments"]["none"] == run.result["metrics"]["none"]

@@ -1,0 +1,54 @@
+"""Made-up photographs: view stores in which a picture tells where it was taken from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from viewnet.data.store import ViewStore, write_store
+from viewnet.evaluation import features
+
+
+def keep_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Runs, data, tables and weights of a test in `tmp_path`, whatever the environment says; small features."""
+    monkeypatch.delenv("VIEWNET_PROFILE", raising=False)
+    for name in ("VIEWNET_VGG16_WEIGHTS", "VIEWNET_SQUEEZENET_WEIGHTS"):
+        monkeypatch.delenv(name, raising=False)
+    for name in ("RUNS", "DATA", "TABLES"):
+        monkeypatch.setenv(f"VIEWNET_{name}", str(tmp_path / name.lower()))
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
+    monkeypatch.setattr(features, "SIZE", 32)
+    return tmp_path
+
+
+def make_photos(
+    folder: Path, count: int = 80, category: str = "car", size: int = 24, seed: int = 0, spread: float = 180.0
+) -> ViewStore:
+    """`count` photographs, half to calibrate on ("val") and half to score ("test"), azimuths within `spread` of 0.
+
+    A bright square stands where the azimuth says, and is as bright as the elevation says.
+    """
+    rng = np.random.default_rng(seed)
+    azimuth, elevation = rng.uniform(-spread, spread, count), rng.uniform(-10, 30, count)
+    images = rng.integers(0, 30, (count, size, size, 4), dtype=np.uint8)
+    images[..., 3] = 255
+    turn = np.deg2rad(azimuth)
+    places = (size / 2 + 0.3 * size * np.stack([np.sin(turn), np.cos(turn)], axis=1)).astype(int)
+    for image, (row, column), height in zip(images, places, elevation, strict=True):
+        image[row - 3 : row + 3, column - 3 : column + 3, :3] = int(160 + 2 * height)
+    index = pd.DataFrame(
+        {
+            "model_id": [f"{category}-{i:04}" for i in range(count)],
+            "category": category,
+            "split": np.where(np.arange(count) % 2, "test", "val"),
+            "view": np.zeros(count, np.int64),
+            "azimuth": azimuth % 360,
+            "elevation": elevation,
+            "source": [f"{i:04}.jpg" for i in range(count)],
+        }
+    )
+    made_by = {"photographs": [category, count, size, seed, spread]}
+    return write_store(folder, [images], index, made_by, [("lost", "lost.jpg", "no such picture")])

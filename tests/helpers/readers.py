@@ -1,0 +1,315 @@
+"""Every reader of the package: how to write a small valid input for it, how to read that, and which files to spoil."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import scipy.io
+from helpers.cad_files import model_of, write_box
+from helpers.damage import damaged, other_array, other_record
+from helpers.video_data import write_frames, write_freiburg, write_video
+from hypothesis import strategies as st
+from PIL import Image
+
+from viewnet.config import PhotoConfig, VideoConfig
+from viewnet.data import backgrounds, clip_store, photo_store
+from viewnet.data.build import photo_views, video_views
+from viewnet.data.readers import pascal3d
+from viewnet.data.readers.shapenet import find_models, load_model
+from viewnet.data.store import ViewStore
+from viewnet.data.synthetic import objectron_standin, pascal3d_standin
+from viewnet.render import render
+
+Rewriter = Callable[[bytes], st.SearchStrategy[bytes]]
+
+
+@dataclass(frozen=True)
+class Reader:
+    """`write` puts a valid input into an empty folder, `read` reads all of it and checks what it gets.
+
+    files   those to spoil, patterns within the folder -> None, or a strategy of well-formed files with other content
+    names   what a ViewnetError has to name: the spoilt file, or one of these, "{folder}" being where it lies
+    """
+
+    name: str
+    write: Callable[[Path], None]
+    read: Callable[[Path], object]
+    files: Mapping[str, Rewriter | None]
+    names: tuple[str, ...] = field(default=())
+
+    def spoilt(self, folder: Path) -> list[tuple[Path, Rewriter | None]]:
+        """The files that are there, with their strategies."""
+        found = [(path, other) for pattern, other in self.files.items() for path in sorted(folder.glob(pattern))]
+        assert len({path for path, _ in found}) >= len(self.files), f"{self.name}: a file is missing"
+        return found
+
+    def places(self, folder: Path, file: Path) -> list[str]:
+        """What a message may name when `file` is spoilt."""
+        return [str(file), *(name.format(folder=folder) for name in self.names)]
+
+
+def contents(original: bytes, other: Rewriter | None) -> st.SearchStrategy[bytes]:
+    """Spoilt versions of a file."""
+    if other is None:
+        return damaged(original)
+    return st.one_of(damaged(original), other(original))
+
+
+def placed(files: Mapping[str, bytes]) -> Callable[[Path], None]:
+    """Writes files into a folder."""
+
+    def write(folder: Path) -> None:
+        for name, content in files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+
+    return write
+
+
+def fresh(make: Callable[[], Any]) -> Any:
+    """`make()` with a data folder of its own, so that nothing that was made before is found."""
+    with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, VIEWNET_DATA=folder):
+        return make()
+
+
+def check_store(store: ViewStore) -> str:
+    """What everything that reads view stores relies on. Returns what was left out, in words."""
+    index = store.index
+    assert len(store) == len(index) > 0 and store.images.dtype == np.uint8
+    assert int(np.asarray(store.images[-1]).max()) <= 255
+    known = index["azimuth"].notna()
+    assert index.loc[known, "azimuth"].between(0, 360, inclusive="left").all()
+    assert index.loc[known, "elevation"].between(-90, 90).all()
+    assert list(store.rejected.columns) == ["model_id", "path", "reason"]
+    assert not any("\n" in reason or len(reason) > 2000 for reason in store.rejected["reason"])
+    return "; ".join(store.rejected["reason"])
+
+
+# ---- CAD models
+
+SYNSET = "02958343"
+
+
+def _textured(root: Path) -> None:
+    file = write_box(root, SYNSET, "box")
+    folder = file.parent.parent / "images"
+    folder.mkdir()
+    picture = Image.fromarray(np.random.default_rng(0).integers(0, 255, (8, 8, 4), dtype=np.uint8))
+    picture.save(folder / "texture.png")
+    picture.convert("RGB").save(folder / "texture.jpg")
+    file.with_suffix(".mtl").write_text(
+        "newmtl front\nKd 0.2 0.4 0.6\nd 0.9\nmap_Kd -s 2 2 -o 0.5 0 ../images/texture.png\n"
+        "newmtl back\nTr 0.1\nmap_Kd ../images/texture.jpg\n"
+    )
+    text = file.read_text().splitlines()
+    corners = ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1"]
+    lines = [
+        " ".join(f"{n}/{1 + i}" for i, n in enumerate(line[2:].split())) if line[0] == "f" else line for line in text
+    ]
+    lines = [f"f {line}" if "/" in line else line for line in lines]
+    file.write_text("\n".join([lines[0], "mtllib model_normalized.mtl", *corners, *lines[1:]]) + "\n")
+
+
+def _mesh(root: Path) -> object:
+    mesh = load_model(model_of(root / SYNSET / "box/models/model_normalized.obj"))
+    assert np.isfinite(mesh.vertices).all() and np.abs(mesh.vertices).max() <= 0.5001
+    assert mesh.uv is None or np.isfinite(mesh.uv).all()
+    assert mesh.colours is None or np.isfinite(mesh.colours).all()
+    assert mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)
+    assert mesh.material.min() >= 0 and mesh.material.max() < len(mesh.materials)
+    picture = render(mesh, np.array([30.0]), np.array([20.0]), 16, 1)
+    assert picture.shape == (1, 16, 16, 4)
+    return mesh
+
+
+def _collection(root: Path) -> None:
+    rows = ["id,synsetId,subSynsetId,modelId,split"]
+    for number, split in enumerate(("train", "val", "test")):
+        (root / SYNSET / f"{number}" / "models").mkdir(parents=True)
+        (root / SYNSET / f"{number}" / "models/model_normalized.obj").write_text("")
+        rows.append(f"{number},{SYNSET},{SYNSET},{number},{split}")
+        (root / "lists").mkdir(exist_ok=True)
+        (root / f"lists/{SYNSET}_{split}.txt").write_text(f"{number}\n")
+    (root / "all.csv").write_text("\n".join(rows) + "\n")
+
+
+def _models(root: Path) -> object:
+    listed = find_models(root, "car", root / "lists"), find_models(root, "car")
+    assert {model.split for models in listed for model in models} == {"train", "val", "test"}
+    return listed
+
+
+# ---- pictures
+
+PICTURES = ("a.png", "b.jpg", "c.bmp", "d.webp", "e.ppm", "f.tif")
+
+
+def _pictures(root: Path) -> None:
+    rng = np.random.default_rng(0)
+    (root / "a").mkdir()
+    for number, name in enumerate(PICTURES):
+        picture = Image.fromarray(rng.integers(0, 255, (24, 32, 3), dtype=np.uint8))
+        picture.save(root / "a" / name, **({"exif": _turned()} if number in (1, 3) else {}))
+    (root / "ClassName.txt").write_text("/a\n/b\n")
+
+
+def _turned() -> Image.Exif:
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    return exif
+
+
+def _backgrounds(root: Path) -> object:
+    found = fresh(lambda: backgrounds.load(str(root), 8, 10, progress=False))
+    assert found.pictures.shape == (len(found), 3, 8, 8) and len(found) + len(found.rejected) >= len(PICTURES)
+    return "; ".join(reason for _, reason in found.rejected)
+
+
+def _kept(root: Path) -> None:
+    with mock.patch.dict(os.environ, VIEWNET_DATA=str(root)):
+        backgrounds.load("drawn", 4, 3, progress=False)
+
+
+def _kept_again(root: Path) -> object:
+    with mock.patch.dict(os.environ, VIEWNET_DATA=str(root)):
+        found = backgrounds.load("drawn", 4, 3, progress=False)
+    assert found.pictures.shape == (3, 3, 4, 4) and found.pictures.dtype == np.uint8
+    assert found.classes.shape == (3,) and found.classes.dtype == np.int64
+    assert all(isinstance(text, str) for row in found.rejected for text in row)
+    return found
+
+
+def _photographs(root: Path) -> None:
+    rng = np.random.default_rng(0)
+    (root / "images").mkdir()
+    rows = ["file,azimuth_deg,elevation_deg,split,x0,y0,x1,y1"]
+    for number, (name, split) in enumerate((("a.png", "val"), ("b.jpg", "val"), ("c.png", "test"), ("d.webp", "test"))):
+        deep = number == 0
+        pixels = rng.integers(0, 65535 if deep else 255, (24, 32) if deep else (24, 32, 3))
+        picture = Image.fromarray(pixels.astype(np.uint16 if deep else np.uint8))
+        picture.save(root / "images" / name, **({"exif": _turned()} if number in (1, 3) else {}))
+        rows.append(f"{name},{30.5 * number},{number},{split},2,3,20,22")
+    (root / "viewpoints.csv").write_text("\n".join(rows) + "\n")
+
+
+def _photo_store(root: Path) -> object:
+    config = PhotoConfig("car", str(root), size=8)
+
+    def read() -> object:
+        store = photo_views(config, 1, progress=False)
+        return f"{photo_store.summary(store)}; {check_store(store)}"
+
+    return fresh(read)
+
+
+def _thing(**changes: Any) -> dict[str, Any]:
+    viewpoint = {"azimuth": 10.0, "elevation": 5.0, "distance": 3.0, "theta": 2.0}
+    base = {"class": "car", "bbox": np.array([1.0, 2, 20, 22]), "truncated": 0, "occluded": 0, "difficult": 0}
+    return {**base, "viewpoint": viewpoint, **changes}
+
+
+def _pascal3d(root: Path) -> None:
+    for number, split in enumerate(pascal3d.SPLITS):
+        names = [f"n{number}_{i}" for i in range(2)]
+        for name in names:
+            picture = Image.fromarray(np.random.default_rng(number).integers(0, 255, (24, 32, 3), dtype=np.uint8))
+            pascal3d_standin._write(root, "car", "imagenet", name, picture, [_thing(), _thing(difficult=1)])
+        pascal3d_standin._write_list(root, "car", "imagenet", split, names)
+    # One record without compression, in which damage is not just told by a checksum.
+    path = pascal3d.annotation_file(root, "car", "imagenet", "n0_0")
+    scipy.io.savemat(path, {"record": {"objects": _thing(), "imgsize": np.array([32.0, 24, 3])}})
+
+
+# ---- videos
+
+_SMALL: dict[str, Any] = {"size": 8, "side": 1.0}
+
+
+def _freiburg(root: Path) -> None:
+    write_freiburg(root, [1, 2], frames=3)
+    for number in (1, 2):
+        write_frames(root / f"masks/car{number:03d}", {f"{k + 1}.png": 255 for k in range(3)})
+
+
+def _video_folder(root: Path) -> None:
+    write_video(root / "a.mp4", [10, 90, 200], (32, 24))
+    write_video(root / "b.avi", [10, 90, 200], (32, 24))
+    rng = np.random.default_rng(0)
+    (root / "c").mkdir()
+    for number in range(3):
+        Image.fromarray(rng.integers(0, 255, (24, 32, 4), dtype=np.uint8)).save(root / f"c/{number}.png")
+    (root / "splits.csv").write_text("clip,split\na,train\nb,train\nc,train\n")
+
+
+def _objectron(root: Path) -> None:
+    objectron_standin.write_stand_in(root, "chair", videos=3, frames=3, size=(90, 120), progress=False)
+
+
+def _clips(category: str, masks: str = "files") -> Callable[[Path], object]:
+    def read(root: Path) -> object:
+        config = VideoConfig(category, str(root), masks=masks, **_SMALL)  # type: ignore[arg-type]
+
+        def make() -> object:
+            store = video_views(config, 1, progress=False)
+            return f"{clip_store.summary(store)}; {check_store(store)}"
+
+        return fresh(make)
+
+    return read
+
+
+READERS = (
+    Reader(
+        "CAD model",
+        _textured,
+        _mesh,
+        {"*/*/models/*.obj": None, "*/*/models/*.mtl": None, "*/*/images/*.png": None, "*/*/images/*.jpg": None},
+        ("{folder}/" + SYNSET + "/box/models/model_normalized.obj",),
+    ),
+    Reader("ShapeNet's lists", _collection, _models, {"all.csv": None, "lists/*.txt": None}, ("{folder}/lists",)),
+    Reader("pictures", _pictures, _backgrounds, {"a/*": None, "ClassName.txt": None}, ("{folder}",)),
+    Reader(
+        "backgrounds kept",
+        _kept,
+        _kept_again,
+        {"backgrounds/*/*.npy": other_array, "backgrounds/*/rejected.csv": None},
+        ("{folder}/backgrounds",),
+    ),
+    Reader("photographs", _photographs, _photo_store, {"images/*": None, "viewpoints.csv": None}, ("{folder}",)),
+    Reader(
+        "PASCAL3D+",
+        _pascal3d,
+        _photo_store,
+        {"Annotations/*/n0_*.mat": other_record, "Images/*/n0_0.JPEG": None, "Image_sets/*.txt": None},
+        ("{folder}",),
+    ),
+    Reader(
+        "Freiburg cars",
+        _freiburg,
+        _clips("car"),
+        {"annotations/*.txt": None, "car001/1.png": None, "masks/car001/*.png": None},
+        ("{folder}",),
+    ),
+    Reader(
+        "Objectron",
+        _objectron,
+        _clips("chair"),
+        {"annotations/*/*/0.pbdata": None, "index/*": None, "videos/*/*/0/*0.jpg": None, "masks/*/*/0/*0.png": None},
+        ("{folder}",),
+    ),
+    Reader(
+        "videos",
+        _video_folder,
+        _clips("car", "none"),
+        {"*.mp4": None, "*.avi": None, "splits.csv": None},
+        ("{folder}",),
+    ),
+    Reader("frames with alpha", _video_folder, _clips("car", "alpha"), {"c/*.png": None}, ("{folder}",)),
+)

@@ -1,0 +1,98 @@
+"""Work done in this process, step upon step: views are drawn, a run is trained on them, a table is made of runs."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from helpers.works import PLACES, damage, differences
+
+from viewnet.config import RunConfig, make_config
+from viewnet.data.build import view_store
+from viewnet.errors import ViewnetError
+from viewnet.experiments.request import experiment
+from viewnet.training.run_store import ensure
+
+
+@dataclass(frozen=True)
+class Task:
+    """`act` does it where the environment says; it writes below `makes`, in the folder `place` and nowhere else."""
+
+    name: str
+    makes: str
+    act: Callable[[], Any]
+
+    @property
+    def place(self) -> str:
+        """The first part of `makes`."""
+        return self.makes.split("/")[0]
+
+    def message(self) -> str:
+        """Do it: what a ViewnetError said, "" where it came to its end. Other errors are raised."""
+        try:
+            self.act()
+        except ViewnetError as error:
+            return str(error)
+        return ""
+
+    def damage(self, root: Path, reference: Path) -> list[str]:
+        """See works.damage."""
+        return damage(root, reference, (self.makes,))
+
+    def differences(self, root: Path, reference: Path) -> list[str]:
+        """See works.differences."""
+        return differences(root, reference, (self.makes,))
+
+
+def config(**overrides: Any) -> RunConfig:
+    """Two epochs on thirty models."""
+    return make_config(profile="smoke", **overrides)
+
+
+def train(asked: RunConfig) -> None:
+    """One run, in this process."""
+    ensure([asked], workers=1, progress=False)
+
+
+def _tabulate() -> None:
+    asked = experiment("table1_shapenet", profile="smoke", categories="car", workers=1)
+    asked.table(asked.run(progress=False)).write(asked.folder)
+
+
+TASKS = (
+    Task("drawing", "data", lambda: view_store(config().data, workers=1, progress=False)),
+    Task("training", "runs/viewnet", lambda: train(config())),
+    Task("table", "tables", _tabulate),
+)
+"""Each needs what those before it have made."""
+
+
+@contextlib.contextmanager
+def at(root: Path, reference: Path, task: Task) -> Iterator[None]:
+    """What a task makes goes below `root`; everything else is where undisturbed tasks left it."""
+    places = {variable: str((root if place == task.place else reference) / place) for place, variable in PLACES.items()}
+    with mock.patch.dict(os.environ, places), one_processor():
+        yield
+
+
+@contextlib.contextmanager
+def one_processor() -> Iterator[None]:
+    """With more a training has more threads, and other bits."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def undisturbed(root: Path) -> None:
+    """Do all tasks."""
+    for task in TASKS:
+        with at(root, root, task):
+            task.act()

@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from helpers.boxes import box_store
+from helpers.drawn_models import untrained_run
+from helpers.evaluation_data import make_index, noisy
+from test_image_grids import inside, pictures
+
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.evaluate import align
+from viewnet.evaluation.predictions import Predictions, true_vectors
+from viewnet.geometry import view_vector
+from viewnet.tables import failures
+
+
+def vectors(azimuths, elevations) -> np.ndarray:
+    return view_vector(
+        torch.tensor(azimuths, dtype=torch.float64), torch.tensor(elevations, dtype=torch.float64)
+    ).numpy()
+
+
+@pytest.mark.parametrize(
+    ("said", "cause"),
+    [
+        ((75, 5), ""),
+        ((245, 8), "half a turn"),
+        ((250, -35), "half a turn"),
+        ((115, 0), "front and back mirrored"),
+        ((340, 0), "other"),  # right and left mirrored
+        ((70, 60), "elevation"),
+        ((160, 10), "other"),
+    ],
+)
+def test_causes(said, cause):
+    assert failures.causes(vectors([said[0]], [said[1]]), vectors([65.0], [10.0])).tolist() == [cause]
+
+
+def test_from_the_front_a_mirror_is_half_a_turn():
+    assert failures.causes(vectors([180.0], [0.0]), vectors([5.0], [0.0])).tolist() == ["half a turn"]
+
+
+def test_from_the_side_a_mirror_is_no_cause_for_an_elevation():
+    assert failures.causes(vectors([91.0], [36.0]), vectors([80.0], [-16.0])).tolist() == ["elevation"]
+
+
+def test_failures_come_by_cause_worst_first():
+    ids = make_index(30, 4)
+    said = noisy(ids, heads=1, degrees=2)
+    true = true_vectors(said.ids)
+    hypotheses = true[:, None].copy()
+    test = np.flatnonzero(said.ids["split"] == "test")
+    for row, off in ((3, 40.0), (1, 170.0), (5, 178.0), (7, 75.0)):
+        line = said.ids.iloc[test[row]]
+        hypotheses[test[row], 0] = vectors([line["azimuth"] + off], [line["elevation"]])[0]
+    groups = failures.by_cause(align(Predictions(said.ids, hypotheses, said.logits), "none"))
+    assert groups[0].cause == "half a turn"
+    assert groups[0].rows == [5, 1]
+    assert groups[0].views == len(test)
+    rest = sorted(row for group in groups[1:] for row in group.rows)
+    assert rest == [3, 7]
+
+
+@pytest.fixture
+def store(tmp_path):
+    return box_store(tmp_path / "views", {"val": 4, "test": 4}, views=4)
+
+
+def test_gallery_tells_both_viewpoints(store, tmp_path):
+    run = untrained_run(tmp_path / "run")
+    figure = failures.gallery(run, lambda run: store, count=3)
+    shown = pictures(figure)
+    assert all(len(line) == 6 for line in shown)
+    (drawer,) = failures.drawers([run], lambda run: store)
+    groups = failures.by_cause(drawer.aligned)
+    assert [axes.get_ylabel().replace("\n", " ") for axes in figure.axes[::6]] == [
+        f"{g.cause} {len(g.rows)} of 16" for g in groups
+    ]
+    worst = drawer.aligned.predictions.ids.iloc[groups[0].rows[0]]
+    assert figure.axes[0].get_xlabel() == f"true\n{round(worst['azimuth']) % 360}°, {round(worst['elevation'])}°"
+    assert figure.axes[1].get_xlabel().startswith("predicted\n")
+    assert inside(figure)
+
+
+def test_no_failures_are_nothing_to_show(store, tmp_path, monkeypatch):
+    ids = store.index[store.index["split"] != "train"]
+    right = Predictions(ids, true_vectors(ids)[:, None], np.zeros((len(ids), 1)))
+    monkeypatch.setattr(failures, "drawers", lambda runs, stores: [SimpleNamespace(aligned=align(right))])
+    with pytest.raises(ViewnetError, match="no error of 30 degrees or more"):
+        failures.gallery(untrained_run(tmp_path / "run"), lambda run: store)

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.boxes import box_store
+from helpers.drawn_models import untrained_drawer, untrained_run
+from helpers.photo_data import make_photos
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from viewnet.errors import ViewnetError
+from viewnet.model import rendering
+from viewnet.tables import figures, image_grids, run_renderer
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return box_store(tmp_path_factory.mktemp("gallery") / "views", {"val": 3, "test": 4}, views=3)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    return [untrained_run(folder / v, v) for v in ("viewnet", "viewnet_cycle", "hologan_decoder")]
+
+
+def pictures(figure) -> list[list[np.ndarray | None]]:
+    """What is shown, line by line; None where nothing is."""
+    found: dict[int, list[np.ndarray | None]] = {}
+    for axes in figure.axes:
+        line = int(axes.get_label().split()[0])
+        found.setdefault(line, []).append(axes.images[0].get_array() if axes.images else None)
+    return list(found.values())
+
+
+def inside(figure) -> bool:
+    """Whether no text is cut off by the figure's edge."""
+    renderer, room = FigureCanvasAgg(figure).get_renderer(), figure.bbox
+    boxes = [axes.get_tightbbox(renderer) for axes in figure.axes]
+    return all(b.x0 >= 0 and b.y0 >= 0 and b.x1 <= room.x1 and b.y1 <= room.y1 for b in boxes)
+
+
+def test_reconstructions_stand_beside_their_picture(runs, store):
+    figure = image_grids.reconstructions(runs[:2], lambda run: store, count=2)
+    shown = pictures(figure)
+    assert [len(line) for line in shown] == [3, 3]
+    assert [axes.get_title() for axes in figure.axes[:3]] == ["car", "ViewNet", "ViewNet +\ncycle"]
+    drawer = run_renderer.Drawer.of(runs[1].folder, store)
+    assert np.array_equal(shown[1][0], drawer.shown([6])[0])
+    assert np.array_equal(shown[1][2], rendering.shown(drawer.reconstruct([6]))[0])
+    assert inside(figure)
+
+
+def test_seeds_are_told_apart(runs, store, tmp_path):
+    figure = image_grids.reconstructions([runs[0], untrained_run(tmp_path / "run", seed=1)], lambda run: store, count=1)
+    assert [axes.get_title() for axes in figure.axes] == ["car", "ViewNet\nseed 0", "ViewNet\nseed 1"]
+
+
+def test_photographs_are_reconstructed_too(runs, tmp_path):
+    photos = make_photos(tmp_path / "photos", count=12)
+    assert len(pictures(image_grids.reconstructions(runs[:2], lambda run: photos))) == 3
+
+
+def test_runs_of_other_views_cannot_share_pictures(runs, store, tmp_path):
+    other = box_store(tmp_path / "views", {"val": 3, "test": 3}, views=3, seed=1)
+    with pytest.raises(ViewnetError, match="have other views"):
+        image_grids.reconstructions(runs[:2], lambda run: store if run is runs[0] else other)
+
+
+def test_views_around_have_a_line_a_run_and_a_column_an_azimuth(runs, store):
+    figure = image_grids.around(
+        [runs[2], runs[0]], lambda run: store, azimuths=(0, 90, 180), elevation=10, object_number=1
+    )
+    shown = pictures(figure)
+    assert [len(line) for line in shown] == [4, 4]
+    assert [axes.get_title() for axes in figure.axes[:4]] == ["appearance", "0°", "90°", "180°"]
+    assert [axes.get_ylabel() for axes in figure.axes[::4]] == ["HoloGAN-\nDecoder", "ViewNet"]
+    # The same object for both, and not two views alike.
+    assert np.array_equal(shown[0][0], shown[1][0])
+    assert not np.array_equal(shown[1][1], shown[1][3])
+    assert inside(figure)
+    with pytest.raises(ViewnetError, match="object 4: the test split has 4"):
+        image_grids.around(runs, lambda run: store, object_number=4)
+
+
+def test_volumes_stand_below_their_pictures_from_one_viewpoint(runs, store):
+    figure = image_grids.volumes(runs[:1], lambda run: store, count=4, columns=3)
+    shown = pictures(figure)
+    assert [[p is not None for p in line] for line in shown] == [[True] * 3] * 2 + [[True, False, False]] * 2
+    drawer = run_renderer.Drawer.of(runs[0].folder, store)
+    assert np.array_equal(shown[2][0], drawer.shown([9])[0])
+    assert inside(figure)
+
+
+def test_curves_are_the_logs(runs):
+    figure = image_grids.training_curves(runs)
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles == [
+        "validation accuracy (%)",
+        "validation error",
+        "training loss",
+        "loss: pixels",
+        "loss: masks",
+    ]
+    for axes, values in zip(figure.axes, ([20, 60], [0.4, 0.2], [2.5, 1.5], [0.5, 0.5], [2, 1]), strict=True):
+        assert len(axes.lines) == 3
+        assert axes.lines[0].get_xydata().tolist() == [[1, values[0]], [2, values[1]]]
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == ["ViewNet", "ViewNet + cycle", "HoloGAN-Decoder"]
+
+
+def test_a_run_without_a_log_is_named(tmp_path):
+    run = untrained_run(tmp_path / "run")
+    (run.folder / "log.csv").write_text("epoch,step,seconds,loss\n")
+    with pytest.raises(ViewnetError, match=r"viewnet car seed 0 .* log is empty"):
+        image_grids.training_curves([run])
+    with pytest.raises(ViewnetError, match="no runs"):
+        image_grids.training_curves([])
+
+
+def test_figures_are_files(runs, store, tmp_path):
+    files = figures.save(image_grids.volumes(runs[:1], lambda run: store, count=2), tmp_path, "volumes")
+    assert files[0].read_bytes().startswith(b"\x89PNG")
+    assert files[1].read_bytes().startswith(b"%PDF")
+
+
+def test_untrained_drawer_is_what_a_run_gives(store, tmp_path):
+    """The two ways in which tests come by a drawer agree."""
+    one, other = run_renderer.Drawer.of(untrained_run(tmp_path / "run").folder, store), untrained_drawer(store)
+    assert np.allclose(rendering.shown(one.reconstruct([0])), rendering.shown(other.reconstruct([0])), atol=2)

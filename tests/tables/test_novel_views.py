@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+from types import MethodType
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from helpers.boxes import PERSPECTIVE, SYMMETRIC, box_mesh, box_store, box_volume
+from helpers.drawn_models import untrained_drawer, untrained_run
+from helpers.photo_data import make_photos
+from skimage.metrics import structural_similarity
+from test_run_renderer import turned
+
+from viewnet.data.store import write_store
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.metrics import bootstrap_intervals
+from viewnet.model.viewnet import Hypotheses
+from viewnet.render import render
+from viewnet.tables import novel_views
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return box_store(tmp_path_factory.mktemp("novel") / "views", {"val": 3, "test": 4}, views=3)
+
+
+@pytest.fixture(scope="module")
+def one_shape(store, tmp_path_factory):
+    """The views of `store`, but every object is the same."""
+    index = store.index
+    images = render(box_mesh(SYMMETRIC), index["azimuth"].to_numpy(), index["elevation"].to_numpy(), 32, 2)
+    return write_store(tmp_path_factory.mktemp("one") / "views", [images], index, {"one": 1})
+
+
+def knowing(drawer, degrees: float):
+    """A network that always imagines the boxes themselves, turned by so much in its own frame: 90 or nothing."""
+    volume = box_volume(SYMMETRIC, 64)
+    # Own azimuths lack the turn: the own frame's volume is turned back by it.
+    volume = torch.rot90(volume, -round(degrees / 90), (4, 3))
+    drawer.network.focal.data.fill_(PERSPECTIVE)
+
+    def imagine(self, pictures, own=1.0, behind=None):
+        return torch.zeros(len(pictures), 1), volume.expand(len(pictures), -1, -1, -1, -1)
+
+    drawer.network.imagine = MethodType(imagine, drawer.network)
+    return drawer
+
+
+def test_true_viewpoints_are_taken_into_the_own_frame(one_shape):
+    found = [
+        novel_views.fidelity(knowing(untrained_drawer(one_shape, turned(rotation), render_size=32), volume))
+        for rotation, volume in ((0, 0), (90, 90), (90, 0))
+    ]
+    assert list(found[0].columns) == ["model_id", "view", "psnr", "ssim", "iou"]
+    for right in found[:2]:
+        assert (right["psnr"] > 20).all()
+        assert (right["ssim"] > 0.85).all()
+        assert (right["iou"] > 0.8).all()
+    assert found[2]["psnr"].mean() < 18
+    assert found[2]["iou"].mean() < 0.75
+
+
+def test_copy_shows_the_next_view_of_the_object(store):
+    drawer = untrained_drawer(store)
+    found = novel_views.fidelity(drawer, copy=True)
+    expected = novel_views.compare(drawer.pictures([1, 2, 0]), drawer.pictures([0, 1, 2]))
+    assert np.allclose(found[["psnr", "ssim", "iou"]].head(3), expected)
+
+
+def test_measures_are_those_of_the_literature():
+    chance = torch.Generator().manual_seed(0)
+    target = torch.rand(1, 4, 16, 16, generator=chance)
+    drawn = (target + 0.1).clamp(max=2)
+    drawn[:, :3] = target[:, :3] * 0.5
+    (line,) = novel_views.compare(drawn, target).to_dict("records")
+    error = ((target[:, :3] * 0.5) ** 2).mean()
+    assert line["psnr"] == pytest.approx(float(-10 * torch.log10(error)), abs=1e-4)
+    a, b = (p[0, :3].movedim(0, -1).double().numpy() for p in (drawn, target))
+    gaussian = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    assert line["ssim"] == pytest.approx(structural_similarity(b, a, data_range=1.0, channel_axis=-1, **gaussian))
+    both, either = (target[:, 3] > 0.5).sum(), (target[:, 3] > 0.4).sum()
+    assert line["iou"] == pytest.approx(float(both / either), abs=0.02)
+    (same,) = novel_views.compare(target, target).to_dict("records")
+    assert same == {"psnr": novel_views.HIGHEST, "ssim": pytest.approx(1), "iou": 1}
+
+
+def test_what_a_variant_does_not_draw_is_not_scored(store):
+    hologan = novel_views.fidelity(untrained_drawer(store, variant="hologan_decoder"))
+    assert hologan["iou"].isna().all()
+    assert hologan["psnr"].notna().all()
+    masks = novel_views.fidelity(untrained_drawer(store, variant="segmentation_target"))
+    assert masks[["psnr", "ssim"]].isna().all(axis=None)
+    assert masks["iou"].notna().all()
+
+
+@pytest.mark.parametrize(("reads", "median"), [(True, 0.0), (False, 90.0)])
+def test_consistency_is_how_well_the_drawing_tells_its_viewpoint(store, reads, median):
+    drawer = untrained_drawer(store)
+
+    def draw(self, shape, code, frames, size=None):
+        """Flat pictures whose colour is the view vector."""
+        colours = torch.cat([frames[:, :, 2] / 2 + 0.5, torch.ones(len(frames), 1)], 1)
+        return colours[:, :, None, None].expand(-1, -1, 16, 16)
+
+    def viewpoint(pictures):
+        said = 2 * pictures.mean((2, 3)) - 1 if reads else torch.tensor([[1.0, 0, 0]]).expand(len(pictures), 3)
+        wrong = -said * torch.tensor([1.0, 1, 0]) + torch.tensor([0.0, 0, 0.1])
+        # The selected head answers; the other one would be wrong.
+        return Hypotheses(torch.stack([wrong, said], 1), torch.tensor([[0.0, 1.0]]).expand(len(pictures), 2))
+
+    drawer.network.draw = MethodType(draw, drawer.network)
+    drawer.network.viewpoint.forward = viewpoint
+    errors = novel_views.consistency(drawer)
+    assert len(errors) == len(drawer)
+    assert np.median(errors) == pytest.approx(median, abs=0.01 if reads else 45)
+    assert np.array_equal(errors, novel_views.consistency(drawer))
+
+
+@pytest.mark.parametrize(
+    ("variant", "settings"), [("viewnet", {"crop": "square"}), ("hologan_decoder", {}), ("viewnet", {"in_plane": True})]
+)
+def test_every_network_can_look_at_what_it_draws(store, variant, settings):
+    errors = novel_views.consistency(untrained_drawer(store, variant=variant, **settings))
+    assert ((errors >= 0) & (errors <= 180)).all()
+
+
+def test_intervals_are_those_of_the_tables():
+    rng = np.random.default_rng(0)
+    objects = [np.repeat([f"o{i}" for i in range(20)], 3)] * 2
+    hits = [(rng.random(60) < 0.5).astype(float) * 100 for _ in range(2)]
+    errors = [np.where(hit > 0, 0.0, 90.0) for hit in hits]  # acc30 is then the mean of the hits
+    low, high = novel_views.mean_interval(hits, objects, 4000)
+    wanted = bootstrap_intervals(errors, objects, np.random.default_rng(0), 4000)["acc30"]
+    assert np.allclose([low, high], wanted, atol=1.0)
+    assert novel_views.mean_interval([hits[0][:3]], [objects[0][:3]]) is None
+    assert novel_views.mean_interval([np.full(60, np.nan)], objects[:1]) is None
+
+
+def test_cells_are_those_of_a_table(store, tmp_path):
+    runs = [
+        untrained_run(tmp_path / f"{v}{s}", v, s) for v, s in (("hologan_decoder", 0), ("viewnet", 0), ("viewnet", 1))
+    ]
+    found = novel_views.cells(runs, lambda run: store, draws=20)
+    assert list(dict.fromkeys(found["row"])) == [novel_views.COPY, "ViewNet", "HoloGAN-Decoder"]
+    assert list(found.loc[found["row"] == "ViewNet", "metric"]) == list(novel_views.NAMES)
+    mine = found.set_index(["row", "metric"])
+    psnr = mine.loc["ViewNet", "psnr"]
+    assert psnr["seeds"] == 2
+    assert psnr["runs"] == "viewnet0 viewnet1"
+    assert psnr["low"] <= psnr["measured"] <= psnr["high"]
+    assert (psnr["images"], psnr["objects"]) == (12, 4)
+    assert np.isnan(mine.loc["HoloGAN-Decoder", "iou"]["measured"])
+    assert np.isnan(mine.loc[novel_views.COPY, "consistency_median"]["measured"])
+    shown = novel_views.frame(found)
+    assert shown.loc["HoloGAN-Decoder", ("car", "mask IoU")] == "--"
+    assert shown.loc["ViewNet", ("car", "PSNR, dB")].startswith(f"{psnr['measured']:.1f} [")
+    files = novel_views.write(found, tmp_path / "tables", "one & two")
+    assert [file.name for file in files] == ["novel_views.tex", "novel_views.csv"]
+    tex = files[0].read_text()
+    assert tex.count("&") == 7 * 4 + 1 and "one \\& two" in tex and tex.count("\\midrule") == 1
+    line = next(line for line in tex.splitlines() if line.startswith("HoloGAN-Decoder"))
+    assert line.split(" & ")[3] == "--" and line.split(" & ")[1] != "--"
+    kept = pd.read_csv(files[1], keep_default_na=False, na_values=[""])
+    assert kept["measured"].to_numpy() == pytest.approx(found["measured"].round(4).to_numpy(), nan_ok=True)
+    with pytest.raises(ViewnetError, match="same seed"):
+        novel_views.cells([*runs, runs[1]], lambda run: store)
+
+
+def test_photographs_and_single_views_are_refused(tmp_path):
+    with pytest.raises(ViewnetError, match="photographs have no mask"):
+        novel_views.fidelity(untrained_drawer(make_photos(tmp_path / "photos")))
+    single = box_store(tmp_path / "views", {"val": 4, "test": 2}, views=1)
+    with pytest.raises(ViewnetError, match="a single view"):
+        novel_views.fidelity(untrained_drawer(single))

@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from helpers.boxes import box_store
+from helpers.drawn_models import untrained_drawer, untrained_run
+from helpers.photo_data import make_photos
+
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.alignment import Identity
+from viewnet.evaluation.evaluate import align
+from viewnet.evaluation.predict import predict
+from viewnet.evaluation.predictions import Predictions
+from viewnet.geometry import azimuth_elevation, look_at, view_vector
+from viewnet.model import rendering
+from viewnet.runtime.files import write_json
+from viewnet.tables import run_renderer
+from viewnet.training.run_store import Run, untrained
+
+
+def turned(degrees: float) -> np.ndarray:
+    """The rotation about the vertical that adds so much to azimuths."""
+    a = np.deg2rad(degrees)
+    return np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return box_store(tmp_path_factory.mktemp("drawing") / "views", {"val": 3, "test": 3}, views=3)
+
+
+def test_a_run_is_aligned_as_in_the_tables(store, tmp_path):
+    run = untrained_run(tmp_path / "run")
+    drawer = run_renderer.Drawer.of(run.folder, store)
+    assert len(drawer) == len(drawer.views.objects) == 9
+    said = predict(run.folder, store)
+    assert np.allclose(drawer.rotation, align(said).alignment.rotation)
+    # Kept predictions are used where they are of these views, and only there.
+    kept = Predictions(said.ids, said.hypotheses[:, ::-1], said.logits)
+    kept.to_parquet(run.folder / "predictions.parquet")
+    for views, expected in ((store.identity, kept), ("others", said)):
+        write_json(run.folder / "result.json", {"views": views})
+        found = run_renderer.Drawer.of(run.folder, store).aligned.predictions
+        assert np.allclose(found.hypotheses, expected.subset("test").hypotheses)
+
+
+def test_frames_are_taken_back_into_the_own_frame(store):
+    drawer = untrained_drawer(store, turned(90))
+    azimuth, elevation = torch.tensor([120.0]), torch.tensor([20.0])
+    own = drawer.own(look_at(view_vector(azimuth, elevation)))
+    assert torch.allclose(own, look_at(view_vector(azimuth - 90, elevation)), atol=1e-6)
+
+
+def test_turn_is_what_own_azimuths_lack(store):
+    drawer = untrained_drawer(store)
+    ids = drawer.aligned.calibration.ids
+    angles = (torch.tensor(ids[c].to_numpy()) for c in ("azimuth", "elevation"))
+    said = view_vector(next(angles) - 70, next(angles) * 0.5).numpy()[:, None]
+    calibration = Predictions(ids, said, np.zeros((len(ids), 1)))
+    drawer = replace(drawer, aligned=replace(drawer.aligned, calibration=calibration))
+    assert drawer.turn == pytest.approx(70)
+    level = drawer.level(torch.tensor([100.0]), torch.tensor([15.0]))
+    assert np.allclose([float(x) for x in azimuth_elevation(level[0, :, 2])], [30, 15], atol=1e-3)
+
+
+def test_answers_are_the_selected_frames(store):
+    drawer = untrained_drawer(store)
+    rows = [4, 1]
+    found = drawer.network.viewpoint(drawer.network.see(drawer.pictures(rows, 32)))
+    frames = found.frames[torch.arange(2), found.logits.argmax(1)]
+    assert torch.allclose(drawer.answers(rows), frames, atol=1e-4)
+
+
+def test_larger_drawings_show_the_same(store):
+    drawer = untrained_drawer(store)
+    imagined, frames = drawer.imagine([0, 3]), drawer.answers([0, 3])
+    small, large = (drawer.draw(imagined, frames, size) for size in (None, 64))
+    assert large.shape == (2, 4, 64, 64)
+    pair = torch.stack([torch.nn.functional.avg_pool2d(large, 4).flatten(), small.flatten()])
+    assert torch.corrcoef(pair)[0, 1] > 0.95
+    hologan = untrained_drawer(store, variant="hologan_decoder")
+    assert hologan.draw(hologan.imagine([0]), frames[:1], 64).shape == (1, 4, 16, 16)
+
+
+def test_photographs_are_drawn_cut_to_their_object(tmp_path):
+    drawer = untrained_drawer(make_photos(tmp_path / "photos"), recipe="photos", backgrounds=None)
+    drawn = drawer.reconstruct([0, 1])
+    assert drawer.partners([0, 1]) == [0, 1]
+    covered = drawn[:, 3] > 0.5
+    assert covered.any()
+    sides = torch.stack([covered.any(axis).sum(1) for axis in (1, 2)], 1).amax(1)
+    assert (sides >= drawn.shape[-1] - 2).all()
+
+
+def test_shown_is_before_a_wall():
+    picture = torch.tensor([0.2, 0.0, 0.6, 0.4])[None, :, None, None]
+    assert rendering.shown(picture).tolist() == [[[[204, 153, 255]]]]
+    assert rendering.shown(picture, 0.0).tolist() == [[[[51, 0, 153]]]]
+
+
+def test_what_draws_nothing_is_said(store, tmp_path):
+    drawer = untrained_drawer(store)
+    with pytest.raises(ViewnetError, match="no runs to draw with"):
+        run_renderer.drawers([])
+    with pytest.raises(ViewnetError, match=r"constant car seed 0 .* draws nothing"):
+        run_renderer.drawers([Run(untrained("constant", drawer.config), tmp_path)])
+    with pytest.raises(ViewnetError, match="alignment none is no rotation"):
+        _ = replace(drawer, aligned=replace(drawer.aligned, alignment=Identity())).rotation

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from viewnet.config import make_config
+from viewnet.model.viewnet import ViewNet
+from viewnet.training.muon import Muon, orthogonal
+from viewnet.training.train import make_optimisers
+
+
+@pytest.mark.parametrize("shape", [(8, 72), (72, 8), (16, 16)])
+def test_singular_values_are_brought_near_one(shape):
+    torch.manual_seed(0)
+    values = torch.linalg.svdvals(orthogonal(torch.randn(shape) * 1e-3))
+    assert values.min() > 0.5 and values.max() < 1.3
+
+
+def test_the_singular_vectors_stay():
+    torch.manual_seed(0)
+    matrix = torch.randn(8, 72)
+    u, _, v = torch.linalg.svd(matrix, full_matrices=False)
+    turned = u.T @ orthogonal(matrix) @ v.T
+    assert torch.allclose(turned, torch.diag(turned.diagonal()), atol=1e-3)
+
+
+def test_a_zero_gradient_moves_nothing():
+    weight = torch.nn.Parameter(torch.randn(4, 3, 2, 2))
+    before = weight.detach().clone()
+    weight.grad = torch.zeros_like(weight)
+    Muon([weight]).step()
+    assert torch.equal(weight, before)
+
+
+def test_it_finds_a_linear_map():
+    torch.manual_seed(0)
+    wanted, weight = torch.randn(6, 20), torch.nn.Parameter(torch.zeros(6, 5, 2, 2))
+    optimiser = Muon([weight], lr=0.05)
+    losses = []
+    for step in range(200):
+        optimiser.param_groups[0]["lr"] = 0.05 * (1 - step / 200)
+        loss = (weight.flatten(1) - wanted).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.1 * losses[0]
+
+
+def test_only_inner_convolutions_are_taken():
+    config = make_config(profile="smoke", muon=0.02)
+    model = ViewNet(config.model)
+    adam, muon = make_optimisers(model, config.train)
+    taken = {id(p) for p in muon.param_groups[0]["params"]}
+    names = {name for name, p in model.named_parameters() if id(p) in taken}
+    depth = len([m for m in model.appearance if isinstance(m, torch.nn.Conv2d)])
+    for part in ("viewpoint.encoder.", "appearance."):
+        of = {name for name in names if name.startswith(part)}
+        assert len(of) == depth - 2 and f"{part}0.weight" not in of
+    assert len({name for name in names if name.startswith("decoder.stages.")}) == len(model.decoder.stages)
+    assert len(names) == 2 * (depth - 2) + len(model.decoder.stages)
+    assert len(adam.param_groups[0]["params"]) + len(taken) == len(list(model.parameters()))
+    assert len(make_optimisers(model, make_config(profile="smoke", muon=0.0).train)) == 1
+
+
+def test_bfloat16_brings_large_matrices_as_near():
+    torch.manual_seed(0)
+    matrix = torch.randn(128, 200)
+    whole, half = orthogonal(matrix), orthogonal(matrix, half=True)
+    assert half.dtype == torch.float32
+    assert not torch.equal(whole, half)
+    assert (whole - half).norm() < 0.03 * whole.norm()
+    assert torch.equal(orthogonal(matrix[:64]), orthogonal(matrix[:64], half=True))  # too small to gain by it
+
+
+def test_without_mixed_precision_muon_has_none(monkeypatch):
+    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: True)
+    for amp, half in (("auto", True), ("off", False)):
+        config = make_config(profile="smoke", amp=amp)
+        assert make_optimisers(ViewNet(config.model), config.train)[1].half is half

@@ -1,0 +1,1 @@
+"""Speed and memory, measured beside a textbook version of the same work."""

@@ -1,0 +1,246 @@
+"""What `viewnet bench` measured: as text, booktabs table, CSV, JSON and figure."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from viewnet.bench.contestants import BOTH, CONTESTANTS
+from viewnet.bench.measure import COLUMNS, Row
+from viewnet.runtime.files import write_json, write_text
+from viewnet.tables import figures
+from viewnet.tables.latex import escape
+from viewnet.tables.published import DASH
+
+COLOURS = {"textbook": "#d55e00", "viewnet": "#0072b2"}  # told apart by colour-blind readers, and by their markers
+MARKERS = {"textbook": "s", "viewnet": "o"}
+RATIOS = {"time": "#009e73", "memory": "#e69f00"}
+NOT_MEASURED = "not measured"
+
+# ---- text
+
+
+HEADINGS = (
+    ("", "", "", "", "time", "", "", "memory", "", "", "images/s", "", "growth", "", "", "x floor", ""),
+    ("work", "volume", "size", "on", "textbook", "viewnet", "ratio", "textbook", "viewnet", "ratio", "textbook",
+     "viewnet", "expected", "textbook", "viewnet", "textbook", "viewnet"),
+)  # fmt: skip
+"""The two lines above what `cells` has."""
+
+
+def as_text(result: dict[str, Any]) -> str:
+    """One aligned table, and what it was measured on."""
+    lines = [*HEADINGS, *(cells(row) for row in result["rows"])]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    out = io.StringIO()
+    for line in lines:
+        parts = [
+            cell.ljust(w) if i < 2 else cell.rjust(w) for i, (cell, w) in enumerate(zip(line, widths, strict=True))
+        ]
+        out.write("  ".join(parts).rstrip() + "\n")
+    return out.getvalue() + "\n" + "\n".join(notes(result)) + "\n"
+
+
+def cells(row: Row) -> tuple[str, ...]:
+    """A row as text, a cell for each of HEADINGS."""
+    measured = any(row[f"{name}_s"] is not None for name in CONTESTANTS)
+    return (
+        row["work"],
+        row["volume"],
+        "" if row["size"] is None else str(row["size"]),
+        row["device"],
+        *((_seconds(row["textbook_s"]), _seconds(row["viewnet_s"])) if measured else ("", NOT_MEASURED)),
+        _spread(row["speedup"], row["speedup_low"], row["speedup_high"]),
+        _bytes(row["textbook_bytes"]),
+        _bytes(row["viewnet_bytes"]),
+        _number(row["memory_ratio"]),
+        _number(row["textbook_images_per_s"]),
+        _number(row["viewnet_images_per_s"]),
+        _number(row["growth_expected"]),
+        _both(row["textbook_growth"], row["textbook_memory_growth"]),
+        _both(row["viewnet_growth"], row["viewnet_memory_growth"]),
+        _number(row["textbook_over_floor"]),
+        _number(row["viewnet_over_floor"]),
+    )
+
+
+def notes(result: dict[str, Any]) -> list[str]:
+    """What stands under the table."""
+    settings, machine, git = result["settings"], result["hardware"], result["git"]
+    rates = {name: f"{value / 1e9:.3g}" for name, value in result["rates"].items()}
+    commit = (git["commit"] or "none")[:12] + (" with changes" if git["dirty"] else "")
+    found = [
+        f"{machine['gpu'] or machine['processor']}, processor threads: {machine['threads']}; "
+        f"PyTorch {result['versions']['torch']}; commit {commit}",
+        f"renderer: {settings['volumes']} volumes, {settings['views']} pictures of each; training step: "
+        f"{settings['batch']} targets, pixel loss; medians of {settings['repeat']} measurements in turn",
+        "memory: the most held at once, beside weights and data; growth: over the row of half the size, time / memory; "
+        "expected of voxels and of points on rays, while pixels grow by 4",
+        "floor: multiply-adds and bytes that cannot be done without, at this machine's rates: "
+        f"{rates['float32_multiply_adds_per_s']} G/s in float32, {rates['bfloat16_multiply_adds_per_s']} G/s in "
+        f"bfloat16, {rates['copy_bytes_per_s']} GB/s",
+    ]
+    return [*found, "quick: a check that everything works, and no measurement"] if settings["quick"] else found
+
+
+def _seconds(value: float | None) -> str:
+    if value is None:
+        return ""
+    if value >= 100:
+        return f"{value:.0f} s"
+    return f"{value:.3g} s" if value >= 1 else f"{1000 * value:.3g} ms"
+
+
+def _bytes(value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"{value / 2**20:.1f} MiB" if value < 100 * 2**20 else f"{value / 2**20:.0f} MiB"
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"{value:.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2g}"
+
+
+def _spread(median: float | None, low: float | None, high: float | None) -> str:
+    return _number(median) + (f" ({_number(low)}-{_number(high)})" if low != high else "")
+
+
+def _both(time: float | None, memory: float | None) -> str:
+    return _number(time) + (f" / {_number(memory)}" if memory is not None else "")
+
+
+# ---- files
+
+
+def write(result: dict[str, Any], folder: Path) -> list[Path]:
+    """`bench.json`, `bench.csv`, `bench.tex`, `bench.png` and `bench.pdf`."""
+    files = [folder / f"bench{suffix}" for suffix in (".json", ".csv", ".tex")]
+    write_json(files[0], result)
+    table = io.StringIO()
+    writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(result["rows"])
+    write_text(files[1], table.getvalue())
+    write_text(files[2], as_latex(result))
+    return files + figures.save(figure(result), folder, "bench")
+
+
+def as_latex(result: dict[str, Any]) -> str:
+    """A booktabs tabular to \\input, as wide as a landscape page, with what it was measured on below it."""
+    spans = (("", 3), ("time", 3), ("memory", 3), ("growth", 3), (r"$\times$ floor", 2))
+    first = " & ".join(f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label, span in spans)
+    names = ["work", "volume", "size", *["textbook", "ours", "ratio"] * 2, "expected", *["textbook", "ours"] * 2]
+    lines = [
+        "{\\scriptsize\\setlength{\\tabcolsep}{2.5pt}",
+        f"\\begin{{tabular}}{{ll{'r' * (len(names) - 2)}}}",
+        "\\toprule",
+        first + " \\\\",
+        "\\cmidrule(lr){4-6}\\cmidrule(lr){7-9}\\cmidrule(lr){10-12}\\cmidrule(lr){13-14}",
+        " & ".join(names) + " \\\\",
+    ]
+    work = None
+    for row in result["rows"]:
+        texts = cells(row)
+        lines += ["\\midrule"] if row["work"] != work else []
+        work = row["work"]
+        where = f"{texts[0]} (GPU)" if row["device"] == "cuda" else texts[0]
+        if NOT_MEASURED in texts:
+            told = [where, *texts[1:3], *[""] * (len(names) - 3)]
+            told[3] = told[4] = DASH
+        else:
+            told = [where, *texts[1:3], *texts[4:10], *texts[12:]]
+        lines.append(" & ".join(escape(cell) if cell != DASH else cell for cell in told) + " \\\\")
+    lines += ["\\bottomrule", "\\end{tabular}", ""]
+    box = "\\\\\n".join(escape(line) for line in notes(result))
+    return "\n".join([*lines, f"\\smallskip\\noindent\\parbox{{\\linewidth}}{{\\raggedright {box}}}", "}", ""])
+
+
+# ---- figure
+
+
+def figure(result: dict[str, Any]) -> Figure:
+    """Left: by how much the package is faster and smaller. Middle and right: time and memory over the volume's side."""
+    rows = [row for row in result["rows"] if row["speedup"] is not None]
+    shown = [row for row in rows if row["memory_ratio"] is not None or row["size"] == _largest(rows, row)]
+    with matplotlib.rc_context(figures.STYLE):
+        picture = Figure(figsize=(2.4 * figures.COLUMN, max(2.6, 0.33 * len(shown) + 0.7)), layout="constrained")
+        left, middle, right = picture.subplots(1, 3, width_ratios=(1.3, 1, 1))
+        _bars(left, shown)
+        grown = [row for row in rows if row["work"] == BOTH and row["volume"] == "object"]
+        _curves(middle, grown, "s", 1.0, "seconds")
+        _curves(right, grown, "bytes", 2.0**-20, "MiB")
+        middle.legend(frameon=False, fontsize=7, loc="upper left")
+        for axes, title in (
+            (left, "textbook / viewnet"),
+            (middle, "time: renderer,\nforward + backward, object"),
+            (right, "memory: renderer,\nforward + backward, object"),
+        ):
+            axes.set_title(title, fontsize=7)
+        for axes in (middle, right):
+            axes.set_xlabel("voxels along a side")
+    return picture
+
+
+def _largest(rows: list[Row], row: Row) -> int:
+    return max(other["size"] for other in rows if (other["work"], other["volume"]) == (row["work"], row["volume"]))
+
+
+def _bars(axes: Axes, rows: list[Row]) -> None:
+    """A pair of bars a row: how many times the textbook version's time and memory are the package's."""
+    for place, row in enumerate(rows):
+        ends = {"time": (row["speedup_low"], row["speedup_high"]), "memory": (row["memory_ratio"],) * 2}
+        for (name, colour), shift in zip(RATIOS.items(), (-0.2, 0.2), strict=True):
+            value = row["speedup" if name == "time" else "memory_ratio"]
+            if value is None:
+                continue
+            axes.barh(place + shift, value - 1, 0.38, left=1, color=colour)
+            axes.plot(ends[name], [place + shift] * 2, color="0.2", linewidth=0.8)
+            axes.annotate(_number(value), (max(value, *ends[name], 1), place + shift), (2, 0),
+                          textcoords="offset points", va="center", fontsize=6)  # fmt: skip
+    axes.axvline(1, color="0.2", linewidth=0.6)
+    labels = [f"{row['work']}\n{row['volume']}, ${row['size']}^3$" for row in rows]
+    axes.set_yticks(range(len(rows)), labels, fontsize=6)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    axes.invert_yaxis()
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_xlim(right=1.6 * axes.get_xlim()[1])  # room for the numbers
+    axes.set_xlabel("times as much (thin lines: least to most)")
+    handles = [Patch(color=colour, label=name) for name, colour in RATIOS.items()]
+    axes.legend(handles=handles, frameon=False, fontsize=7, loc="lower right")
+
+
+def _curves(axes: Axes, rows: list[Row], column: str, scale: float, label: str) -> None:
+    """Both contestants over the side, and what grows with its third power, for the eye."""
+    rows = [row for row in rows if all(row[f"{name}_{column}"] for name in CONTESTANTS)]
+    if not rows:
+        axes.text(0.5, 0.5, NOT_MEASURED, ha="center", transform=axes.transAxes, color="0.4")
+        axes.set(xticks=[], yticks=[])
+        return
+    sizes = [row["size"] for row in rows]
+    for name in CONTESTANTS:
+        values = [scale * row[f"{name}_{column}"] for row in rows]
+        axes.plot(sizes, values, marker=MARKERS[name], markersize=3.5, linewidth=1, color=COLOURS[name], label=name)
+        if column == "s":
+            low, high = ([row[f"{name}_{end}"] for row in rows] for end in ("low", "high"))
+            axes.fill_between(sizes, low, high, color=COLOURS[name], alpha=0.2, linewidth=0)
+        cubes = [values[-1] * (size / sizes[-1]) ** 3 for size in sizes]
+        axes.plot(sizes, cubes, color="0.6", linewidth=0.8, linestyle=":", zorder=0,
+                  label="third power" if name == CONTESTANTS[-1] else None)  # fmt: skip
+    axes.set_xscale("log", base=2)
+    axes.set_yscale("log")
+    axes.set_ylabel(label)
+    axes.set_xticks(sizes, [str(size) for size in sizes])

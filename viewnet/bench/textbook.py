@@ -1,0 +1,193 @@
+"""ViewNet's training step as a careful reader would write it from the paper: the yardstick of `viewnet bench`.
+
+Plain PyTorch in float32 and the default memory layout, nothing compiled by hand and nothing left out: every head's
+volume is rotated whole and drawn with gradients, and the loss takes the head that explains the target best. It computes
+what the package computes (tests/test_bench.py holds the two against each other), and has the same names of weights.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+
+def rotate(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
+    """Volumes (N, 4, Z, Y, X) as cameras (N, 3, 3) see them: (N, 4, steps, size, size), the nearest slice first.
+
+    Rotation and perspective of section 3.3 by one spatial transformer, since resampling twice would blur.
+    """
+    # Rows go down and slices away from the camera.
+    theta = frames.new_tensor([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0]]).expand(len(frames), -1, -1)
+    grid = F.affine_grid(theta, [len(frames), 4, steps, size, size], align_corners=False)
+    depth = grid[..., 2:]
+    grid = torch.cat([grid[..., :2] * (1 - focal * depth), depth], -1)
+    grid = (grid.flatten(1, 3) @ frames.transpose(1, 2)).view_as(grid)
+    return F.grid_sample(volume, grid, align_corners=False)
+
+
+def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
+    """Pictures (N, 4, size, size), RGB times mask and mask, of volumes (B, 4, Z, Y, X), each from N / B viewpoints."""
+    volume = volume.repeat_interleave(len(frames) // len(volume), dim=0)
+    rotated = rotate(volume, frames, focal, size, steps)
+    light = torch.ones_like(rotated[:, :1, 0])
+    colour, mask = torch.zeros_like(rotated[:, :3, 0]), torch.zeros_like(light)
+    for layer in rotated.unbind(2):
+        stopping = layer[:, 3:] * light  # equation 3
+        colour = colour + layer[:, :3] * stopping  # equation 4
+        mask = mask + stopping
+        light = light * (1 - layer[:, 3:])
+    return torch.cat([colour, mask], 1)
+
+
+def encoder(channels: tuple[int, ...], outputs: int, size: int, padding: str) -> nn.Sequential:
+    """The supplement's encoder: images (N, 3, size, size) -> (N, outputs)."""
+    layers: list[nn.Module] = []
+    before, side = 3, size
+    while side > 1:
+        width = channels[len(layers) // 3]
+        if side > 2:
+            layers.append(nn.Conv2d(before, width, 3, stride=2, padding=1, padding_mode=padding, bias=False))
+        else:
+            layers.append(nn.Conv2d(before, width, 2, bias=False))
+        layers += [nn.BatchNorm2d(width), nn.ReLU()]
+        before, side = width, side // 2
+    return nn.Sequential(*layers, nn.Conv2d(before, outputs, 1), nn.Flatten())
+
+
+class AdaIN(nn.Module):
+    """Instance normalisation, scaled and shifted by the appearance."""
+
+    def __init__(self, channels: int, appearance: int):
+        super().__init__()
+        self.affine = nn.Linear(appearance, 2 * channels)
+
+    def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
+        scale, shift = self.affine(appearance)[:, :, None, None, None].chunk(2, dim=1)
+        return F.instance_norm(x) * scale + shift
+
+
+class Stage(nn.Module):
+    """A row of the supplement's generator table."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, padding: int, appearance: int):
+        super().__init__()
+        self.convolution = nn.ConvTranspose3d(inputs, outputs, kernel, stride, padding, bias=False)
+        self.norm = AdaIN(outputs, appearance)
+
+    def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
+        return F.relu(self.norm(self.convolution(x), appearance))
+
+
+class Generator(nn.Module):
+    """Appearance (N, A) -> logits of the volume (N, 4, n, n, n)."""
+
+    def __init__(self, config: Any):
+        super().__init__()
+        code, width = config.code_size, config.appearance_size
+        self.register_buffer("code", torch.randn(1, code, 1, 1, 1))
+        channels = config.generator_channels[: config.volume_size.bit_length() - 3]
+        stages = [Stage(code, channels[0], 4, 1, 0, width)]
+        for before, after in pairwise(channels):
+            stages.append(Stage(before, after, 4, 2, 1, width))
+            if config.generator_refine:
+                stages.append(Stage(after, after, 3, 1, 1, width))
+        self.stages = nn.ModuleList(stages)
+        kernel = config.generator_last_kernel
+        self.last = nn.ConvTranspose3d(channels[-1], 4, kernel, 2, (kernel - 2) // 2)
+
+    def forward(self, appearance: Tensor) -> Tensor:
+        x = self.code.expand(len(appearance), -1, -1, -1, -1)
+        for stage in self.stages:
+            x = stage(x, appearance)
+        return self.last(x)
+
+
+class TextbookViewNet(nn.Module):
+    """The three networks of a viewnet.config.ModelConfig of the recipe `paper`; `load` takes viewnet's weights."""
+
+    def __init__(self, config: Any):
+        super().__init__()
+        self.config = config
+        sizes = (config.input_size, config.encoder_padding)
+        self.viewpoint = nn.ModuleDict({"encoder": encoder(config.encoder_channels, 4 * config.heads, *sizes)})
+        self.appearance = encoder(config.encoder_channels, config.appearance_size, *sizes)
+        self.decoder = Generator(config)
+        self.focal = nn.Parameter(torch.tensor(config.focal))
+        axis = (torch.arange(config.volume_size) * 2 + 1) / config.volume_size - 1
+        squares = axis[:, None, None] ** 2 + axis[:, None] ** 2 + axis**2
+        self.register_buffer("prior", torch.exp(-squares / 0.05), persistent=False)  # S of section 3.3
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """The weights of a viewnet.model.viewnet.ViewNet of the same configuration."""
+        self.load_state_dict({name: state[name] for name in self.state_dict()})
+
+    def shape(self, pictures: Tensor) -> Tensor:
+        """Volumes (N, 4, n, n, n) of the objects in pictures (N, 3, S, S)."""
+        values = torch.sigmoid(self.decoder(self.appearance(pictures)))
+        return torch.cat([values[:, :3], Clamp.apply(2 * values[:, 3:] - 1 + self.prior)], 1)
+
+    def viewpoints(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+        """View vectors (N, M, 3) and selection logits (N, M)."""
+        out = self.viewpoint["encoder"](pictures)
+        return F.normalize(out[:, self.config.heads :].unflatten(1, (-1, 3)), dim=-1), out[:, : self.config.heads]
+
+
+class Clamp(torch.autograd.Function):
+    """To [0, 1]; what is outside still takes the gradient that pulls it back in, as in the package."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        ctx.save_for_backward(x)
+        return x.clamp(0, 1)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> Tensor:
+        (x,) = ctx.saved_tensors
+        return grad * ~((x < 0) & (grad > 0) | (x > 1) & (grad < 0))
+
+
+def camera_frames(vectors: Tensor) -> Tensor:
+    """Section 3.1: camera frames (..., 3, 3), columns right, up, back, of view vectors (..., 3)."""
+    up = vectors.new_tensor([0.0, 0.0, 1.0]).expand_as(vectors)
+    right = F.normalize(torch.linalg.cross(up, vectors), dim=-1)
+    return torch.stack([right, torch.linalg.cross(vectors, right), vectors], -1)
+
+
+def pixel_loss(picture: Tensor, target: Tensor) -> Tensor:
+    """L1 + MSE / 2 at the pictures' own and half their resolution, averaged."""
+    halves = F.avg_pool2d(picture, 2), F.avg_pool2d(target, 2)
+    return sum(F.l1_loss(a, b) + 0.5 * F.mse_loss(a, b) for a, b in ((picture, target), halves)) / 2
+
+
+def step_loss(
+    model: TextbookViewNet, batch: tuple[Tensor, Tensor, Tensor], config: Any, perceptual: Any = None
+) -> Tensor:
+    """The loss of appearance views, targets and what the viewpoint network sees of these, (N, 4, S, S) each.
+
+    Over black, as printed; `config` is a viewnet.config.TrainConfig and `perceptual` a viewnet.model.losses.PerceptualLoss.
+    """
+    appearance, target, seen = batch
+    size, heads = model.config.render_size, model.config.heads
+    volume = model.shape(appearance[:, :3])
+    vectors, logits = model.viewpoints(seen[:, :3])
+    wanted = target if target.shape[-1] == size else F.interpolate(target, (size, size), mode="area")
+    drawn = render(volume, camera_frames(vectors).flatten(0, 1), model.focal, size, size).unflatten(0, (-1, heads))
+    errors = (drawn[:, :, :3] - wanted[:, None, :3]).square().mean((2, 3, 4))  # equation 2
+    best = errors.argmin(1)
+    picture = drawn[torch.arange(len(best), device=best.device), best][:, :3]
+    loss = config.selection_weight * F.cross_entropy(logits, best)
+    if config.pixel_weight:
+        filled = target[:, 3].mean().clamp(min=0.01)
+        loss = loss + config.pixel_weight * pixel_loss(picture, wanted[:, :3]) / filled
+    if perceptual is not None:
+        total = sum(weight for _, weight in perceptual.taps)
+        for feature, (_, weight) in zip(
+            perceptual.features(torch.cat([picture, wanted[:, :3]])), perceptual.taps, strict=True
+        ):
+            found, true = feature.chunk(2)
+            loss = loss + weight / total * 0.5 * (F.mse_loss(found, true) + F.l1_loss(found, true))
+    return loss

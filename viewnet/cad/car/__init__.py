@@ -1,0 +1,1 @@
+"""Built-in CAD models: cars."""

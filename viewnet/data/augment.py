@@ -1,0 +1,144 @@
+"""What tells a photograph from a view of a CAD model, given to views in training: something behind the object, a box
+that is a little off, things before it, exposure, blur and noise (section 4.3).
+
+Scenery is pictures (K, 3, B, B) uint8, B twice the side of what is seen (viewnet.data.backgrounds). Only what the
+networks see is changed, never the target: the model reconstructs the object alone. Every random number comes from the
+generator given.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from viewnet.config import DataConfig, TrainConfig
+from viewnet.data import backgrounds
+from viewnet.data.pairs import CROP_MARGIN
+from viewnet.runtime.random import Chance, rand, randint, randn
+
+COUNT = 1000
+"""Pictures at most; many windows are seen of each."""
+
+
+def load(config: DataConfig, size: int, device: torch.device) -> Tensor | None:
+    """The backgrounds that a configuration asks for, for inputs of `size` pixels a side, or None where it wants none.
+
+    (K, 3, 2 size, 2 size) uint8: windows of a quarter of a picture are seen.
+    """
+    found = wanted(config, size, progress=False)
+    return None if found is None else torch.from_numpy(found.pictures).to(device)
+
+
+def wanted(config: DataConfig, size: int, progress: bool = True) -> backgrounds.Backgrounds | None:
+    """The same with what decided them, made where they are not there yet."""
+    if config.backgrounds is None:
+        return None
+    return backgrounds.load(config.backgrounds, 2 * size, COUNT, progress=progress)
+
+
+def behind(scenery: Tensor, count: int, size: int, generator: Chance, device: torch.device) -> Tensor:
+    """`count` random windows (count, 3, size, size) in [0, 1] of the scenery, half of them as in a mirror."""
+    room = scenery.shape[-1] - size + 1
+    chosen = randint(len(scenery), count, generator=generator).tolist()
+    places = randint(room, count, 2, generator=generator).tolist()
+    windows = [scenery[k, :, y : y + size, x : x + size] for k, (y, x) in zip(chosen, places, strict=True)]
+    mirrored = (rand(count, 1, 1, 1, generator=generator) < 0.5).to(device)
+    pictures = torch.stack(windows).to(device).float() / 255
+    return torch.where(mirrored, pictures.flip(-1), pictures)
+
+
+def over(pictures: Tensor, scene: Tensor) -> Tensor:
+    """Pictures (N, 4, S, S), RGB times alpha and alpha, before scenes (N, 3, S, S): the same, without transparency."""
+    alpha = pictures[:, 3:]
+    return torch.cat([pictures[:, :3] + scene * (1 - alpha), torch.ones_like(alpha)], 1)
+
+
+def crop_and_rotate(pictures: Tensor, generator: Chance) -> Tensor:
+    """Random crops of 80 to 100 % of the area and rotations within 3 degrees of pictures (N, C, S, S)."""
+    count = len(pictures)
+    scale = (0.8 + 0.2 * rand(count, generator=generator)).sqrt()
+    shift = (2 * rand(count, 2, generator=generator) - 1) * (1 - scale)[:, None]
+    angle = torch.deg2rad(6 * rand(count, generator=generator) - 3)
+    rows = [
+        torch.stack([scale * angle.cos(), -scale * angle.sin(), shift[:, 0]], 1),
+        torch.stack([scale * angle.sin(), scale * angle.cos(), shift[:, 1]], 1),
+    ]
+    grid = F.affine_grid(torch.stack(rows, 1).to(pictures), list(pictures.shape), align_corners=False)
+    return F.grid_sample(pictures, grid, align_corners=False)
+
+
+def jitter(pictures: Tensor, strength: float, generator: Chance) -> Tensor:
+    """Pictures (N, 4, S, S), RGB times alpha and alpha, in other colours: what a viewpoint hardly depends on.
+
+    Red, green and blue change places; then each, and all together, are multiplied by up to exp(strength) or its
+    reciprocal, and what exceeds 1 is cut off.
+    """
+    count, alpha = len(pictures), pictures[:, 3:]
+    order = rand(count, 3, generator=generator).argsort(1).to(pictures.device)
+    chance = 2 * rand(count, 4, generator=generator) - 1
+    gain = torch.exp(strength * (chance[:, :3] + chance[:, 3:])).to(pictures)[:, :, None, None]
+    colours = pictures.gather(1, order[:, :, None, None].expand(-1, -1, *alpha.shape[2:]))
+    return torch.cat([torch.minimum(gain * colours, alpha), alpha], 1)
+
+
+def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: Chance) -> Tensor:
+    """Crops of views (N, 4, S, S), RGB times alpha and alpha, as if cut from photographs: (N, 4, S, S) with alpha 1.
+
+    Crops have CROP_MARGIN about the object, photographs' boxes none. In this order: the box is off by up to `box_error`
+    of its sides and tilted by up to `tilt` degrees; something is behind the object, and (`occlude`) in some of the
+    pictures before it; light, contrast, blur and noise vary as `exposure` says.
+    """
+    count, size, device = len(crops), crops.shape[-1], crops.device
+    crops = _shifted(crops, config, generator)
+    pictures = over(crops, behind(scenery, count, size, generator, device))[:, :3]
+    if config.occlude:
+        before = _patch(count, size, config.occlude, generator).to(device)
+        pictures = torch.where(before, behind(scenery, count, size, generator, device), pictures)
+    if config.exposure:
+        pictures = expose(pictures, config.exposure, generator)
+    return torch.cat([pictures, torch.ones_like(crops[:, 3:])], 1)
+
+
+def expose(pictures: Tensor, strength: float, generator: Chance) -> Tensor:
+    """Pictures (N, 3, S, S) in [0, 1] in another light, contrast and gamma, some grey, blurred and noisy."""
+    count, device = len(pictures), pictures.device
+    each = (count, 1, 1, 1)
+    contrast, gamma = (torch.exp(strength * _uniform(-0.4, 0.4, each, generator)).to(device) for _ in range(2))
+    light = (strength * _uniform(-0.15, 0.15, each, generator)).to(device)
+    mean = pictures.mean((1, 2, 3), keepdim=True)
+    pictures = ((pictures - mean) * contrast + mean + light).clamp(0, 1) ** gamma
+    grey = (rand(*each, generator=generator) < 0.15 * strength).to(device)
+    pictures = torch.where(grey, pictures.mean(1, keepdim=True), pictures)
+    blurred = F.avg_pool2d(F.pad(pictures, (1, 1, 1, 1), mode="replicate"), 3, 1)
+    pictures = torch.lerp(pictures, blurred, _uniform(0, min(1.0, strength), each, generator).to(device))
+    deviation = (strength * _uniform(0, 0.05, each, generator)).to(device)
+    noise = randn(*pictures.shape, generator=generator).to(device)
+    return (pictures + deviation * noise).clamp(0, 1)
+
+
+def _shifted(crops: Tensor, config: TrainConfig, generator: Chance) -> Tensor:
+    """Crops (N, 4, S, S) larger or smaller, moved and tilted; what comes in from outside is empty."""
+    count = len(crops)
+    scale = (1 + config.box_error * _uniform(-1, 1, (2, count), generator, dim=1)) / (1 + 2 * CROP_MARGIN)
+    shift = config.box_error * _uniform(-1, 1, (count, 2), generator)
+    angle = torch.deg2rad(config.tilt * _uniform(-1, 1, (count,), generator))
+    rows = [
+        torch.stack([scale[0] * angle.cos(), -scale[0] * angle.sin(), shift[:, 0]], 1),
+        torch.stack([scale[1] * angle.sin(), scale[1] * angle.cos(), shift[:, 1]], 1),
+    ]
+    grid = F.affine_grid(torch.stack(rows, 1).to(crops), list(crops.shape), align_corners=False)
+    return F.grid_sample(crops, grid, align_corners=False)
+
+
+def _patch(count: int, size: int, share: float, generator: Chance) -> Tensor:
+    """A rectangle of 10 to 40 % of the side somewhere in a `share` of the pictures: (count, 1, size, size) bool."""
+    half = size * _uniform(0.05, 0.2, (2, count, 1), generator, dim=1)
+    centre = size * rand(2, count, 1, generator=generator, dim=1)
+    there = rand(count, generator=generator) < share
+    columns, rows = ((torch.arange(size) - centre).abs() < half).unbind(0)
+    return (there[:, None, None] & columns[:, None, :] & rows[:, :, None])[:, None]
+
+
+def _uniform(low: float, high: float, shape: tuple[int, ...], generator: Chance, dim: int = 0) -> Tensor:
+    return low + (high - low) * rand(*shape, generator=generator, dim=dim)

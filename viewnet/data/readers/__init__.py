@@ -1,0 +1,1 @@
+"""A reader a data set, each written against its published layout."""

@@ -1,0 +1,149 @@
+"""Freiburg static cars 52, release 1.1: videos of parked cars, walked around, read in the data set's own layout.
+
+    car001/<frame>.png             the frames of a sequence (a folder may be called 001 too)
+    annotations/1_annot.txt        a frame a line: name x1 y1 x2 y2 azimuth, or 001_annot.txt
+    masks/car001/<frame>.png       not of the release: masks that were made elsewhere
+
+A name is the frame's path or just its file's name; its suffix may differ from the file's. Boxes are in pixels, azimuths
+in degrees. Elevations were not annotated and are taken as 0. Of the 52 sequences those without annotations are not
+used, which leaves 48. Nothing is left out silently: whatever is not used is listed with the reason.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from viewnet.config import known
+from viewnet.data.clips import Clip, Frame
+from viewnet.data.crop import Box
+from viewnet.data.frames import pictures
+from viewnet.data.readers.pascal3d import tally
+from viewnet.errors import ViewnetError
+from viewnet.runtime.images import size
+
+CATEGORY = "car"
+AZIMUTH = (1.0, 0.0)
+"""Sense and offset: our azimuth is sense * theirs + offset. The release does not say how azimuths are counted; this
+assumes PASCAL3D+'s way, which is ours: 0 shows the front and 90 the left side. An offset would be taken up by
+alignment, the opposite sense (-1) would not."""
+ELEVATION = 0.0
+"""Degrees."""
+ANNOTATIONS = "annotations"
+MASKS = "masks"
+
+Rejected = tuple[str, str, str]
+"""Clip or frame, path within the data set, reason."""
+
+SPLITS: dict[str, Callable[[int], str]] = {
+    "45/2/rest": lambda number: "train" if number <= 45 else "val" if number <= 47 else "test",
+    "all": lambda number: "train",
+}
+"""How sequences are split by their number: up to 45, 46 and 47, beyond; or all of them for training."""
+
+
+def read(root: Path, split_rule: str = "45/2/rest") -> tuple[list[Clip], list[Rejected]]:
+    """The sequences by number, with the frames that can be used, and all that cannot: see SPLITS.
+
+    Frames are numbered by their place among all pictures of their folder. Boxes are cut at their picture's edges.
+    Raises ViewnetError where `root` is not this data set or no frame can be used.
+    """
+    root, split = Path(root), SPLITS[known(split_rule, SPLITS, "split rule")]
+    if not (root / ANNOTATIONS).is_dir():
+        raise ViewnetError(f"{root}: no folder {ANNOTATIONS}: expected that of Freiburg static cars 52, release 1.1")
+    folders = {n: path for path in sorted(root.iterdir()) if path.is_dir() and (n := _number(path.name)) is not None}
+    lists = {
+        number: path
+        for path in sorted((root / ANNOTATIONS).iterdir())
+        if (number := _number(path.name.removesuffix("_annot.txt"))) is not None and path.name.endswith("_annot.txt")
+    }
+    clips: list[Clip] = []
+    rejected: list[Rejected] = []
+    for number in sorted(folders.keys() | lists.keys()):
+        if number not in folders:
+            rejected.append((f"car{number:03d}", _within(lists[number], root), "no frames of the sequence"))
+        elif number not in lists:
+            rejected.append((f"car{number:03d}", folders[number].name, "no annotations of the sequence"))
+        else:
+            name = folders[number].name
+            frames = _frames(lists[number], folders[number], root, rejected)
+            masks = root / MASKS / name
+            if frames:
+                found = masks if masks.is_dir() else None
+                clips.append(Clip(name, CATEGORY, split(number), folders[number], tuple(frames), found))
+    if not clips:
+        told = ", ".join(f"{count} {reason}" for reason, count in tally(reason for *_, reason in rejected).items())
+        raise ViewnetError(f"{root}: no usable frame ({told or 'no sequences'})")
+    return clips, rejected
+
+
+def azimuth(theirs: float) -> float:
+    """An annotated azimuth as ours, degrees in [0, 360)."""
+    sense, offset = AZIMUTH
+    # A tiny negative angle is 360 after rounding.
+    return (sense * theirs + offset) % 360 % 360
+
+
+def _number(name: str) -> int | None:
+    """Of a sequence, from car001, 001 or 1."""
+    found = re.fullmatch(r"(?:car_?)?0*([0-9]+)", name, re.IGNORECASE)
+    return int(found[1]) if found else None
+
+
+def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> list[Frame]:
+    """The usable frames of one sequence, in the order of time; all else goes to `rejected`."""
+    where = _within(file, root)
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        rejected.append((folder.name, where, f"annotations cannot be read ({type(error).__name__})"))
+        return []
+    files = pictures(folder)
+    places = {path.stem: number for number, path in enumerate(files)}
+    found: dict[int, Frame] = {}
+    annotated: set[int] = set()
+    for row, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            stem, box, angle = _parsed(line)
+            if stem not in places:
+                raise ViewnetError(f"annotation of a frame that is missing ({stem})")
+            number = places[stem]
+            if number in annotated:
+                raise ViewnetError(f"frame annotated twice ({stem})")
+            annotated.add(number)
+            found[number] = Frame(number, azimuth(angle), ELEVATION, _cut(box, files[number]))
+        except ViewnetError as error:
+            rejected.append((f"{folder.name}:{row}", where, str(error)))
+    for number, path in enumerate(files):
+        if number not in annotated:
+            rejected.append((f"{folder.name}/{path.stem}", _within(path, root), "frame without a usable annotation"))
+    return [found[number] for number in sorted(found)]
+
+
+def _parsed(line: str) -> tuple[str, Box, float]:
+    """The stem of a frame's name, its box and azimuth."""
+    parts = line.split()
+    try:
+        name, (x0, y0, x1, y1, angle) = parts[0], map(float, parts[1:])
+    except ValueError:
+        raise ViewnetError(f"annotation is malformed ({line.strip()[:60]!r})") from None
+    if not all(map(math.isfinite, (x0, y0, x1, y1, angle))):
+        raise ViewnetError(f"annotation is malformed ({line.strip()[:60]!r})")
+    return Path(name.replace("\\", "/")).stem, (x0, y0, x1, y1), angle
+
+
+def _cut(box: Box, picture: Path) -> Box:
+    """The part of a box that lies in its picture."""
+    width, height = size(picture)
+    x0, y0, x1, y1 = max(box[0], 0.0), max(box[1], 0.0), min(box[2], float(width)), min(box[3], float(height))
+    if x1 - x0 < 1 or y1 - y0 < 1:
+        raise ViewnetError(f"box has no part in the picture ({width} x {height})")
+    return x0, y0, x1, y1
+
+
+def _within(path: Path, root: Path) -> str:
+    return path.relative_to(root).as_posix()

@@ -1,0 +1,205 @@
+"""Objectron: videos of single objects with the camera's and the object's poses, read in the data set's own layout.
+
+    annotations/<class>/batch-N/M.pbdata        a record (viewnet.data.readers.objectron_record)
+    videos/<class>/batch-N/M/video.MOV          the video; or, taken out of it beforehand,
+    videos/<class>/batch-N/M/<number>.jpg       its frames as pictures (.jpg, .jpeg or .png): <number> is the frame's
+                                                number in the record, from 0, with zeros before it so that names sort
+    masks/<class>/batch-N/M/<number>.png        masks, which are not part of the data set; or none
+    index/<class>_annotations_{train,test}      one <class>/batch-N/M a line
+
+Only what is there is read: the lists may name videos that were not downloaded. Boxes are pixels of the picture as it is
+shown, upright as the video's own turn says: of the pictures where there are some, else as the camera recorded its size.
+
+Nothing else is left out silently: whatever is not used is listed with the reason.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from viewnet.data.clips import Clip, Frame
+from viewnet.data.frames import natural
+from viewnet.data.readers.objectron_record import Record, View, read_record
+from viewnet.data.readers.pascal3d import tally
+from viewnet.errors import ViewnetError
+from viewnet.runtime import images
+from viewnet.runtime.progress import bar
+
+CLASSES = {"bicycle": "bike", "bottle": "bottle", "chair": "chair"}
+"""Objectron's classes that are categories here."""
+SHARES = {"val": 0.1, "test": 0.2}
+"""Of all videos where there are no lists; else the first one of the train list's."""
+VIDEO = "video.MOV"
+MASKS = "masks"
+
+_PICTURES = (".jpg", ".jpeg", ".png")
+
+Rejected = tuple[str, str, str]
+
+
+def read(
+    root: Path, category: str, frames: int = 10, seed: int = 0, progress: bool = False
+) -> tuple[list[Clip], list[Rejected]]:
+    """The videos of a category under `root`, each with up to `frames` of its usable frames, drawn by seed and video.
+
+    The second value is (id, path within the data set, reason) of the videos, frames and further objects that were not
+    used; frames that were just not drawn are not in it. A frame's number is that of the video, or its picture's place
+    among the pictures. The test split is the published one where the lists are there, and a seeded tenth of the train
+    list's videos is the val split; without lists a tenth and a fifth are val and test.
+
+    Raises ViewnetError where Objectron has no such category, `root` is not Objectron or nothing can be used.
+    """
+    if category not in CLASSES:
+        raise ViewnetError(f"Objectron: no category {category!r}: choose one of {', '.join(CLASSES)}")
+    if frames < 1:
+        raise ViewnetError(f"Objectron: frames {frames}: expected 1 or more of each video")
+    root, name = Path(root), CLASSES[category]
+    folder = root / "annotations" / name
+    records = sorted(folder.glob("*/*.pbdata"), key=lambda path: natural(path.as_posix()))
+    if not records:
+        raise ViewnetError(f"{folder}: no records: expected Objectron's annotations/<class>/batch-N/M.pbdata")
+    listed = _lists(root, name)
+    clips: list[Clip] = []
+    rejected: list[Rejected] = []
+    for path in bar(progress, iterable=records, desc="records", unit="video"):
+        video = path.relative_to(root / "annotations").with_suffix("").as_posix()
+        try:
+            split = _split(listed, video)
+            clips.append(_clip(root, path, video, category, split, frames, seed, rejected))
+        except ViewnetError as error:
+            rejected.append((video, path.relative_to(root).as_posix(), str(error)))
+    known = {path.relative_to(root / "annotations").with_suffix("") for path in records}
+    for place in sorted((root / "videos" / name).glob("*/*"), key=lambda path: natural(path.as_posix())):
+        video = place.relative_to(root / "videos").as_posix()
+        if place.is_dir() and Path(video) not in known:
+            rejected.append((video, place.relative_to(root).as_posix(), "video without a record"))
+    if not clips:
+        told = ", ".join(f"{count} {reason}" for reason, count in tally(reason for _, _, reason in rejected).items())
+        raise ViewnetError(f"{root}: no usable video of {name} ({told})")
+    return _with_splits(clips, listed is not None, seed), rejected
+
+
+def _clip(
+    root: Path,
+    path: Path,
+    video: str,
+    category: str,
+    split: str,
+    count: int,
+    seed: int,
+    rejected: list[Rejected],
+) -> Clip:
+    """One video; what of it is not used joins `rejected`."""
+    where = path.relative_to(root).as_posix()
+    record = read_record(path)
+    source = _source(root / "videos" / video, record)
+    rejected += [(f"{video}/{number}", where, reason) for number, reason in record.rejected]
+    rejected += [(f"{video}/object {name}", where, "object smaller than another one") for name in record.others]
+    order = np.random.default_rng(list(_rank(seed, "frames", video))).permutation(len(record.views))
+    drawn: list[Frame] = []
+    if isinstance(source, _Pictures):
+        gone = {view.number for view in record.views} - source.places.keys()
+        rejected += [(f"{video}/{number}", where, "no such picture") for number in sorted(gone)]
+    for view in (record.views[place] for place in order):
+        if len(drawn) == count:
+            break
+        if isinstance(source, _Pictures) and view.number not in source.places:
+            continue
+        try:
+            drawn.append(_frame(view, source))
+        except ViewnetError as error:
+            rejected.append((f"{video}/{view.number}", where, str(error)))
+    if not drawn:
+        raise ViewnetError("no usable frame")
+    frames = tuple(sorted(drawn, key=lambda frame: frame.number))
+    masks = root / MASKS / video
+    place = source.folder if isinstance(source, _Pictures) else source
+    return Clip(video, category, split, place, frames, masks if masks.is_dir() else None)
+
+
+@dataclass(frozen=True)
+class _Pictures:
+    """A folder of pictures: frame number -> place in the order of names, and file."""
+
+    folder: Path
+    places: dict[int, tuple[int, Path]]
+
+
+def _source(folder: Path, record: Record) -> Path | _Pictures:
+    """The pictures of a video, or the video where there are none."""
+    files = sorted(path for path in folder.glob("*") if path.stem.isdecimal() and path.suffix.lower() in _PICTURES)
+    if not files:
+        if (folder / VIDEO).is_file():
+            return folder / VIDEO
+        raise ViewnetError("neither video nor pictures")
+    numbers = [int(path.stem) for path in files]
+    if len(set(numbers)) < len(numbers):
+        raise ViewnetError("two pictures of one frame")
+    if numbers != sorted(numbers):
+        raise ViewnetError("pictures' names do not sort by number (write zeros before the numbers)")
+    if numbers[0] == 1 and record.frames[0] == 0 and numbers[-1] == record.frames[-1] + 1:
+        raise ViewnetError("pictures are numbered from 1 (the first frame is 0)")
+    places = {number: (place, file) for place, (number, file) in enumerate(zip(numbers, files, strict=True))}
+    return _Pictures(folder, places)
+
+
+def _frame(view: View, source: Path | _Pictures) -> Frame:
+    if isinstance(source, _Pictures):
+        number, file = source.places[view.number]
+        size = images.size(file)
+        width, height = view.size if view.size and view.upright is not None else size
+        if (size[0] - size[1]) * (width - height) < 0:
+            raise ViewnetError("picture is not turned as its annotation")
+    elif view.size is None:
+        raise ViewnetError("size of the video's picture is not recorded")
+    else:
+        number, size = view.number, view.size
+    x0, x1 = (value * size[0] for value in view.box[::2])
+    y0, y1 = (value * size[1] for value in view.box[1::2])
+    if x1 - x0 < 1 or y1 - y0 < 1:
+        raise ViewnetError("object smaller than a pixel")
+    return Frame(number, view.azimuth, view.elevation, (x0, y0, x1, y1))
+
+
+def _lists(root: Path, name: str) -> dict[str, set[str]] | None:
+    """Split -> videos of the published lists; None where there are none. Raises ViewnetError for half of them."""
+    files = {split: root / "index" / f"{name}_annotations_{split}" for split in ("train", "test")}
+    there = {split: file for split, file in files.items() if file.is_file()}
+    if not there:
+        return None
+    if len(there) < len(files):
+        missing = next(file for split, file in files.items() if split not in there)
+        raise ViewnetError(f"{missing}: no such list: give both lists of {name}, or none")
+    try:
+        return {split: set(file.read_text(encoding="utf-8").split()) for split, file in files.items()}
+    except (OSError, UnicodeDecodeError) as error:
+        raise ViewnetError(f"{root / 'index'}: lists of {name} cannot be read ({error})") from None
+
+
+def _split(listed: dict[str, set[str]] | None, video: str) -> str:
+    if listed is None:
+        return "train"
+    found = [split for split, videos in listed.items() if video in videos]
+    if len(found) != 1:
+        raise ViewnetError("video in both lists" if found else "video in neither list")
+    return found[0]
+
+
+def _with_splits(clips: list[Clip], listed: bool, seed: int) -> list[Clip]:
+    """Some of the train videos as val, and test unless lists tell it, in an order by seed and id only."""
+    free = sorted((clip.id for clip in clips if clip.split == "train"), key=lambda name: _rank(seed, "split", name))
+    chosen: dict[str, str] = {}
+    start = 0
+    for least, (split, share) in enumerate(SHARES.items() if not listed else [("val", SHARES["val"])], start=1):
+        number = max(round(share * len(free)), int(len(free) > least))
+        chosen |= dict.fromkeys(free[start : start + number], split)
+        start += number
+    return [replace(clip, split=chosen.get(clip.id, clip.split)) for clip in clips]
+
+
+def _rank(seed: int, purpose: str, name: str) -> bytes:
+    return hashlib.sha256(f"{seed} {purpose} {name}".encode()).digest()

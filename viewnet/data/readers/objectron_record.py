@@ -1,0 +1,264 @@
+"""A record of Objectron: where the camera was as seen from the annotated object, and where the object is in each frame.
+
+Objectron's objects have y up and z to the front, so that x is their left side, which is at the right for who stands
+before them. In this project x is the front, y the left side and z up (viewnet.geometry): the same axes, named in turn,
+
+    AXES = [[0, 0, 1],      ours x (front)  =  theirs z
+            [1, 0, 0],      ours y (left)   =  theirs x
+            [0, 1, 0]]      ours z (up)     =  theirs y
+
+and `AXES @ place` takes a place in the object's frame from theirs to ours. An object's pose (R, t) takes its own frame
+to the world. A camera's `view_matrix` takes the world to the camera, whose x is right and y up as its landscape sensor
+lies, and which looks along -z; its `transform` is the inverse of that. The phone was mostly held upright, so the sensor
+lies on its side; this turns the picture and not the camera's place, which is all that a viewpoint is:
+
+    place = R^T (c - t),    c = the camera's place in the world
+
+Keypoints in the picture are fractions of the picture as it is shown, upright, and are used as they are. The nine
+keypoints in the camera's frame tell the same place again: a frame in which the two do not agree is not used.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence as Many
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from viewnet.data.crop import Box
+from viewnet.data.readers.objectron_schema import Sequence
+from viewnet.errors import ViewnetError
+from viewnet.geometry import azimuth_elevation
+
+AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+LARGEST = 16 * 2**20
+"""Bytes of a record file: ten times a minute's record. What it becomes in memory can be 30 times as large."""
+MOST_FRAMES = 100_000
+"""Frames of a record, and objects annotated in all of them together: more are no video's."""
+BEYOND = 0.1
+"""Keypoints may be so much of the picture's side outside of it: the box reaches farther than the object within."""
+VISIBLE = 0.5
+"""The share of an object that has to be visible, where that is annotated."""
+DISAGREE = 5.0
+"""Degrees between the viewpoints of the camera and of the keypoints in its frame, at most."""
+
+UNIT_BOX = np.array([(0, 0, 0), *((x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5))])
+"""Places of the nine keypoints in a box of side 1: its centre, then its corners."""
+
+_SLACK = 0.01  # of rotations in single precision, and of what cameras' poses were optimised to
+
+
+@dataclass(frozen=True)
+class View:
+    """A frame in which the object can be used.
+
+    azimuth, elevation  degrees
+    box                 x0, y0, x1, y1 as fractions of the picture as it is shown, within it
+    size                width and height of that picture, pixels, as the camera recorded it; None where it did not
+    upright             whether the picture is the sensor's turned by a quarter; None where that cannot be told
+    """
+
+    number: int
+    azimuth: float
+    elevation: float
+    box: Box
+    size: tuple[int, int] | None
+    upright: bool | None
+
+
+@dataclass(frozen=True)
+class Record:
+    """What a record tells of its main object, which is the one that is largest in the picture on average.
+
+    frames      the numbers of all frames in the record
+    views       those that can be used, by number
+    rejected    (frame number, reason) of the others
+    others      ids of the other annotated objects
+    """
+
+    frames: tuple[int, ...]
+    views: tuple[View, ...]
+    rejected: tuple[tuple[int, str], ...]
+    others: tuple[int, ...]
+
+
+def read_record(path: Path) -> Record:
+    """Read a record file. Raises ViewnetError where nothing of it can be used: unreadable, no frame, no object."""
+    return interpret(_parse(path))
+
+
+def interpret(sequence: Any) -> Record:
+    """What a `Sequence` tells. Raises ViewnetError as `read_record` does."""
+    count = len(sequence.frame_annotations)
+    if not 1 <= count <= MOST_FRAMES:
+        raise ViewnetError(f"record of too many frames ({count})" if count else "record without frames")
+    if (objects := sum(len(frame.annotations) for frame in sequence.frame_annotations)) > MOST_FRAMES:
+        raise ViewnetError(f"record of too many objects ({objects})")
+    seen: set[int] = set()
+    frames, rejected = [], []
+    for frame in sequence.frame_annotations:
+        if frame.frame_id in seen or frame.frame_id < 0:
+            reason = "frame number below 0" if frame.frame_id < 0 else "frame annotated twice"
+            rejected.append((int(frame.frame_id), reason))
+            continue
+        seen.add(frame.frame_id)
+        frames.append(frame)
+    main, others = _main_object(frames)
+    rotation, translation = _object_pose(sequence.objects, main)
+    views = []
+    for frame in frames:
+        try:
+            views.append(_view(frame, main, rotation, translation))
+        except ViewnetError as error:
+            rejected.append((int(frame.frame_id), str(error)))
+    views.sort(key=lambda view: view.number)
+    return Record(tuple(sorted(seen)), tuple(views), tuple(sorted(rejected)), others)
+
+
+def _parse(path: Path) -> Any:
+    try:
+        with path.open("rb") as file:
+            content = file.read(LARGEST + 1)
+    except OSError as error:
+        raise ViewnetError(f"record cannot be read ({type(error).__name__})") from None
+    if len(content) > LARGEST:
+        raise ViewnetError(f"record larger than {LARGEST >> 20} MiB")
+    try:
+        return Sequence.FromString(content)
+    except Exception as error:  # Which class it is depends on the library's version and back end.
+        raise ViewnetError(f"record is damaged ({type(error).__name__})") from None
+
+
+def _main_object(frames: Many[Any]) -> tuple[int, tuple[int, ...]]:
+    """The id of the object that covers most of the pictures, and those of all others."""
+    covered: dict[int, float] = {}
+    for frame in frames:
+        for annotation in frame.annotations:
+            if len(annotation.keypoints) != len(UNIT_BOX):
+                continue
+            points = _in_picture(annotation).clip(0, 1)
+            area = float(np.prod(points.max(axis=0) - points.min(axis=0)))
+            covered.setdefault(annotation.object_id, 0.0)
+            covered[annotation.object_id] += area if math.isfinite(area) else 0.0
+    if not covered:
+        raise ViewnetError("record without an annotated object")
+    main = min(covered, key=lambda name: (-covered[name], name))
+    return int(main), tuple(sorted(int(name) for name in covered if name != main))
+
+
+def _object_pose(objects: Many[Any], main: int) -> tuple[np.ndarray, np.ndarray]:
+    found = [item for item in objects if item.id == main]
+    if len(found) != 1:
+        raise ViewnetError(f"object {'without' if not found else 'with more than one'} pose")
+    rotation, translation = (np.array(values, dtype=np.float64) for values in (found[0].rotation, found[0].translation))
+    if rotation.size != 9 or translation.size != 3 or not np.isfinite(translation).all():
+        raise ViewnetError("object's pose is not nine and three finite numbers")
+    rotation = rotation.reshape(3, 3)
+    if not _is_rotation(rotation):
+        raise ViewnetError("object's rotation is none")
+    return rotation, translation
+
+
+def _view(frame: Any, main: int, rotation: np.ndarray, translation: np.ndarray) -> View:
+    annotation = next((item for item in frame.annotations if item.object_id == main), None)
+    if annotation is None:
+        raise ViewnetError("object not annotated")
+    if (count := len(annotation.keypoints)) != len(UNIT_BOX):
+        raise ViewnetError(f"not nine keypoints ({count})")
+    points = _in_picture(annotation)
+    if not np.isfinite(points).all():
+        raise ViewnetError("keypoints are not finite")
+    to_camera = _world_to_camera(frame.camera)
+    place = rotation.T @ (-to_camera[:3, :3].T @ to_camera[:3, 3] - translation)
+    in_camera = np.array([(k.point_3d.x, k.point_3d.y, k.point_3d.z) for k in annotation.keypoints], dtype=np.float64)
+    if in_camera.any():
+        _check(in_camera, place)
+    elif (to_camera[:3, :3] @ translation + to_camera[:3, 3])[2] >= 0:
+        raise ViewnetError("object behind the camera")
+    # Proto 3 has no difference between nothing visible and nothing said; the keypoints decide then.
+    if 0 < annotation.visibility < VISIBLE:
+        raise ViewnetError("object mostly hidden or outside of the picture")
+    low, high = points.min(axis=0), points.max(axis=0)
+    if (low < -BEYOND).any() or (high > 1 + BEYOND).any():
+        raise ViewnetError("object partly outside of the picture")
+    x0, y0, x1, y1 = (float(value) for value in np.concatenate([low, high]).clip(0, 1))
+    if not np.linalg.norm(place) > 1e-6:
+        raise ViewnetError("camera at the object's centre")
+    azimuth, elevation = azimuth_elevation(torch.from_numpy(AXES @ place))
+    upright = _is_upright(frame.camera, in_camera, points)
+    size = _shown_size(frame.camera, upright)
+    return View(int(frame.frame_id), azimuth.item(), elevation.item(), (x0, y0, x1, y1), size, upright)
+
+
+def _in_picture(annotation: Any) -> np.ndarray:
+    """Keypoints (9, 2) as fractions of the picture."""
+    return np.array([(keypoint.point_2d.x, keypoint.point_2d.y) for keypoint in annotation.keypoints], dtype=np.float64)
+
+
+def _world_to_camera(camera: Any) -> np.ndarray:
+    """(4, 4): the recorded one, else the inverse of the camera's pose."""
+    recorded = len(camera.view_matrix) > 0
+    values = np.array(camera.view_matrix if recorded else camera.transform, dtype=np.float64)
+    if values.size != 16:
+        raise ViewnetError("camera's pose is not sixteen numbers")
+    if not np.isfinite(values).all():
+        raise ViewnetError("camera's pose is not finite")
+    matrix = values.reshape(4, 4)
+    if not _is_rotation(matrix[:3, :3]) or not np.allclose(matrix[3], (0, 0, 0, 1), atol=_SLACK):
+        raise ViewnetError("camera's pose is no rotation and translation")
+    if not recorded:
+        turn = matrix[:3, :3].T
+        matrix = np.vstack([np.column_stack([turn, -turn @ matrix[:3, 3]]), (0.0, 0.0, 0.0, 1.0)])
+    return matrix
+
+
+def _is_rotation(matrix: np.ndarray) -> bool:
+    if not np.isfinite(matrix).all() or np.abs(matrix).max() > 2:
+        return False
+    return bool(np.allclose(matrix @ matrix.T, np.eye(3), atol=_SLACK) and np.linalg.det(matrix) > 0)
+
+
+def _check(in_camera: np.ndarray, place: np.ndarray) -> None:
+    """Raise unless the keypoints (9, 3) in the camera's frame lie before it and tell the same place."""
+    if not np.isfinite(in_camera).all():
+        raise ViewnetError("keypoints are not finite")
+    if (in_camera[:, 2] >= 0).any():
+        raise ViewnetError("object behind the camera")
+    # The box to the camera's frame: edges (as columns) and centre, by least squares.
+    edges = in_camera.T @ UNIT_BOX / 2  # the sum of squares of each of the unit box's coordinates is 2
+    lengths = np.linalg.norm(edges, axis=0)
+    centre = in_camera.mean(axis=0)
+    if lengths.min() <= 1e-6 * np.linalg.norm(centre):
+        raise ViewnetError("keypoints are no box")
+    again = -(edges / lengths).T @ centre
+    cosine = again @ place / (np.linalg.norm(again) * np.linalg.norm(place) or 1.0)
+    if not cosine >= math.cos(math.radians(DISAGREE)):
+        raise ViewnetError("camera and keypoints disagree")
+
+
+def _is_upright(camera: Any, in_camera: np.ndarray, points: np.ndarray) -> bool | None:
+    """Whether the picture is the sensor's turned by a quarter, by where the projection has the keypoints (9, 2)."""
+    matrix = np.array(camera.projection_matrix, dtype=np.float64)
+    if matrix.size != 16 or not np.isfinite(matrix).all() or not in_camera.any():
+        return None
+    clip = np.column_stack([in_camera, np.ones(len(in_camera))]) @ matrix.reshape(4, 4).T
+    if (np.abs(clip[:, 3]) < 1e-9).any():
+        return None
+    right, up = (clip[:, :2] / clip[:, 3:]).T
+    # Turned, the sensor's right points down and its up points right.
+    shown = {True: np.column_stack([1 + up, 1 + right]) / 2, False: np.column_stack([1 + right, 1 - up]) / 2}
+    apart = {turned: float(np.abs(places - points).mean()) for turned, places in shown.items()}
+    best = min(apart, key=lambda turned: apart[turned])
+    return best if apart[best] < 0.05 else None
+
+
+def _shown_size(camera: Any, upright: bool | None) -> tuple[int, int] | None:
+    """Width and height of the picture as shown: on its side only where the projection says so."""
+    short, long = sorted((int(camera.image_resolution_width), int(camera.image_resolution_height)))
+    if short < 1:
+        return None
+    return (long, short) if upright is False else (short, long)

@@ -1,0 +1,225 @@
+"""CAD collections in the layouts of ShapeNetCore v1 and v2: their models, the splits of these, and a model's mesh."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from viewnet.config import SYNSETS, known
+from viewnet.errors import ViewnetError
+from viewnet.render.mesh import Mesh, UnusableModel
+from viewnet.render.obj import read_obj
+from viewnet.runtime.files import read_csv
+
+SPLITS = ("train", "val", "test")
+SHARES = (0.7, 0.1, 0.2)
+"""Fractions of models (section 4.2)."""
+
+# Rows are world axes (x front, y left, z up) in the file's axes. Both layouts are y up; v1 faces +x, v2 faces -z.
+FRAMES = {
+    "v1": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "v2": np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+}
+
+# This chair is missing from the validation list of the DPC release, but is in the table the lists were made from.
+_DPC_CHAIR = ("03001627", 4744, 677, "901cab3f56c74894d7f7a4c4609b0913")
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """One CAD model of a collection. `layout` is v1 (`<id>/model.obj`) or v2 (`<id>/models/model_normalized.obj`)."""
+
+    id: str
+    category: str
+    path: Path
+    layout: Literal["v1", "v2"]
+    split: str
+
+    @property
+    def folder(self) -> Path:
+        """The model's own folder, which its materials and textures must lie in."""
+        return self.path.parent.parent if self.layout == "v2" else self.path.parent
+
+
+def find_models(root: Path | str, category: str, splits: Path | str | None = None, seed: int = 0) -> list[ModelFile]:
+    """The models of a category under `root`, sorted by id, each with its split (train, val or test).
+
+    Splits come from `splits` when given, a folder of lists `<synset>_{train,val,test}.txt` with one id a line; else
+    from `all.csv` at the root (columns id, synsetId, subSynsetId, modelId, split); else models are shuffled by `seed`
+    and their ids and cut at 0.7, 0.1 and 0.2 (section 4.2). Models that a list leaves out are not used, and listed
+    models that are not there are skipped; both are counted in the log.
+
+    Raises ViewnetError for a root that is not a collection, an unknown category, a category without models, and a
+    malformed list, or one whose models of some split are all missing.
+    """
+    root, synset = Path(root), SYNSETS[known(category, SYNSETS, "category")]
+    models = _scan(root, synset, category)
+    if splits is not None:
+        listed, source = _read_lists(Path(splits), synset), str(splits)
+    elif (root / "all.csv").is_file():
+        listed, source = _read_csv(root / "all.csv", synset), str(root / "all.csv")
+    else:
+        return _seeded_splits(models, seed)
+    if not listed:
+        raise ViewnetError(f"{source}: lists no model of {category} ({synset}): give a list that does, or none at all")
+    there = {model.id for model in models}
+    for split in SPLITS:
+        names = [name for name, value in listed.items() if value == split]
+        if not names:
+            raise ViewnetError(f"{source}: the {split} split of {category} is empty: list models for it, or use more")
+        if not there.intersection(names):
+            raise ViewnetError(
+                f"{source}: the {split} split of {category} is empty: none of its {len(names)} models is in"
+                f" {root / synset}: check that list and collection belong together"
+            )
+    unlisted, absent = sum(model.id not in listed for model in models), len(listed.keys() - there)
+    if unlisted or absent:
+        log.warning(
+            "%s: %d models not in %s left out, %d listed models missing", root / synset, unlisted, source, absent
+        )
+    return [replace(model, split=listed[model.id]) for model in models if model.id in listed]
+
+
+def take(models: Sequence[ModelFile], count: int, seed: int = 0) -> list[ModelFile]:
+    """About `count` of the models, in their order and the proportions of their splits; at least one of each split.
+
+    Which ones depends on the seed and their ids only. A count of 0, or above their number, takes all.
+    """
+    if count <= 0 or count >= len(models):
+        return list(models)
+    sizes = Counter(model.split for model in models)
+    chosen: set[str] = set()
+    for split, size in sizes.items():
+        ids = sorted((model.id for model in models if model.split == split), key=lambda name: _rank(seed, "take", name))
+        chosen.update(ids[: max(1, round(count * size / len(models)))])
+    return [model for model in models if model.id in chosen]
+
+
+def load_model(model: ModelFile) -> Mesh:
+    """The model's mesh in the world frame, its bounding box centred on the origin with a diagonal of 1.
+
+    Raises UnusableModel with the reason: no or an empty file, no faces, NaN or infinite vertices, no size, a broken or
+    missing texture or material library, a path that leads out of the model's folder, more than `obj.MAX_FACES` faces or
+    `obj.MAX_BYTES` bytes.
+    """
+    mesh = read_obj(model.path, model.folder)
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    vertices = mesh.vertices[used] @ FRAMES[model.layout].T
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    with np.errstate(over="ignore"):
+        diagonal = float(np.linalg.norm(high - low))
+    if not 1e-30 < diagonal < 1e30:
+        raise UnusableModel(model.path, f"size {diagonal:g}")
+    return replace(
+        mesh,
+        vertices=(vertices - (low + high) / 2) / diagonal,
+        faces=faces.reshape(-1, 3).astype(np.int32),
+        colours=None if mesh.colours is None else mesh.colours[used],
+    )
+
+
+def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
+    """Every model folder of the category, sorted by id; also one without its .obj, which will be rejected."""
+    if not root.is_dir():
+        raise ViewnetError(f"{root}: no such folder: give the folder of a ShapeNetCore collection")
+    folder = root / synset
+    if not folder.is_dir():
+        names = sorted(
+            entry.name for entry in os.scandir(root) if re.fullmatch(r"\d{8}", entry.name) and entry.is_dir()
+        )
+        if (root / f"{synset}.zip").exists():
+            raise ViewnetError(f"{folder}: not there, but {synset}.zip is: unpack it")
+        if not names:
+            raise ViewnetError(f"{root}: not a ShapeNetCore collection: expected a folder {synset} ({category}) in it")
+        raise ViewnetError(f"{root}: no folder {synset} ({category}); it has {', '.join(names)}")
+    names = sorted(
+        entry.name for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith((".", "_"))
+    )
+    models, missing, layouts = [], [], Counter[str]()
+    for name in names:
+        for layout, file in _paths(folder / name).items():
+            if file.is_file():
+                models.append(ModelFile(name, category, file, layout, ""))
+                layouts[layout] += 1
+                break
+        else:
+            missing.append(name)
+    if not models:
+        raise ViewnetError(
+            f"{folder}: no models: expected <id>/models/model_normalized.obj (ShapeNetCore v2) or <id>/model.obj (v1)"
+        )
+    usual: Literal["v1", "v2"] = "v2" if layouts["v2"] >= layouts["v1"] else "v1"
+    models += [ModelFile(name, category, _paths(folder / name)[usual], usual, "") for name in missing]
+    return sorted(models, key=lambda model: model.id)
+
+
+def _paths(folder: Path) -> dict[Literal["v1", "v2"], Path]:
+    return {"v2": folder / "models" / "model_normalized.obj", "v1": folder / "model.obj"}
+
+
+def _seeded_splits(models: list[ModelFile], seed: int) -> list[ModelFile]:
+    """Exact shares of the models, in an order by seed and id only; from three models on none is empty."""
+    order = sorted(range(len(models)), key=lambda i: _rank(seed, "split", models[i].id))
+    test = max(round(SHARES[2] * len(models)), int(len(models) > 1))
+    val = max(round(SHARES[1] * len(models)), int(len(models) > 2))
+    names = ["test"] * test + ["val"] * val + ["train"] * (len(models) - test - val)
+    split = dict(zip(order, names, strict=True))
+    return [replace(model, split=split[i]) for i, model in enumerate(models)]
+
+
+def _rank(seed: int, purpose: str, name: str) -> bytes:
+    return hashlib.sha256(f"{seed} {purpose} {name}".encode()).digest()
+
+
+def _read_csv(file: Path, synset: str) -> dict[str, str]:
+    """Model id -> split of one category of an official list."""
+    # Ids and synsets are text: as numbers they would lose leading zeros, and "1e5" its meaning.
+    table = read_csv(file, dtype=str, keep_default_na=False)
+    if missing := [name for name in ("synsetId", "modelId", "split") if name not in table.columns]:
+        raise ViewnetError(f"{file}: no column {missing[0]}: expected id, synsetId, subSynsetId, modelId, split")
+    table = table[table["synsetId"] == synset]
+    if wrong := sorted(set(table["split"]) - set(SPLITS)):
+        raise ViewnetError(f"{file}: split {wrong[0][:60]!r}: expected one of {', '.join(SPLITS)}")
+    return _unique(file, list(zip(table["modelId"], table["split"], strict=True)))
+
+
+def _read_lists(folder: Path, synset: str) -> dict[str, str]:
+    """Model id -> split of one category of a folder of text lists."""
+    pairs = []
+    for split in SPLITS:
+        file = folder / f"{synset}_{split}.txt"
+        if not file.is_file():
+            raise ViewnetError(
+                f"{file}: no such list: expected {synset}_train.txt, {synset}_val.txt, {synset}_test.txt"
+            )
+        try:
+            lines = file.read_text(encoding="utf-8").splitlines()
+        except (OSError, ValueError) as error:
+            raise ViewnetError(f"{file}: cannot be read ({error}): expected a text file, one id a line") from None
+        pairs += [(name, split) for line in lines if (name := line.strip())]
+    counts = Counter(split for _, split in pairs)
+    chair, train, val, name = _DPC_CHAIR
+    if (synset, counts["train"], counts["val"]) == (chair, train, val) and (name, "val") not in pairs:
+        pairs.append((name, "val"))
+    return _unique(folder, pairs)
+
+
+def _unique(source: Path, pairs: list[tuple[str, str]]) -> dict[str, str]:
+    listed: dict[str, str] = {}
+    for name, split in pairs:
+        if listed.setdefault(name, split) != split:
+            raise ViewnetError(
+                f"{source}: model {name[:60]} is in both {listed[name]} and {split}: keep it in one split"
+            )
+    return listed

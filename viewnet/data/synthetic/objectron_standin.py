@@ -1,0 +1,307 @@
+"""A stand-in for Objectron in its own layout: built-in CAD models filmed by hand before cluttered backgrounds.
+
+It lets everything that reads the data set run, and be tested, where it is not to be had. Numbers measured on it are
+numbers of the stand-in. A video is a smooth arc of 60 to 180 degrees about one object, with changes of height, aim,
+focal length, light and exposure, and with motion blur; its frames are written as pictures, with a record, and with
+masks as two kinds of network make them: one that learned from masks (masks/) and one that learned from words (WEAK).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Many
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFilter
+from scipy import ndimage
+
+from viewnet import cad
+from viewnet.data.readers.objectron import CLASSES, MASKS
+from viewnet.data.readers.objectron_record import AXES, UNIT_BOX
+from viewnet.data.readers.objectron_schema import Sequence
+from viewnet.data.synthetic import scenes
+from viewnet.data.synthetic.pascal3d_standin import built_in_mesh
+from viewnet.errors import ViewnetError
+from viewnet.render import VERSION as RENDER_VERSION
+from viewnet.render import render_frames
+from viewnet.render.camera import DISTANCE, FOCAL, camera_frames
+from viewnet.render.mesh import Mesh
+from viewnet.runtime.files import write_text
+from viewnet.runtime.progress import bar
+
+VERSION = 2
+"""Raise it when a change alters pictures, masks or records."""
+WEAK = "masks_weak"
+"""The folder of masks as a weakly supervised network makes them: blobs without legs that take in some surroundings."""
+MODEL_SEED = 2000
+"""Added to the seed: models are others than those of a training with the same one."""
+SIZE = (180, 240)
+"""Width and height of a picture, pixels: three to four, as a phone held upright films."""
+BATCH = 50
+"""Videos in a batch."""
+TEST = 0.2
+"""The share of videos in the test list."""
+
+# The sensor lies on its side: its x points down in the picture, its y to the right. In the picture's frame (right, up,
+# back) these are its axes, as columns.
+_SENSOR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+_NEAR, _FAR = 0.01, 1000.0
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """A frame's camera: its frame (3, 3; right, up, back), focal length and principal point in pixels."""
+
+    frame: np.ndarray
+    focal: float
+    centre: tuple[float, float]
+
+
+def describe(category: str, videos: int, frames: int, seed: int, size: tuple[int, int] = SIZE) -> dict[str, Any]:
+    """What decides a stand-in, as JSON values, without making it."""
+    return {
+        "version": [VERSION, cad.VERSION, RENDER_VERSION, scenes.VERSION],
+        "category": category,
+        "videos": videos,
+        "frames": frames,
+        "seed": seed,
+        "size": list(size),
+    }
+
+
+def write_stand_in(
+    root: Path,
+    category: str = "chair",
+    videos: int = 20,
+    frames: int = 40,
+    seed: int = 0,
+    size: tuple[int, int] = SIZE,
+    progress: bool = False,
+) -> None:
+    """`videos` videos of as many models, `frames` pictures of `size` (width, height) each, in Objectron's layout.
+
+    Written are the pictures, masks (with the faults of masks that a network made: eroded, swollen, with holes; and
+    again far coarser), records and lists. A video depends on (seed, category, its number, frames, size) only. Raises
+    ViewnetError for values out of range, a category that Objectron does not have, and where `root` holds something
+    already.
+    """
+    root = Path(root)
+    if category not in CLASSES:
+        raise ViewnetError(f"stand-in: no category {category!r} in Objectron: choose one of {', '.join(CLASSES)}")
+    for title, value, least in (("videos", videos, 1), ("frames", frames, 1), ("side", min(size), 32)):
+        if value < least:
+            raise ViewnetError(f"stand-in: {title} {value}: expected {least} or more")
+    if root.exists() and any(root.iterdir()):
+        raise ViewnetError(f"{root}: is not empty: name another folder")
+    names = [f"{CLASSES[category]}/batch-{number // BATCH + 1}/{number % BATCH}" for number in range(videos)]
+    for number, name in enumerate(bar(progress, iterable=names, desc="stand-in", unit="video")):
+        _write_video(root, name, category, number, frames, seed, size)
+    test = set(names[:: round(1 / TEST)][: videos // 2])
+    for split, listed in (("test", test), ("train", set(names) - test)):
+        lines = [name for name in names if name in listed]
+        write_text(root / "index" / f"{CLASSES[category]}_annotations_{split}", "".join(f"{name}\n" for name in lines))
+
+
+def _write_video(
+    root: Path, name: str, category: str, number: int, frames: int, seed: int, size: tuple[int, int]
+) -> None:
+    rng = np.random.default_rng([seed, list(CLASSES).index(category), number])
+    mesh = built_in_mesh(category, number, seed + MODEL_SEED)
+    shots = _shots(rng, frames, size)
+    drawings = render_frames(
+        mesh, np.stack([shot.frame for shot in shots]), _lights(rng, shots), max(size), 2, "raycast"
+    )
+    pictures, masks = _filmed(rng, shots, drawings, size)
+    folders = {part: root / part / name for part in ("videos", MASKS, WEAK)}
+    for folder in folders.values():
+        folder.mkdir(parents=True)
+    # Chance of their own, so that they have no say in anything else.
+    chances = [np.random.default_rng([seed, list(CLASSES).index(category), number, kind]) for kind in (1, 2)]
+    for place, (picture, mask) in enumerate(zip(pictures, masks, strict=True)):
+        picture.save(folders["videos"] / f"{place:06d}.jpg", "JPEG", quality=88)
+        _faulty(chances[0], mask).save(folders[MASKS] / f"{place:06d}.png")
+        _weak(chances[1], mask).save(folders[WEAK] / f"{place:06d}.png")
+    record = root / "annotations" / f"{name}.pbdata"
+    record.parent.mkdir(parents=True, exist_ok=True)
+    record.write_bytes(_record(rng, shots, mesh, size).SerializeToString(deterministic=True))
+
+
+def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> list[_Shot]:
+    """An arc around the object, never tilted; the aim wanders as a shift of the principal point."""
+    width, height = size
+    sweep = rng.uniform(60, 180) * rng.choice([-1, 1])
+    time = np.linspace(0, 1, frames)
+    jitter = rng.normal(0, 0.3, (2, frames))
+    azimuth = rng.uniform(0, 360) + sweep * (time + 0.04 * _drift(rng, frames)) + jitter[0]
+    elevation = (rng.uniform(8, 38) + 12 * _drift(rng, frames) + jitter[1]).clip(-5, 75)
+    zoom = rng.uniform(0.9, 1.25) * (1 + 0.1 * _drift(rng, frames))
+    x, y = 0.5 + 0.05 * _drift(rng, frames), 0.5 + 0.06 * _drift(rng, frames)
+    cameras = camera_frames(azimuth % 360, elevation)
+    return [
+        _Shot(cameras[i], float(FOCAL * width * zoom[i]), (float(x[i] * width), float(y[i] * height)))
+        for i in range(frames)
+    ]
+
+
+def _drift(rng: np.random.Generator, frames: int) -> np.ndarray:
+    """A smooth curve (frames,) about within -1 and 1, as a hand wanders."""
+    time = np.linspace(0, 1, frames)
+    waves = [rng.normal() / k * np.sin(2 * np.pi * (0.7 * k * time + rng.random())) for k in (1, 2, 3)]
+    return np.clip(np.sum(waves, axis=0) / 1.5, -1.5, 1.5)
+
+
+def _lights(rng: np.random.Generator, shots: Many[_Shot]) -> np.ndarray:
+    """Unit directions (frames, 3) to a lamp that stands still but for clouds and reflections."""
+    lamp = rng.normal(0, 0.6, 3) + np.array([0.0, 0.0, 1.0])
+    wander = 0.2 * np.stack([_drift(rng, len(shots)) for _ in range(3)], axis=1)
+    # Some of the light comes from where the camera is, so that no side is seen in the dark.
+    light = lamp + wander + 0.4 * np.stack([shot.frame[:, 2] for shot in shots])
+    return light / np.linalg.norm(light, axis=1, keepdims=True)
+
+
+def _filmed(
+    rng: np.random.Generator, shots: Many[_Shot], drawings: np.ndarray, size: tuple[int, int]
+) -> tuple[list[Image.Image], list[Image.Image]]:
+    """The pictures and true masks of a video, from drawings (frames, S, S, 4) of its object."""
+    width, height = size
+    wide, high = round(1.8 * width), round(1.3 * height)
+    kind = (scenes.room, scenes.clutter, scenes.facade)[int(rng.integers(3))]
+    behind = Image.fromarray(kind(rng, wide, high).clip(0, 255).astype(np.uint8))
+    behind = behind.filter(ImageFilter.GaussianBlur(rng.uniform(0, 0.006) * width))
+    pan = [0.5 + 0.5 * np.clip(_drift(rng, len(shots)), -1, 1) for _ in range(2)]
+    gain, tint = np.exp(0.25 * _drift(rng, len(shots))), np.exp(rng.normal(0, 0.05, 3))
+    grain = rng.uniform(0, 0.02)
+    pictures, masks = [], []
+    previous = shots[0].centre
+    for place, (shot, drawing) in enumerate(zip(shots, drawings, strict=True)):
+        left, upper = pan[0][place] * (wide - width), pan[1][place] * (high - height)
+        view = (left, upper, left + width, upper + height)
+        picture = behind.resize(size, Image.Resampling.BILINEAR, box=view)
+        # The drawing, scaled and shifted so that its pixels are where the shot's camera has them.
+        side = shot.focal / FOCAL
+        scale = drawing.shape[1] / side
+        offset = (scale * (side / 2 - shot.centre[0]), scale * (side / 2 - shot.centre[1]))
+        affine = (scale, 0.0, offset[0], 0.0, scale, offset[1])
+        thing = _premultiplied(drawing).transform(size, Image.Transform.AFFINE, affine, Image.Resampling.BILINEAR)
+        pixels = np.asarray(thing, dtype=np.float64)
+        alpha = pixels[..., 3:] / 255
+        mixed = pixels[..., :3] + (1 - alpha) * np.asarray(picture, dtype=np.float64)
+        step = np.subtract(shot.centre, previous) * rng.uniform(0.3, 1.2) + rng.normal(0, 0.4, 2)
+        # Frames far apart in time would be blurred as no exposure is.
+        step *= min(1.0, 0.02 * width / max(np.hypot(*step), 1e-9))
+        previous = shot.centre
+        blurred = _moved(Image.fromarray(mixed.clip(0, 255).astype(np.uint8)), step)
+        exposed = (blurred / 255 * gain[place] * tint).clip(0, 1) + rng.normal(0, grain, blurred.shape)
+        pictures.append(Image.fromarray((exposed.clip(0, 1) * 255 + 0.5).astype(np.uint8)))
+        masks.append(Image.fromarray(((alpha[..., 0] > 0.5) * 255).astype(np.uint8)))
+    return pictures, masks
+
+
+def _premultiplied(drawing: np.ndarray) -> Image.Image:
+    """Colours times alpha, so that scaling does not draw the black around the object into its edge."""
+    alpha = drawing[..., 3:].astype(np.float64) / 255
+    colour = (drawing[..., :3] * alpha + 0.5).astype(np.uint8)
+    return Image.fromarray(np.dstack([colour, drawing[..., 3]]))
+
+
+def _moved(picture: Image.Image, step: np.ndarray, copies: int = 5) -> np.ndarray:
+    """The mean (height, width, 3) of a picture and its copies along a movement of `step` pixels about it."""
+    total = np.zeros((picture.height, picture.width, 3))
+    for share in np.linspace(-0.5, 0.5, copies):
+        dx, dy = share * step
+        affine = (1.0, 0.0, float(dx), 0.0, 1.0, float(dy))
+        moved = picture.transform(picture.size, Image.Transform.AFFINE, affine, Image.Resampling.BILINEAR)
+        inside = Image.new("L", picture.size, 255).transform(picture.size, Image.Transform.AFFINE, affine)
+        total += np.asarray(Image.composite(moved, picture, inside), dtype=np.float64)
+    return total / copies
+
+
+def _faulty(rng: np.random.Generator, mask: Image.Image) -> Image.Image:
+    """A mask as a network makes it: too small or too large by a pixel or two, rounded, with holes and a wrong spot."""
+    width, height = mask.size
+    kind = int(rng.integers(3))
+    if kind:
+        mask = mask.filter((ImageFilter.MinFilter, ImageFilter.MaxFilter)[kind - 1](3))
+    mask = mask.filter(ImageFilter.MedianFilter(3))
+    pen = ImageDraw.Draw(mask)
+    box = mask.getbbox()
+    if box is None:
+        return mask
+    for _ in range(int(rng.integers(0, 4))):
+        x, y = rng.uniform(box[0], box[2]), rng.uniform(box[1], box[3])
+        reach = rng.uniform(0.01, 0.05) * min(width, height)
+        pen.ellipse((x - reach, y - reach, x + reach, y + reach), 0)
+    if rng.random() < 0.2:
+        x, y = rng.uniform(0, width), rng.uniform(0, height)
+        reach = rng.uniform(0.01, 0.03) * min(width, height)
+        pen.ellipse((x - reach, y - reach, x + reach, y + reach), 255)
+    return mask
+
+
+def _weak(rng: np.random.Generator, mask: Image.Image, cells: int = 12) -> Image.Image:
+    """A mask as a network makes it that was never shown one: what is coarse of it, and some of what is beside it."""
+    box = mask.getbbox()
+    if box is None:
+        return mask
+    shape = np.asarray(mask) / 255
+    # What such networks answer is an upscaled grid, so wide beside the object that thin parts sink in it.
+    blur = max(box[2] - box[0], box[3] - box[1]) / cells
+    soft = ndimage.gaussian_filter(shape, blur)
+    noise = ndimage.gaussian_filter(rng.normal(size=shape.shape), 2 * blur)
+    level = rng.uniform(0.3, 0.5) + 0.12 * noise / max(noise.std(), 1e-9)
+    return Image.fromarray(((soft > level.clip(0.1, 0.75)) * 255).astype(np.uint8))
+
+
+def _record(rng: np.random.Generator, shots: Many[_Shot], mesh: Mesh, size: tuple[int, int]) -> Any:
+    """The record of a video whose object stands somewhere in the world (y up), turned about the vertical."""
+    width, height = size
+    turn = rng.uniform(0, 2 * np.pi)
+    rotation = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+    where = rng.normal(0, 1, 3)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    scale = AXES.T @ (high - low)
+    translation = rotation @ AXES.T @ ((low + high) / 2) + where
+    corners = (UNIT_BOX * scale) @ rotation.T + translation
+    sequence = Sequence()
+    thing = sequence.objects.add(id=1)
+    thing.rotation.extend(rotation.ravel())
+    thing.translation.extend(translation)
+    thing.scale.extend(scale)
+    for number, shot in enumerate(shots):
+        pose = np.eye(4)
+        pose[:3, :3] = rotation @ AXES.T @ shot.frame @ _SENSOR
+        pose[:3, 3] = rotation @ AXES.T @ (DISTANCE * shot.frame[:, 2]) + where
+        to_camera = np.linalg.inv(pose)
+        projection = _projection(shot, size)
+        frame = sequence.frame_annotations.add(frame_id=number, timestamp=number / 30)
+        frame.camera.transform.extend(pose.ravel())
+        frame.camera.view_matrix.extend(to_camera.ravel())
+        frame.camera.projection_matrix.extend(projection.ravel())
+        x, y = shot.centre
+        frame.camera.intrinsics.extend((shot.focal, 0, y, 0, shot.focal, x, 0, 0, 1))
+        frame.camera.image_resolution_width, frame.camera.image_resolution_height = height, width
+        seen = frame.annotations.add(object_id=1, visibility=1)
+        in_camera = corners @ to_camera[:3, :3].T + to_camera[:3, 3]
+        clip = np.column_stack([in_camera, np.ones(len(in_camera))]) @ projection.T
+        for place, (point, (right, up)) in enumerate(zip(in_camera, clip[:, :2] / clip[:, 3:], strict=True)):
+            keypoint = seen.keypoints.add(id=place)
+            keypoint.point_3d.x, keypoint.point_3d.y, keypoint.point_3d.z = point
+            # In the picture, which is the sensor's turned by a quarter.
+            keypoint.point_2d.x, keypoint.point_2d.y, keypoint.point_2d.depth = (1 + up) / 2, (1 + right) / 2, -point[2]
+    return sequence
+
+
+def _projection(shot: _Shot, size: tuple[int, int]) -> np.ndarray:
+    """(4, 4) from the sensor's frame to its clip space."""
+    width, height = size
+    x, y = shot.centre
+    return np.array(
+        [
+            [2 * shot.focal / height, 0, 1 - 2 * y / height, 0],
+            [0, 2 * shot.focal / width, 1 - 2 * x / width, 0],
+            [0, 0, -(_FAR + _NEAR) / (_FAR - _NEAR), -2 * _FAR * _NEAR / (_FAR - _NEAR)],
+            [0, 0, -1, 0],
+        ]
+    )

@@ -1,0 +1,343 @@
+"""A stand-in for PASCAL3D+ in its own layout: built-in CAD models before backgrounds, biased as its photographs are.
+
+It lets everything that reads the data set run, and be tested, where it is not to be had. Numbers measured on it are
+numbers of the stand-in.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+from PIL import Image, ImageDraw, ImageFilter
+
+from viewnet import cad
+from viewnet.cad.writer import write_model
+from viewnet.config import CATEGORIES, known
+from viewnet.data.annotated_viewpoints import drawn
+from viewnet.data.backgrounds import list_pictures
+from viewnet.data.readers.pascal3d import EXTENSIONS, LISTS, SPLITS, VOC, annotation_file, parts, picture_file
+from viewnet.data.readers.shapenet import ModelFile, load_model
+from viewnet.data.synthetic import scenes
+from viewnet.errors import ViewnetError
+from viewnet.render import VERSION as RENDER_VERSION
+from viewnet.render import render_frames
+from viewnet.render.camera import camera_frames
+from viewnet.render.mesh import Mesh
+from viewnet.runtime.files import write_text
+from viewnet.runtime.images import opened
+from viewnet.runtime.parallel import as_done, processors
+from viewnet.runtime.progress import bar
+from viewnet.tables import published
+
+VERSION = 1
+"""Raise it when a change alters pictures or annotations."""
+MODEL_SEED = 1000
+"""Added to the seed: models are others than those of a training with the same one."""
+SIZE = (200, 150)
+"""Width and height of a picture, pixels."""
+OBJECT = 144
+"""Pixels along a side of the drawing that an object is pasted from."""
+HARD = {"imagenet": 0.1, "pascal": 0.5}
+"""The share of objects that are cut by the picture's edge or hidden in part."""
+DISTANCE = 7.0
+"""Of the camera, as annotated; 0 would mean that the viewpoint is coarse."""
+
+
+@dataclass(frozen=True)
+class _Photograph:
+    """One picture to make, and the camera's frame (3, 3)."""
+
+    subset: str
+    split: str
+    name: str
+    azimuth: float
+    elevation: float
+    frame: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Job:
+    """The pictures of one CAD model."""
+
+    root: Path
+    category: str
+    model: int
+    photographs: tuple[_Photograph, ...]
+    backgrounds: tuple[Path, ...]
+    seed: int
+
+
+def describe(
+    category: str, subset: str, models: int, count: int, seed: int, backgrounds: Path | None = None
+) -> dict[str, Any]:
+    """What decides a stand-in, as JSON values, without making it. Backgrounds are known by their paths and sizes."""
+    values: dict[str, Any] = {
+        "version": [VERSION, cad.VERSION, RENDER_VERSION, scenes.VERSION],
+        "viewpoints": hashlib.sha256((published.folder() / "pascal3d_viewpoints.csv").read_bytes()).hexdigest(),
+        "category": category,
+        "subset": subset,
+        "models": models,
+        "count": count,
+        "seed": seed,
+    }
+    if backgrounds is not None:
+        names = [(path, (backgrounds / path).stat().st_size) for path, _ in list_pictures(backgrounds)[0]]
+        values["backgrounds"] = hashlib.sha256(repr(names).encode()).hexdigest()
+    return values
+
+
+def write_stand_in(
+    root: Path,
+    categories: Sequence[str],
+    models: int = 60,
+    count: int = 600,
+    subset: str = "imagenet",
+    backgrounds: Path | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    progress: bool = True,
+) -> None:
+    """`count` photographs of each category and split under `root`, in the layout of PASCAL3D+ 1.1.
+
+    Each split ("train", "val") shows `models` built-in models of its own, in equal shares. Viewpoints are drawn from
+    the published histogram of the real ones (viewnet.data.annotated_viewpoints.drawn). What is behind comes from a folder of pictures,
+    or is drawn (viewnet.data.synthetic.scenes). Some objects are cut by the edge or hidden in part, and say so. `subset` is
+    "imagenet", "pascal" (more of them are) or "both".
+
+    A picture depends on (seed, category, subset, split, its number, models) and the backgrounds, whatever the number
+    of processes (`workers`; None: one a processor). Raises ViewnetError for values out of range, and where `root` holds
+    something already.
+    """
+    root = Path(root)
+    if not categories:
+        raise ViewnetError(f"categories: give at least one of {', '.join(CATEGORIES)}")
+    for name, value in (("models", models), ("count", count), ("workers", 1 if workers is None else workers)):
+        if value < 1:
+            raise ViewnetError(f"stand-in: {name} {value}: expected 1 or more")
+    if root.exists() and any(root.iterdir()):
+        raise ViewnetError(f"{root}: is not empty: name another folder")
+    behind = () if backgrounds is None else tuple(backgrounds / path for path, _ in list_pictures(backgrounds)[0])
+    jobs = []
+    for category in dict.fromkeys(categories):
+        planned = _plan(known(category, CATEGORIES, "category"), subset, models, count, seed)
+        jobs += [_Job(root, category, model, pictures, behind, seed) for model, pictures in planned.items()]
+        for part in parts(subset):
+            for split in SPLITS:
+                _write_list(root, category, part, split, [_name(category, split, i) for i in range(count)])
+    _make(jobs, workers, progress)
+
+
+def _plan(category: str, subset: str, models: int, count: int, seed: int) -> dict[int, tuple[_Photograph, ...]]:
+    """Which photographs each model is on. Models of the first split are numbered before those of the second."""
+    viewpoints = drawn(np.random.default_rng(seed), count)
+    mine = viewpoints[viewpoints["category"] == category]
+    planned: dict[int, list[_Photograph]] = {}
+    for place, split in enumerate(SPLITS):
+        angles = mine.loc[mine["split"] == split, ["azimuth", "elevation"]].to_numpy()
+        frames = camera_frames(*angles.T.copy())
+        for part in parts(subset):
+            for number, ((azimuth, elevation), frame) in enumerate(zip(angles.tolist(), frames, strict=True)):
+                photograph = _Photograph(part, split, _name(category, split, number), azimuth, elevation, frame)
+                planned.setdefault(place * models + number % models, []).append(photograph)
+    return {model: tuple(photographs) for model, photographs in planned.items()}
+
+
+def _make(jobs: Sequence[_Job], workers: int | None, progress: bool) -> None:
+    total = sum(len(job.photographs) for job in jobs)
+    if workers is None:
+        workers = 1 if total < 200 else processors()  # for a few, starting processes takes longer
+    with bar(progress, total=total, desc="stand-in", unit="picture") as shown:
+        for photographs in as_done(_draw_model, jobs, workers, "the stand-in"):
+            shown.update(photographs)
+
+
+def _draw_model(job: _Job) -> int:
+    """Write the photographs of one model; their number."""
+    mesh = built_in_mesh(job.category, job.model, job.seed + MODEL_SEED)
+    generators = [_generator(job.seed, job.category, p.subset, p.name) for p in job.photographs]
+    frames = np.stack([photograph.frame for photograph in job.photographs])
+    lights = []
+    for rng, frame in zip(generators, frames, strict=True):
+        # Mostly from above, and never from behind, where nothing would be seen.
+        light = rng.normal(size=3) * 0.7 + frame[:, 2] * 0.6 + np.array([0.0, 0.0, 0.8])
+        lights.append(light / np.linalg.norm(light))
+    drawings = render_frames(mesh, frames, np.stack(lights), OBJECT, 2, "raycast")
+    for photograph, drawing, rng in zip(job.photographs, drawings, generators, strict=True):
+        picture, entry = _photograph(drawing, photograph, HARD[photograph.subset], job.backgrounds, rng)
+        entry["class"] = job.category
+        _write(job.root, job.category, photograph.subset, photograph.name, picture, [entry])
+    return len(job.photographs)
+
+
+def built_in_mesh(category: str, model: int, seed: int) -> Mesh:
+    """Built-in model `model` of a category under a seed, normalised, without leaving files."""
+    name = cad.model_id(category, model, seed)
+    with tempfile.TemporaryDirectory(prefix="viewnet-") as folder:
+        write_model(cad.make_model(category, model, seed), Path(folder) / name)
+        file = Path(folder) / name / "models" / "model_normalized.obj"
+        return load_model(ModelFile(name, category, file, "v2", ""))
+
+
+def _photograph(
+    drawing: np.ndarray, photograph: _Photograph, hard: float, backgrounds: Sequence[Path], rng: np.random.Generator
+) -> tuple[Image.Image, dict[str, Any]]:
+    """A picture, and its object as a record's `objects` has it (but for its class)."""
+    ys, xs = np.nonzero(drawing[..., 3] > 127)
+    if not len(xs):
+        raise ViewnetError("a model of the stand-in cannot be seen")
+    thing = Image.fromarray(drawing).crop((int(xs.min()), int(ys.min()), int(xs.max()) + 1, int(ys.max()) + 1))
+    width, height = SIZE
+    fits = min(0.95 * width / thing.width, 0.95 * height / thing.height)
+    scale = fits * rng.uniform(0.45, 1)
+    thing = thing.resize(
+        (max(8, round(thing.width * scale)), max(8, round(thing.height * scale))), Image.Resampling.HAMMING
+    )
+    truncated, occluded = rng.random(2) < hard / 2
+    left = int(rng.integers(0, width - thing.width + 1))
+    upper = int(rng.integers(0, height - thing.height + 1))
+    if truncated:
+        beyond = rng.uniform(0.1, 0.35)
+        left, upper = (
+            (left, height - round(thing.height * (1 - beyond))),
+            (-round(thing.width * beyond), upper),
+            (width - round(thing.width * (1 - beyond)), upper),
+        )[int(rng.integers(3))]
+    picture = _background(backgrounds, rng)
+    _shade(picture, (left, upper, left + thing.width, upper + thing.height), rng)
+    picture.paste(thing, (left, upper), thing)
+    x0, y0 = max(left, 0), max(upper, 0)
+    x1, y1 = min(left + thing.width, width), min(upper + thing.height, height)
+    if occluded:
+        _hide(picture, (x0, y0, x1, y1), rng)
+    entry = {
+        "view": "Unspecified",
+        "bbox": np.array([x0 + 1, y0 + 1, x1, y1], dtype=np.float64),  # from 1, the last pixel included
+        "occluded": int(occluded),
+        "truncated": int(truncated),
+        "difficult": 0,
+        "viewpoint": {
+            "azimuth_coarse": round(photograph.azimuth / 45) * 45 % 360,
+            "elevation_coarse": round(photograph.elevation / 30) * 30,
+            "azimuth": photograph.azimuth,
+            "elevation": photograph.elevation,
+            "distance": DISTANCE,
+            "focal": 1,
+            "px": width / 2,
+            "py": height / 2,
+            "theta": 0.0,
+        },
+    }
+    return _exposed(picture, rng), entry
+
+
+def _shade(picture: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
+    """A soft shadow on the ground where an object will stand, or none."""
+    x0, y0, x1, y1 = box
+    high = (y1 - y0) * rng.uniform(0.08, 0.25)
+    mask = Image.new("L", picture.size, 0)
+    ImageDraw.Draw(mask).ellipse((x0, y1 - 1.3 * high, x1, y1 + 0.4 * high), int(255 * rng.uniform(0, 0.7)))
+    mask = mask.filter(ImageFilter.GaussianBlur(0.04 * (x1 - x0)))
+    picture.paste((15, 15, 18), mask=mask)
+
+
+def _hide(picture: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
+    """Something before the object: a post, or a piece of another scene that covers its foot or a side."""
+    x0, y0, x1, y1 = box
+    width, height = x1 - x0, y1 - y0
+    share = rng.uniform(0.2, 0.45)
+    where = int(rng.integers(4))
+    part: tuple[float, float, float, float]
+    if where == 0:  # a post
+        left = x0 + rng.uniform(0.1, 0.8) * width
+        part = (left, 0, left + 0.4 * share * width, picture.height)
+    elif where == 1:
+        part = (x0 - 0.1 * width, y1 - share * height, x1 + 0.1 * width, picture.height)
+    else:
+        left = x0 - 0.2 * width if where == 2 else x1 - share * width
+        part = (left, y0 + rng.uniform(0, 0.5) * height, left + (share + 0.2) * width, picture.height)
+    mask = Image.new("L", picture.size, 0)
+    pen = ImageDraw.Draw(mask)
+    if rng.random() < 0.5:
+        pen.rectangle(part, 255)
+    else:
+        pen.rounded_rectangle(part, 0.3 * min(part[2] - part[0], part[3] - part[1]), 255)
+    picture.paste(Image.fromarray(scenes.draw(rng, *picture.size)), mask=mask)
+
+
+def _background(backgrounds: Sequence[Path], rng: np.random.Generator) -> Image.Image:
+    """A part of a given picture, or a drawn scene."""
+    if not backgrounds:
+        return Image.fromarray(scenes.draw(rng, *SIZE))
+    path = backgrounds[int(rng.integers(len(backgrounds)))]
+    try:
+        with opened(path) as found:
+            picture = found.convert("RGB")
+    except ViewnetError as error:
+        raise ViewnetError(f"{path}: {error}: remove it from the backgrounds") from None
+    scale = min(picture.width / SIZE[0], picture.height / SIZE[1]) * rng.uniform(0.7, 1)
+    wide, high = SIZE[0] * scale, SIZE[1] * scale
+    left, upper = rng.random(2) * [picture.width - wide, picture.height - high]
+    return picture.resize(SIZE, Image.Resampling.HAMMING, box=(left, upper, left + wide, upper + high))
+
+
+def _exposed(picture: Image.Image, rng: np.random.Generator) -> Image.Image:
+    """Object and background alike: out of focus, brighter or darker, tinted and grainy."""
+    pixels = np.asarray(picture.filter(ImageFilter.GaussianBlur(rng.uniform(0, 0.9))), dtype=np.float64) / 255
+    pixels = pixels * rng.uniform(0.75, 1.2) * np.exp(rng.normal(0, 0.05, 3))
+    pixels = pixels.clip(0, 1) ** np.exp(rng.normal(0, 0.15))
+    pixels = pixels + rng.normal(0, rng.uniform(0, 0.03), pixels.shape)
+    return Image.fromarray((pixels.clip(0, 1) * 255 + 0.5).astype(np.uint8))
+
+
+def _write(
+    root: Path, category: str, subset: str, name: str, picture: Image.Image, objects: Sequence[Mapping[str, Any]]
+) -> None:
+    """A picture and its record."""
+    image, annotation = picture_file(root, category, subset, name), annotation_file(root, category, subset, name)
+    for path in (image, annotation):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    picture.save(image, "JPEG", quality=88)
+    # A structure array, one element an object, as MATLAB writes it.
+    fields = np.zeros(len(objects), dtype=[(field, object) for field in objects[0]])
+    for number, entry in enumerate(objects):
+        for field, value in entry.items():
+            fields[number][field] = value
+    width, height = picture.size
+    record = {
+        "folder": image.parent.name,
+        "filename": f"{name}{EXTENSIONS[subset]}",
+        "size": {"width": width, "height": height, "depth": 3},
+        "imgsize": np.array([width, height, 3], dtype=np.float64),
+        "segmented": 0,
+        "objects": fields,
+    }
+    stream = io.BytesIO()
+    scipy.io.savemat(stream, {"record": record})
+    # The file's first 116 bytes are a text with the time, by which the same stand-in would never be the same.
+    annotation.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + stream.getvalue()[116:])
+
+
+def _write_list(root: Path, category: str, subset: str, split: str, names: Sequence[str]) -> None:
+    if subset == "imagenet":
+        path, lines = root / LISTS / f"{category}_imagenet_{split}.txt", list(names)
+    else:
+        path, lines = root / VOC / f"{category}_{split}.txt", [f"{name}  1" for name in names] + ["nothing_of_it -1"]
+    write_text(path, "".join(f"{line}\n" for line in lines))
+
+
+def _name(category: str, split: str, number: int) -> str:
+    return f"{category}_{split}_{number:05d}"
+
+
+def _generator(seed: int, *names: str) -> np.random.Generator:
+    """Every picture has its own, so that none depends on how many there are."""
+    digest = hashlib.sha256(" ".join((str(seed), *names)).encode()).digest()
+    return np.random.default_rng(int.from_bytes(digest[:8], "little"))

@@ -1,0 +1,170 @@
+"""People's own pictures with masks and boxes, read whatever they come as."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageOps
+from torch import Tensor
+
+from viewnet.data.crop import Box, bounds, coverage, inside
+from viewnet.errors import ViewnetError
+from viewnet.runtime import images
+
+Picture = Image.Image | str | os.PathLike | np.ndarray | Tensor
+Pictures = Picture | Sequence[Picture]
+
+
+@dataclass(frozen=True)
+class Given:
+    """A picture as it was given: upright, with its object's mask (H, W) uint8 and box as far as they are known.
+
+    Without a box the picture is framed as it is to be: a mask is then its alpha.
+    """
+
+    picture: Image.Image
+    mask: np.ndarray | None = None
+    box: Box | None = None
+
+
+def listed(images: Pictures) -> list[Picture]:
+    """Pictures one by one, of one or several. ViewnetError for none and for what is no picture."""
+    if isinstance(images, (np.ndarray, Tensor)):
+        found: list[Any] = list(images) if images.ndim == 4 else [images]
+    elif isinstance(images, (Image.Image, str, os.PathLike)):
+        found = [images]
+    else:
+        try:
+            found = list(images)
+        except TypeError:
+            raise ViewnetError(
+                f"pictures: got {type(images).__name__}: expected a picture, a path, an array or a list of such"
+            ) from None
+    if not found:
+        raise ViewnetError("pictures: none were given")
+    return found
+
+
+def masks_of(masks: Any, count: int) -> list[Any]:
+    """A mask, or None, for each of `count` pictures. ViewnetError for another number."""
+    if masks is None:
+        return [None] * count
+    single = isinstance(masks, (Image.Image, str, os.PathLike)) or (
+        isinstance(masks, (np.ndarray, Tensor)) and masks.ndim == 2
+    )
+    return _as_many([masks] if single else list(masks), count, "masks")
+
+
+def boxes_of(boxes: Any, count: int) -> list[Box | None]:
+    """A box (x0, y0, x1, y1), or None, for each of `count` pictures. ViewnetError for what is none."""
+    if boxes is None:
+        return [None] * count
+    found = [value.tolist() if isinstance(value, (np.ndarray, Tensor)) else value for value in list(boxes)]
+    if found and all(isinstance(value, (int, float, np.number)) for value in found):
+        found = [found]
+    return [None if box is None else _box(box) for box in _as_many(found, count, "boxes")]
+
+
+def _as_many(values: list[Any], count: int, what: str) -> list[Any]:
+    if len(values) != count:
+        raise ViewnetError(f"{what}: {len(values)} for {count} pictures: give one each, or None where there is none")
+    return values
+
+
+def _box(values: Any) -> Box:
+    try:
+        x0, y0, x1, y1 = (float(value) for value in values)
+    except (TypeError, ValueError):
+        raise ViewnetError(f"box {values!r}: expected four numbers x0, y0, x1, y1 in pixels") from None
+    if not all(map(math.isfinite, (x0, y0, x1, y1))) or x1 <= x0 or y1 <= y0:
+        raise ViewnetError(f"box {values!r}: expected x0, y0, x1, y1 in pixels, x0 below x1 and y0 below y1")
+    return x0, y0, x1, y1
+
+
+def opened(image: Picture, mask: Any = None, box: Box | None = None) -> Given:
+    """A picture read and turned upright as its camera says; without a mask its alpha is one, if it has any.
+
+    Raises ViewnetError for what cannot be read, values out of range, a mask of another size, and one that is empty.
+    """
+    picture = _picture(image)
+    if mask is not None:
+        alpha = _mask(mask)
+        if alpha.shape != (picture.height, picture.width):
+            size = f"{alpha.shape[1]} x {alpha.shape[0]}"
+            raise ViewnetError(f"mask is {size}, its picture {picture.width} x {picture.height}: expected the same")
+        alpha = alpha if box is None else inside(alpha, box)
+        return Given(picture, alpha, bounds(alpha))
+    if not picture.has_transparency_data:
+        return Given(picture, None, box)
+    picture = picture.convert("RGBA")
+    alpha = np.array(picture.getchannel("A"))
+    if alpha.min() == 255:
+        return Given(picture, None, box)
+    if box is None:
+        bounds(alpha)
+        return Given(picture, alpha)
+    alpha = inside(alpha, box)
+    return Given(picture, alpha, bounds(alpha))
+
+
+def _picture(image: Picture) -> Image.Image:
+    if isinstance(image, (np.ndarray, Tensor)):
+        return Image.fromarray(_pixels(image))
+    if isinstance(image, (str, os.PathLike)):
+        with images.opened(Path(image)) as file:
+            file.load()
+            return ImageOps.exif_transpose(file)
+    if isinstance(image, Image.Image):
+        try:
+            return ImageOps.exif_transpose(image)
+        except (OSError, ValueError, SyntaxError) as error:  # of a picture that PIL has not decoded yet
+            raise ViewnetError(f"picture does not decode ({type(error).__name__})") from None
+    raise ViewnetError(f"got {type(image).__name__}: expected a PIL picture, a path, a numpy array or a torch tensor")
+
+
+def _pixels(image: np.ndarray | Tensor) -> np.ndarray:
+    """(H, W) or (H, W, 3 or 4) uint8."""
+    shape, wanted = tuple(image.shape), "(H, W), (H, W, 3) or (H, W, 4)"
+    if isinstance(image, Tensor):
+        image = image.detach().cpu()
+        image = image.movedim(0, -1) if image.ndim == 3 else image
+        image = (image.float() if image.is_floating_point() else image).numpy()
+        wanted = "(H, W), (1, H, W), (3, H, W) or (4, H, W)"
+    if image.ndim == 3 and image.shape[-1] == 1:
+        image = image[..., 0]
+    if not (image.ndim == 2 or (image.ndim == 3 and image.shape[-1] in (3, 4))) or 0 in shape:
+        raise ViewnetError(f"picture is {shape}: expected {wanted}")
+    return np.ascontiguousarray(_eight_bits(image))
+
+
+def _eight_bits(image: np.ndarray) -> np.ndarray:
+    if image.dtype == np.uint8:
+        return image
+    if not np.issubdtype(image.dtype, np.floating):
+        raise ViewnetError(f"picture is of {image.dtype}: expected uint8, or floating point in [0, 1]")
+    if not (image.min() >= 0 and image.max() <= 1):  # not for NaN
+        raise ViewnetError(f"picture has values from {image.min():g} to {image.max():g}: expected 0 to 1, or uint8")
+    return (image * 255).round().astype(np.uint8)
+
+
+def _mask(mask: Any) -> np.ndarray:
+    """(H, W) uint8, see viewnet.data.crop.coverage."""
+    if isinstance(mask, (str, os.PathLike)):
+        with images.opened(Path(mask), f"mask {mask}") as file:
+            file.load()
+            return coverage(file)
+    if isinstance(mask, Image.Image):
+        return coverage(mask)
+    array = mask.detach().cpu().numpy() if isinstance(mask, Tensor) else np.asarray(mask)
+    array = array.squeeze(0) if array.ndim == 3 and len(array) == 1 else array
+    if array.ndim != 2:
+        raise ViewnetError(f"mask is {array.shape}: expected (H, W)")
+    if array.dtype == bool:
+        return array.astype(np.uint8) * 255
+    return coverage(Image.fromarray(np.ascontiguousarray(_eight_bits(array))))

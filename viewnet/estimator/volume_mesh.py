@@ -1,0 +1,98 @@
+"""Learned volumes as coloured meshes, upright and facing as the project's axes have it, for any 3-D viewer.
+
+The surface lies where occupancy, interpolated between voxel centres, passes a level (marching cubes). Vertices are in
+half sides of the volume. Colours are those of the volume weighted by occupancy, since empty voxels have learned none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+import trimesh
+from skimage.measure import marching_cubes
+from torch import Tensor
+
+from viewnet.errors import ViewnetError
+from viewnet.runtime.files import replacing
+from viewnet.tables.run_renderer import BATCH, Drawer
+
+LEVEL = 0.5
+SUFFIXES = (".glb", ".ply")
+Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""Takes the project's z up to the y up that glTF prescribes."""
+
+
+def surface(volume: Tensor, rotation: Tensor | None = None, level: float = LEVEL) -> trimesh.Trimesh:
+    """The closed surface of a volume (4, Z, Y, X), colour and occupancy in [0, 1], with a colour (RGBA) a vertex.
+
+    `rotation` (3, 3) takes the volume's frame to that of the mesh; none leaves it. Occupancy that reaches the volume's
+    faces is closed there. Raises ViewnetError where no voxel is above `level`.
+    """
+    if volume.ndim != 4 or volume.shape[0] != 4:
+        raise ViewnetError(f"mesh: the volume is {tuple(volume.shape)}, expected (4, Z, Y, X): colour and occupancy")
+    volume = volume.detach().float().cpu()
+    occupancy = np.pad(volume[3].numpy(), 1)  # nothing around it, so that the surface closes
+    if not occupancy.max() > level:
+        raise ViewnetError(
+            f"mesh: the volume is empty: its highest occupancy is {occupancy.max():.2g}, not above {level:g}: "
+            "train longer or lower the level"
+        )
+    corners, faces, _, _ = marching_cubes(occupancy, level)
+    sides = np.array(volume.shape[1:])
+    points = ((2 * (corners - 1) + 1) / sides - 1)[:, ::-1].astype(np.float32)  # z, y, x to x, y, z
+    colours = _colours(volume, torch.from_numpy(points.copy()))
+    vertices = points if rotation is None else points @ rotation.cpu().numpy().T
+    # Triangles face inwards by the order of z, y and x, and so outwards by that of x, y and z.
+    return trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False)
+
+
+def write(mesh: trimesh.Trimesh, path: Path) -> Path:
+    """A mesh as .ply, in the project's axes, or as .glb, whose scene turns z up to the format's y up. Returns `path`.
+
+    ViewnetError for another suffix.
+    """
+    if path.suffix not in SUFFIXES:
+        raise ViewnetError(f"{path}: unknown kind of mesh file: name it {' or '.join(SUFFIXES)}")
+    data: Any = as_glb(mesh) if path.suffix == ".glb" else mesh.export(file_type="ply")
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+    return path
+
+
+def as_glb(mesh: trimesh.Trimesh) -> bytes:
+    """The contents of a .glb file, see `write`."""
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, transform=Y_UP, geom_name="volume", node_name="volume")
+    data: bytes = scene.export(file_type="glb")
+    return data
+
+
+def export(drawer: Drawer, rows: Sequence[int], folder: Path, suffix: str = ".glb", level: float = LEVEL) -> list[Path]:
+    """`<model>-<view><suffix>` in `folder` for each of some test views: what the network makes of it, aligned.
+
+    Raises ViewnetError for a HoloGAN decoder, whose features are no volume of colours, and as `surface` and `write` do.
+    """
+    if drawer.hologan:
+        raise ViewnetError("mesh: the HoloGAN decoder has no volume of colours and occupancy: choose another variant")
+    ids, files = drawer.aligned.predictions.ids, []
+    for start in range(0, len(rows), BATCH):
+        part = list(rows[start : start + BATCH])
+        for row, volume in zip(part, drawer.imagine(part).shape, strict=True):
+            stem = f"{ids['model_id'].iloc[row]}-{ids['view'].iloc[row]}"
+            files.append(write(surface(volume, drawer.rotation, level), folder / f"{stem}{suffix}"))
+    return files
+
+
+def _colours(volume: Tensor, points: Tensor) -> np.ndarray:
+    """RGBA (V, 4) uint8 at points (V, 3) of [-1, 1]^3 (x, y, z), weighted by occupancy."""
+    weighted = torch.cat([volume[:3] * volume[3:], volume[3:]])
+    grid = points[None, None, None]
+    # Beyond the outermost centres the nearest voxel counts, or a surface closed at the cube's face would be black.
+    found = F.grid_sample(weighted[None], grid, padding_mode="border", align_corners=False)[0, :, 0, 0]
+    colours = (found[:3] / found[3:].clamp(min=1e-6)).clamp(0, 1) * 255
+    return np.column_stack([colours.round().T.numpy(), np.full(len(points), 255)]).astype(np.uint8)

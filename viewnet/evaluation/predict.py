@@ -1,0 +1,138 @@
+"""From a checkpoint to predictions: one row a picture."""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import safe_open
+from safetensors.torch import load_file
+from torch import Tensor
+
+from viewnet.config import ModelConfig, RunConfig
+from viewnet.data import augment
+from viewnet.data.pairs import viewed
+from viewnet.data.store import ViewStore
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.predictions import Predictions
+from viewnet.model.losses import composite
+from viewnet.model.viewnet import ViewNet
+from viewnet.training.step import reconstruct
+
+BATCH = 256
+LARGEST = 256
+"""Voxels along a side: the prior on them is in no file, however large the volume."""
+
+
+def _least(config: ModelConfig) -> int:
+    """How many weights the largest layer of a network has at least, counted before there is room made for it."""
+    encoder, generator = config.encoder_channels, config.generator_channels
+    layers = [*pairwise(encoder), *pairwise(generator), (12, config.balance_bands)]
+    layers += [(min(encoder), outputs) for outputs in (config.heads, config.appearance_size)]
+    if config.decoder == "adain":
+        layers.append((config.code_size, generator[0]))
+    return max(a * b for a, b in layers)
+
+
+def load_model(folder: Path) -> tuple[ViewNet, RunConfig]:
+    """The network of a run, ready to predict, and its configuration. ViewnetError where the file is none of ours."""
+    path = folder / "checkpoint.safetensors"
+    if not path.is_file():
+        raise ViewnetError(f"no checkpoint at {path}: train the run first")
+    try:
+        with safe_open(path, framework="pt") as file:
+            config = RunConfig.from_dict(json.loads((file.metadata() or {})["config"]))
+            there = sum(math.prod(file.get_slice(name).get_shape()) for name in file.keys())  # noqa: SIM118
+        if _least(config.model) > there or config.model.volume_size > LARGEST:
+            raise ValueError("its configuration is of a larger network")
+        model = ViewNet(config.model)
+        model.load_state_dict(load_file(path), strict=True)
+    except ViewnetError as error:
+        raise ViewnetError(f"{path} is of another version ({error}): train the run again") from error
+    except Exception as error:
+        problem = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise ViewnetError(f"{path} is not a whole checkpoint ({problem}): train the run again") from error
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return model.to(device).eval(), config
+
+
+@torch.no_grad()
+def predict(model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = ("val", "test")) -> Predictions:
+    """Viewpoint hypotheses for every view of the given splits, in the store's order.
+
+    A run that was trained before backgrounds is shown views as in training, the same each time; photographs have their
+    own background and are shown as they are. Raises ViewnetError where views have no annotated viewpoint.
+    """
+    store.require_viewpoints(splits, "what cannot be scored is not predicted: use an annotated store")
+    network, config = load_model(model) if isinstance(model, Path) else (model.eval(), None)
+    device, size = network.focal.device, network.config.input_size
+    scenery = augment.load(config.data, size, device) if config else None
+    rows, vectors, logits, ups = [], [], [], []
+    for split in splits:
+        views = viewed(store, split, size, network.config)
+        rows.append(store.index[store.index["split"] == split])
+        chance = torch.Generator().manual_seed(0)
+        for part in torch.arange(len(views.objects)).split(BATCH):
+            seen = views.seen(part, size, device)
+            if config and scenery is not None and not views.opaque:
+                seen = augment.photograph(seen, scenery, config.train, chance)
+            found = network.viewpoint(network.see(seen))
+            vectors.append(_array(found.vectors))
+            logits.append(_array(found.logits))
+            if found.ups is not None:
+                ups.append(_array(found.ups))
+    import pandas as pd
+
+    ids = pd.concat(rows, ignore_index=True)[["model_id", "category", "split", "view", "azimuth", "elevation"]]
+    return Predictions(ids, np.concatenate(vectors), np.concatenate(logits), np.concatenate(ups) if ups else None)
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.double().cpu().numpy()
+
+
+@torch.no_grad()
+def candidates(folder: Path, store: ViewStore, rows: list[int], split: str = "test") -> tuple[np.ndarray, ...]:
+    """What each head draws of some views of a split, ranked by reconstruction error (figure 3d).
+
+    Returns the views themselves (N, H, W, 3) uint8, the drawings (N, M, H, W, 3) uint8, their errors (N, M) ascending
+    and the heads' numbers (N, M). The appearance comes from the next view of the same object, the background is white.
+    """
+    network, config = load_model(folder)
+    device, size = network.focal.device, network.config.render_size
+    small = network.config.input_size
+    views = viewed(store, split, max(size, small), network.config)
+    index = torch.tensor(rows)
+    others = views.partners(index)
+    seen, behind, scenery = views.seen(index, small, device), None, augment.load(config.data, small, device)
+    if scenery is not None:
+        chance = torch.Generator().manual_seed(0)
+        seen = augment.photograph(seen, scenery, config.train, chance)
+        behind = augment.behind(scenery, len(others), small, chance, device)
+    found = reconstruct(
+        network,
+        views.pictures(others, small, device),
+        views.pictures(index, small, device),
+        seen,
+        config.train,
+        behind=behind,
+    )
+    heads = network.config.heads
+    drawn = _on_white(network.draw(found.shape, found.appearance, found.hypotheses.frames.flatten(0, 1)))
+    ranked = found.errors.argsort(1)
+    return (
+        _on_white(views.pictures(index, size, device)),
+        drawn.reshape(-1, heads, *drawn.shape[1:])[np.arange(len(rows))[:, None], ranked.cpu().numpy()],
+        found.errors.gather(1, ranked).cpu().numpy(),
+        ranked.cpu().numpy(),
+    )
+
+
+def _on_white(pictures: Tensor) -> np.ndarray:
+    """Pictures (N, 4, H, W), RGB times mask and mask in [0, 1] -> (N, H, W, 3) uint8."""
+    colours = composite(pictures, torch.ones(len(pictures), 3, device=pictures.device))
+    return (colours.clamp(0, 1) * 255).round().to(torch.uint8).movedim(1, -1).cpu().numpy()

@@ -1,0 +1,220 @@
+"""What a predictor says about a set of images: the one thing that evaluation, tables and figures read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from viewnet import geometry
+from viewnet.errors import ViewnetError
+from viewnet.runtime.files import replacing
+
+Floats = NDArray[np.float64]
+
+ID_COLUMNS = ("model_id", "category", "split", "view", "azimuth", "elevation")
+UNIT_TOLERANCE = 1e-3  # of a view vector's length: float16 and bfloat16 outputs pass, an unnormalised one does not
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """N images, M viewpoint hypotheses each.
+
+    ids         one row an image: model_id, category, split (text), view (whole number), and the true azimuth and
+                elevation in degrees
+    hypotheses  (N, M, 3) unit view vectors in the predictor's own frame, which alignment maps to the true one
+    logits      (N, M) selection logits: the largest names the hypothesis that is the prediction
+    ups         (N, M, 3) unit up vectors of a predictor of in-plane rotation; None where the horizon is level
+
+    Raises ViewnetError for missing columns, no rows, wrong shapes, values that are not finite and vectors whose length
+    is not 1.
+
+    >>> ids = pd.DataFrame([["a", "car", "test", 0, 90.0, 0.0]], columns=ID_COLUMNS)
+    >>> said = Predictions(ids, np.array([[[1.0, 0, 0], [0, 1, 0]]]), np.array([[0.2, 1.5]]))
+    >>> said.choice, said.selected, said.truth.round(3)
+    (array([1]), array([[0., 1., 0.]]), array([[0., 1., 0.]]))
+    """
+
+    ids: pd.DataFrame
+    hypotheses: Floats
+    logits: Floats
+    ups: Floats | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ids", _checked_ids(self.ids))
+        n = len(self.ids)
+        hypotheses = _floats(self.hypotheses, "hypotheses")
+        if hypotheses.ndim != 3 or hypotheses.shape[0] != n or hypotheses.shape[1] < 1 or hypotheses.shape[2] != 3:
+            raise ViewnetError(
+                f"predictions: hypotheses are {hypotheses.shape}, expected ({n}, M, 3) with M of 1 or more"
+            )
+        logits = _floats(self.logits, "logits")
+        if logits.shape != hypotheses.shape[:2]:
+            raise ViewnetError(f"predictions: logits are {logits.shape}, expected {hypotheses.shape[:2]}")
+        _check_unit(hypotheses, "hypotheses")
+        object.__setattr__(self, "hypotheses", hypotheses)
+        object.__setattr__(self, "logits", logits)
+        if self.ups is not None:
+            ups = _floats(self.ups, "ups")
+            if ups.shape != hypotheses.shape:
+                raise ViewnetError(f"predictions: ups are {ups.shape}, expected {hypotheses.shape}")
+            _check_unit(ups, "ups")
+            object.__setattr__(self, "ups", ups)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def heads(self) -> int:
+        """M, the number of hypotheses."""
+        return self.hypotheses.shape[1]
+
+    @property
+    def choice(self) -> NDArray[np.intp]:
+        """(N,) index of the selected hypothesis; the first of equals."""
+        return self.logits.argmax(axis=1)
+
+    @property
+    def selected(self) -> Floats:
+        """(N, 3) view vectors of the selected hypotheses, in the predictor's own frame."""
+        return self.hypotheses[np.arange(len(self)), self.choice]
+
+    @property
+    def truth(self) -> Floats:
+        """(N, 3) true view vectors."""
+        return true_vectors(self.ids)
+
+    @property
+    def objects(self) -> NDArray[np.object_]:
+        """(N,) the object each image shows, by category and model id: the unit that is drawn and resampled."""
+        return (self.ids["category"] + "/" + self.ids["model_id"]).to_numpy(dtype=object)
+
+    def subset(self, split: str) -> Predictions:
+        """The rows of one split. ViewnetError naming the splits there are where it has none."""
+        rows = (self.ids["split"] == split).to_numpy()
+        if not rows.any():
+            splits = ", ".join(sorted(self.ids["split"].unique()))
+            raise ViewnetError(f"predictions: no rows of split {split!r}, only of {splits}: predict that split too")
+        return self.take(rows)
+
+    def take(self, rows: ArrayLike) -> Predictions:
+        """The rows that a mask (N,) or a list of positions names, in that order."""
+        rows = np.asarray(rows)
+        ups = None if self.ups is None else self.ups[rows]
+        return Predictions(self.ids.iloc[rows], self.hypotheses[rows], self.logits[rows], ups)
+
+    def to_parquet(self, path: Path) -> None:
+        """One flat column a number: the ids, then h0_x h0_y h0_z logit_0 (up0_x up0_y up0_z), h1_x and so on."""
+        columns: dict[str, Floats] = {}
+        for m in range(self.heads):
+            columns |= {f"h{m}_{axis}": self.hypotheses[:, m, i] for i, axis in enumerate("xyz")}
+            columns[f"logit_{m}"] = self.logits[:, m]
+            if self.ups is not None:
+                columns |= {f"up{m}_{axis}": self.ups[:, m, i] for i, axis in enumerate("xyz")}
+        with replacing(path) as temporary:
+            pd.concat([self.ids, pd.DataFrame(columns)], axis=1).to_parquet(temporary, index=False)
+
+    @classmethod
+    def from_parquet(cls, path: Path) -> Predictions:
+        """What `to_parquet` wrote. Raises ViewnetError naming the file where it is missing, damaged or incomplete."""
+        try:
+            frame = pd.read_parquet(path)
+        except FileNotFoundError as error:
+            raise ViewnetError(f"{path}: no such file") from error
+        except Exception as error:  # The parquet reader raises its own types on damaged files.
+            raise ViewnetError(f"{path}: not a readable parquet file: delete it and make it again") from error
+        heads = sum(name.startswith("logit_") for name in frame.columns)
+        vectors = [f"h{m}_{axis}" for m in range(heads) for axis in "xyz"]
+        ups = [f"up{m}_{axis}" for m in range(heads) for axis in "xyz"]
+        logits = [f"logit_{m}" for m in range(heads)]
+        expected = [*ID_COLUMNS, *(vectors or ["h0_x"]), *(logits or ["logit_0"])]
+        if missing := [name for name in expected if name not in frame.columns]:
+            raise ViewnetError(f"{path}: column {missing[0]!r} is missing: delete the file and make it again")
+        try:
+            return cls(
+                frame[list(ID_COLUMNS)],
+                frame[vectors].to_numpy().reshape(-1, heads, 3),
+                frame[logits].to_numpy(),
+                frame[ups].to_numpy().reshape(-1, heads, 3) if set(ups) <= set(frame.columns) else None,
+            )
+        except ViewnetError as error:
+            raise ViewnetError(f"{path}: {error}") from error
+
+
+def joined(parts: Sequence[Predictions]) -> Predictions:
+    """Predictions of the same predictor one after another.
+
+    ViewnetError where they differ in hypotheses or up vectors.
+    """
+    heads = sorted({part.heads for part in parts})
+    if len(heads) != 1:
+        raise ViewnetError(f"predictions of {' and '.join(map(str, heads))} hypotheses cannot be joined")
+    ups = [part.ups for part in parts]
+    if any(u is None for u in ups) != all(u is None for u in ups):
+        raise ViewnetError("predictions with and without up vectors cannot be joined")
+    return Predictions(
+        pd.concat([part.ids for part in parts]),
+        np.concatenate([part.hypotheses for part in parts]),
+        np.concatenate([part.logits for part in parts]),
+        None if ups[0] is None else np.concatenate([u for u in ups if u is not None]),
+    )
+
+
+def true_vectors(ids: pd.DataFrame) -> Floats:
+    """(N, 3) unit view vectors of the columns azimuth and elevation, in degrees."""
+    angles = torch.from_numpy(ids[["azimuth", "elevation"]].to_numpy(dtype=np.float64, copy=True))
+    return geometry.view_vector(angles[:, 0], angles[:, 1]).numpy()
+
+
+def _checked_ids(ids: pd.DataFrame) -> pd.DataFrame:
+    if missing := [name for name in ID_COLUMNS if name not in ids.columns]:
+        raise ViewnetError(f"predictions: column {missing[0]!r} is missing: expected {', '.join(ID_COLUMNS)}")
+    if len(ids) == 0:
+        raise ViewnetError("predictions: no rows")
+    ids = ids[list(ID_COLUMNS)].reset_index(drop=True)
+    if empty := [name for name in ID_COLUMNS if ids[name].isna().any()]:
+        raise ViewnetError(f"predictions: column {empty[0]!r} has empty values")
+    for name in ("model_id", "category", "split"):
+        # A number here is an id that lost its leading zeros on the way.
+        if not ids[name].map(lambda value: isinstance(value, str)).all():
+            raise ViewnetError(f"predictions: column {name!r} holds values that are not text")
+    for name in ("view", "azimuth", "elevation"):
+        if not pd.api.types.is_numeric_dtype(ids[name]):
+            raise ViewnetError(f"predictions: column {name!r} holds values that are not numbers")
+    views = ids["view"].to_numpy(dtype=np.float64)
+    if not (np.abs(views) < 2**53).all() or (views % 1).any():
+        raise ViewnetError("predictions: column 'view' holds values that are not whole numbers")
+    kinds = {"model_id": str, "category": str, "split": str, "view": np.int64}
+    ids = ids.astype({**kinds, "azimuth": np.float64, "elevation": np.float64})
+    if not np.isfinite(ids[["azimuth", "elevation"]].to_numpy()).all():
+        raise ViewnetError("predictions: azimuth or elevation is not finite")
+    if not ids["elevation"].between(-90, 90).all():
+        raise ViewnetError(f"predictions: elevation {ids['elevation'].abs().max():g} is outside -90 to 90 degrees")
+    if (twice := ids.duplicated(["category", "model_id", "view"])).any():
+        row = ids[twice].iloc[0]
+        raise ViewnetError(f"predictions: view {row['view']} of model {row['model_id']} is there twice")
+    return ids
+
+
+def _floats(values: ArrayLike, name: str) -> Floats:
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ViewnetError(f"predictions: {name} hold values that are not numbers") from None
+    if not np.isfinite(array).all():
+        rows = np.nonzero(~np.isfinite(array))[0]
+        raise ViewnetError(f"predictions: {name} of row {rows[0]} are not finite ({len(set(rows.tolist()))} such rows)")
+    array.flags.writeable = False
+    return array
+
+
+def _check_unit(vectors: Floats, name: str) -> None:
+    lengths = np.linalg.norm(vectors, axis=-1)
+    worst = np.unravel_index(np.abs(lengths - 1).argmax(), lengths.shape)
+    if abs(lengths[worst] - 1) > UNIT_TOLERANCE:
+        raise ViewnetError(f"predictions: {name} of row {worst[0]} have length {lengths[worst]:g}, expected 1")

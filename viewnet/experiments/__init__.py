@@ -1,0 +1,1 @@
+"""What notebooks ask for: checked, trained where missing, and turned into tables and figures."""

@@ -1,0 +1,283 @@
+"""What alignment is worth on photographs: which kind, on how many, and whether the linear kind collapses.
+
+The paper finds the linear regression of the starred rows ahead of the rigid rotation where photographs are taken from
+few sides, and reasons that its weights go to zero and leave the common viewpoint (section 4.3). Both halves of that are
+measured here: the accuracy that linear alignment adds, and how far the predictions that it leaves are spread, for
+ViewNet and for predictions drawn at random, on the photographs as they are and on ever more one-sided parts of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from viewnet.errors import ViewnetError
+from viewnet.evaluation import baselines, metrics
+from viewnet.evaluation.alignment import Linear
+from viewnet.evaluation.evaluate import align
+from viewnet.evaluation.predictions import Predictions
+from viewnet.experiments.photos import PhotoExperiment
+from viewnet.runtime.files import write_text
+from viewnet.tables.layouts import HEADLINE, LAYOUTS
+from viewnet.training.run_store import Run
+
+TABLE = "table3_pascal3d"
+KINDS = ("procrustes", "robust", "linear", "per_angle")
+MEASURES = (*HEADLINE, "dva")
+COUNTS = (16, 32, 64, 128, 256, 512)
+"""Calibration photographs, as far as there are so many; all of them as well."""
+DRAWS = 5
+CONCENTRATIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""How one-sided a part is taken; 0: all photographs, 8: hardly any from beyond 45 degrees of the commonest side."""
+FEWEST = 16
+"""Photographs that a part must have to calibrate, and to score."""
+EXPECTED = ("spread_linear", "acc30_gain", "dva_gain")
+RANDOM = "Random"
+RANDOM_SEED = 20211011
+"""One that nothing else starts from: a stand-in drawn with the same numbers would be predicted by them."""
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """What is aligned: `said` gives predictions for so many calibration photographs (None: all) and a draw's seed.
+
+    `fitted` predictors have learned from those photographs and speak in the annotated frame; they are scored as they
+    are, too.
+    """
+
+    label: str
+    category: str
+    seed: int
+    said: Callable[[int | None, int], Predictions]
+    fitted: bool
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The alignments to score it by."""
+        return ("none", *KINDS) if self.fitted else KINDS
+
+
+@dataclass(frozen=True)
+class Study:
+    """What was found.
+
+    scores    a row for each predictor, category, seed, alignment, number of calibration photographs and draw of them:
+              acc30, median, dva on the same test photographs
+    collapse  a row for each predictor that needs alignment, category, seed and concentration: photographs that
+              calibrate (calibrating) and score (scored), side (share of the commonest azimuth bin), confidence_index,
+              weights and bias (norms of the linear map), spread_rigid and spread_linear (of the aligned predictions, as
+              a share of the true viewpoints': 0 is a constant), and acc30 and dva by rigid and by linear alignment, and
+              of the constant
+    """
+
+    note: str
+    scores: pd.DataFrame
+    collapse: pd.DataFrame
+
+    def by_count(self, metric: str = "acc30") -> pd.DataFrame:
+        """Median over draws and seeds, with the lowest and the highest, by number of calibration photographs."""
+        groups = self.scores.groupby(["category", "predictor", "alignment", "images"], sort=False)[metric]
+        lines = [f"{g.median():.1f} [{g.min():.1f}, {g.max():.1f}]" for _, g in groups]
+        wide = pd.Series(lines, index=groups.median().index).unstack("images")
+        order = self.scores[["category", "predictor", "alignment"]].drop_duplicates()
+        return wide.loc[pd.MultiIndex.from_frame(order), sorted(wide.columns)].fillna("")
+
+    def side_by_side(self) -> pd.DataFrame:
+        """Each predictor by each alignment, calibrated on all photographs: means over seeds."""
+        most = self.scores.groupby("category")["images"].transform("max")
+        whole = self.scores[self.scores["images"] == most]
+        wide = whole.pivot_table(
+            index=["category", "predictor"], columns="alignment", values=list(MEASURES), sort=False
+        )
+        columns = [(m, kind) for m in MEASURES for kind in ("none", *KINDS)]
+        return wide[columns].round(1).rename_axis(columns=[None, None])
+
+    def collapsed(self) -> pd.DataFrame:
+        """`collapse` for reading: means over seeds, and what linear alignment adds to rigid."""
+        keys = ["category", "predictor", "concentration"]
+        means = self.collapse.drop(columns="seed").groupby(keys, sort=False).mean()
+        for metric in ("acc30", "dva"):
+            means[f"{metric}_gain"] = means[f"{metric}_linear"] - means[f"{metric}_rigid"]
+        digits = dict.fromkeys(("side", "confidence_index", "spread_rigid", "spread_linear", "weights", "bias"), 2)
+        return means.round({name: digits.get(name, 1) for name in means.columns})
+
+    def verdict(self) -> pd.DataFrame:
+        """For each category and predictor, over its parts: rank correlation of one-sidedness with what the paper says.
+
+        spread_linear  expected below 0: the more one-sided, the closer linear alignment comes to a constant
+        acc30_gain     expected above 0: the more one-sided, the more accuracy it adds to a rotation
+        dva_gain       the same with every side counting alike
+        """
+        parts = self.collapsed().reset_index()
+        found: dict[tuple[str, str], dict[str, Any]] = {}
+        for (category, predictor), rows in parts.groupby(["category", "predictor"], sort=False):
+            ranks = rows[["side", *EXPECTED]].rank()
+            found[category, predictor] = {
+                "parts": len(rows),
+                **{name: _correlation(ranks["side"], ranks[name]) for name in EXPECTED},
+            }
+        frame = pd.DataFrame.from_dict(found, orient="index").round(2)
+        frame.index = pd.MultiIndex.from_tuples(frame.index, names=["category", "predictor"])
+        return frame
+
+    def checks(self) -> dict[str, bool]:
+        """What must hold whatever was trained."""
+        scores, collapse = self.scores, self.collapse
+        kinds = scores.groupby(["category", "predictor"])["alignment"].agg(set)
+        return {
+            "every predictor is scored by every alignment": bool(kinds.map(lambda k: set(KINDS) <= k).all()),
+            "accuracies lie between 0 and 100": bool(scores[["acc30", "dva"]].stack().between(0, 100).all()),
+            "medians lie between 0 and 180": bool(scores["median"].between(0, 180).all()),
+            "every category is there as it is": bool(
+                (collapse.groupby("category")["concentration"].min() == 0).all()
+                and set(collapse["category"]) == set(scores["category"])
+            ),
+            "shares lie between 0 and 1": bool(collapse[["side", "confidence_index"]].stack().between(0, 1).all()),
+            "no spread is negative": bool((collapse[["spread_rigid", "spread_linear"]] >= 0).all(axis=None)),
+        }
+
+    def write(self, folder: Path) -> list[Path]:
+        """`alignment_study_scores.csv` and `alignment_study_collapse.csv`."""
+        files = []
+        for name, frame in (("scores", self.scores), ("collapse", self.collapse)):
+            files.append(folder / f"alignment_study_{name}.csv")
+            write_text(files[-1], frame.round(4).to_csv(index=False, lineterminator="\n"))
+        return files
+
+
+def study(asked: PhotoExperiment, runs: Sequence[Run]) -> Study:
+    """Every predictor of Table 3, and a random one, on the photographs of an experiment."""
+    found = list(predictors(asked, runs))
+    scores = pd.DataFrame([row for predictor in found for row in scored(predictor)])
+    collapse = pd.DataFrame([row for predictor in found if not predictor.fitted for row in collapsing(predictor)])
+    return Study(asked.note, scores, collapse)
+
+
+def predictors(asked: PhotoExperiment, runs: Sequence[Run]) -> Iterator[Predictor]:
+    """The runs, then what needs no training, category by category."""
+    stores, layout = asked.stores(), LAYOUTS[TABLE]
+    for entry in asked.entries(runs, stores, TABLE):
+        if entry.alignment == "procrustes":
+            yield Predictor(entry.row, entry.category, entry.seed, _always(entry.predictions), fitted=False)
+    for category, store in stores.items():
+        yield Predictor(RANDOM, category, 0, _always(baselines.random(store.index, seed=RANDOM_SEED)), fitted=False)
+        for label, variant in layout.rows:
+            if variant in ("constant", "constant_rotation", "view_regression"):
+                yield Predictor(label, category, 0, _refitted(asked, variant, store), fitted=True)
+
+
+def scored(predictor: Predictor, counts: Sequence[int] = COUNTS, draws: int = DRAWS) -> Iterator[dict[str, Any]]:
+    """The rows of Study.scores for one predictor: `draws` of each number of photographs, and all of them once."""
+    there = len(predictor.said(None, 0).subset("val"))
+    tries = [(count, draw) for count in counts if count < there for draw in range(draws)]
+    for count, draw in [*tries, (there, 0)]:
+        said = predictor.said(count, draw)
+        for kind in predictor.kinds:
+            # What was fitted on drawn photographs comes with those alone.
+            aligned = align(said, kind, min(count, len(said.subset("val"))), draw)
+            azimuths = aligned.predictions.ids["azimuth"].to_numpy()
+            yield {
+                "predictor": predictor.label,
+                "category": predictor.category,
+                "seed": predictor.seed,
+                "alignment": kind,
+                "images": count,
+                "draw": draw,
+                **_measured(aligned.selected_errors, azimuths),
+            }
+
+
+def collapsing(predictor: Predictor, concentrations: Sequence[float] = CONCENTRATIONS) -> Iterator[dict[str, Any]]:
+    """The rows of Study.collapse for one predictor, without parts of fewer than FEWEST photographs."""
+    said = predictor.said(None, 0)
+    for concentration in concentrations:
+        part = one_sided(said, concentration)
+        if part is None:
+            continue
+        val, test = part.subset("val"), part.subset("test")
+        azimuths = test.ids["azimuth"].to_numpy()
+        fitted = Linear.fit(val.selected, val.truth)
+        found = {
+            "predictor": predictor.label,
+            "category": predictor.category,
+            "seed": predictor.seed,
+            "concentration": concentration,
+            "calibrating": len(val),
+            "scored": len(test),
+            "side": side(azimuths),
+            "confidence_index": metrics.confidence_index(azimuths),
+            "weights": float(np.linalg.norm(fitted.weights)),
+            "bias": float(np.linalg.norm(fitted.bias)),
+        }
+        constant = baselines.constant(part.ids, source="val")
+        for name, predictions, kind in (
+            ("rigid", part, "procrustes"),
+            ("linear", part, "linear"),
+            ("constant", constant, "none"),
+        ):
+            aligned = align(predictions, kind)
+            score = _measured(aligned.selected_errors, azimuths)
+            if name != "constant":
+                found[f"spread_{name}"] = spread(aligned.selected) / spread(test.truth)
+            found |= {f"{metric}_{name}": score[metric] for metric in ("acc30", "dva")}
+        yield found
+
+
+def side(azimuths: np.ndarray) -> float:
+    """The share of azimuths (N,), degrees, that lie in the fullest of the twelve bins: from 1/12 to 1."""
+    return float(np.bincount(metrics.azimuth_bins(azimuths)).max() / len(azimuths))
+
+
+def spread(vectors: np.ndarray) -> float:
+    """The variance of unit vectors (N, 3), 1 - |mean|^2: 0 where they are all alike, 1 where they cancel out."""
+    return float(np.square(vectors - vectors.mean(axis=0)).sum(axis=1).mean())
+
+
+def one_sided(predictions: Predictions, concentration: float, seed: int = 0) -> Predictions | None:
+    """A part of the images around their commonest azimuth: all at concentration 0, fewer sides the larger it is.
+
+    An image at azimuth a is kept with probability exp(k (cos(a - m) - 1)), k the concentration and m the middle of the
+    fullest bin of the split "val". None where a split is left with fewer than FEWEST images. Raises ViewnetError for a
+    concentration below 0.
+    """
+    if concentration < 0:
+        raise ViewnetError(f"concentration {concentration}: expected 0 or more")
+    azimuths = predictions.ids["azimuth"].to_numpy()
+    calibrating = (predictions.ids["split"] == "val").to_numpy()
+    width = 360 / metrics.AZIMUTH_BINS
+    middle = (np.bincount(metrics.azimuth_bins(azimuths[calibrating])).argmax() + 0.5) * width
+    chance = np.exp(concentration * (np.cos(np.deg2rad(azimuths - middle)) - 1))
+    # Drawn by name, so that every predictor is left with the same images whatever their order.
+    rank = predictions.ids.sort_values(["model_id", "view"]).index.argsort()
+    stays = np.random.default_rng(seed).random(len(azimuths))[rank] < chance
+    if min(np.sum(stays & calibrating), np.sum(stays & ~calibrating)) < FEWEST:
+        return None
+    return predictions.take(stays)
+
+
+def _always(predictions: Predictions) -> Callable[[int | None, int], Predictions]:
+    return lambda count, seed: predictions
+
+
+def _refitted(asked: PhotoExperiment, variant: str, store: Any) -> Callable[[int | None, int], Predictions]:
+    return lambda count, seed: asked.fitted(variant, store, count, seed)[0]
+
+
+def _measured(errors: np.ndarray, azimuths: np.ndarray) -> dict[str, float]:
+    return {
+        "acc30": metrics.accuracy(errors, 30),
+        "median": metrics.median(errors),
+        "dva": metrics.dva(errors, azimuths),
+    }
+
+
+def _correlation(one: pd.Series, other: pd.Series) -> float:
+    """Of ranks; NaN where there are fewer than three parts, or one side does not change."""
+    if len(one) < 3 or one.nunique() < 2 or other.nunique() < 2:
+        return float("nan")
+    return float(np.corrcoef(one, other)[0, 1])

@@ -1,0 +1,1 @@
+"""The overview page of all tables and figures: one HTML file."""

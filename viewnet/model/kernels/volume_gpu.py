@@ -1,0 +1,117 @@
+"""The volume renderer for GPUs: one compiled pass a ray, forward and backward, with nothing stored in between.
+
+The plain PyTorch renderer writes the rotated volume to memory and reads it back several times. Here each ray is walked
+once, sample, weigh, stop, and the backward pass walks it again. A ray ends where hardly any light is left, and empty
+space is passed over. What a GPU keeps from forward to backward is the volume itself, laid out for the kernels.
+
+Pictures, and the gradients of frames and focal parameter, are the same bits each time. Rays that run in parallel add to
+the gradient of the same voxel in any order, so its last bits vary from run to run.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import warnings
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from viewnet.model.kernels.volume_cpu import _inside
+
+CHOICES = {"draw": ((1, 2), (1, 4), (4, 4)), "draw_backward": ((1, 1), (1, 2), (4, 1))}
+"""Warps, of 32 rays each, in a program and steps in a chunk; the fastest is found on the device at the first call."""
+
+
+@functools.cache
+def available() -> bool:
+    """Whether the kernels run on this machine's GPU; says once why not."""
+    if not torch.cuda.is_available():
+        problem = "PyTorch finds none"
+    else:
+        try:
+            _packed(torch.zeros(1, 4, 1, 1, 1, device="cuda"))
+            return True
+        except Exception as error:  # no Triton, no C compiler for its launchers, a GPU it has no code for
+            problem = f"{type(error).__name__}: {error}".splitlines()[0]
+    warnings.warn(f"Triton has no usable GPU ({problem}): volumes are drawn by the slower PyTorch path", stacklevel=2)
+    return False
+
+
+def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
+    """As viewnet.model.volume.render_reference, in float32 on the GPU.
+
+    `sparse` leaves out the gradient of voxels without an occupied neighbour, which is most of the work.
+    """
+    return _Render.apply(volume, frames, focal, size, steps, sparse)
+
+
+class _Render(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
+        (voxels, cells), frames = _packed(volume), frames.contiguous()
+        picture = volume.new_empty(len(frames), size, size, 4)
+        numbers = (len(frames) // len(volume), *volume.shape[2:], size, steps)
+        _launch("draw", voxels, cells, frames, focal, picture, *numbers, size=size)
+        ctx.save_for_backward(voxels, cells, frames, focal)
+        ctx.numbers, ctx.sparse = numbers, sparse
+        return picture.permute(0, 3, 1, 2)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> Any:
+        voxels, cells, frames, focal = ctx.saved_tensors
+        *shape, size = ctx.numbers[1:5]
+        grad = grads[0].permute(0, 2, 3, 1).contiguous()
+        grad_voxels, tiles = torch.zeros_like(voxels), _tiles(size, 32)
+        partial = voxels.new_zeros(len(frames), tiles, 10)
+        arguments = (voxels, cells, frames, focal, grad, grad_voxels, partial, *ctx.numbers, tiles, ctx.sparse)
+        _launch("draw_backward", *arguments, size=size)
+        turned = partial.sum(1)
+        grad_frames, grad_focal = turned[:, :9].view(-1, 3, 3), turned[:, 9].sum().reshape(focal.shape)
+        return _inside(grad_voxels, tuple(shape)), grad_frames, grad_focal, None, None, None
+
+
+def _packed(volume: Tensor) -> tuple[Tensor, Tensor]:
+    """The volume (B, 4, Z, Y, X) as voxels (B, P, 4) in a frame of zeros, and which cells (B, P) hold anything."""
+    from viewnet.model.kernels import volume_triton
+
+    count, _, nz, ny, nx = volume.shape
+    voxels = volume.new_empty(count, (nz + 2) * (ny + 2) * (nx + 2), 4)
+    cells = torch.empty(voxels.shape[:2], dtype=torch.uint8, device=volume.device)
+    block = 256
+    with torch.cuda.device_of(volume):
+        volume_triton.pack[(-(-voxels.shape[1] // block), count)](
+            volume, voxels, cells, *volume.stride(), nz, ny, nx, BLOCK=block, enable_fp_fusion=True
+        )
+    return voxels, cells
+
+
+def _tiles(size: int, rays: int) -> int:
+    """Tiles, eight pixels wide, in a picture."""
+    return -(-size // 8) * -(-size // (rays // 8))
+
+
+def _launch(name: str, voxels: Tensor, cells: Tensor, frames: Tensor, *arguments: Any, size: int) -> None:
+    """Calls a kernel on every tile of every picture."""
+    with torch.cuda.device_of(voxels):
+        _kernel(name)[lambda chosen: (len(frames) * _tiles(size, chosen["RAYS"]),)](
+            voxels, cells, frames, *arguments, enable_fp_fusion=True
+        )
+
+
+@functools.cache
+def _kernel(name: str) -> Any:
+    """A kernel that tries its choices at the first call for a size; the interpreter takes the first."""
+    import triton
+
+    from viewnet.model.kernels import volume_triton
+
+    configs = [triton.Config({"RAYS": 32 * w, "CHUNK": chunk}, num_warps=w) for w, chunk in CHOICES[name]]
+    if os.environ.get("TRITON_INTERPRET") == "1":
+        configs = configs[:1]  # nothing is timed where there is no choice
+    summed, flags = ([], []) if name == "draw" else (["grad_voxels", "partial"], ["SPARSE"])
+    tuned = triton.autotune(configs, key=["size", "steps", *flags], reset_to_zero=summed)
+    return tuned(getattr(volume_triton, name))

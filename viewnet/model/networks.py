@@ -1,0 +1,280 @@
+"""The networks: encoder, AdaIN generator and the decoders of the ablation (the supplement's architecture tables).
+
+Where the paper is silent or contradicts itself, docs/decisions.md names what was chosen and why.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from torch.nn.modules.batchnorm import _BatchNorm
+
+from viewnet.config import ModelConfig
+from viewnet.errors import ViewnetError
+from viewnet.model.kernels import norm_relu_cpu
+from viewnet.model.volume import joined, ray_points
+
+
+def power_of_two(size: int, at_least: int, what: str) -> int:
+    """The exponent of `size`; ViewnetError unless it is a power of two of `at_least` or more."""
+    if size < at_least or size & (size - 1):
+        raise ViewnetError(f"{what} {size}: expected a power of two of {at_least} or more")
+    return size.bit_length() - 1
+
+
+class Encoder(nn.Sequential):
+    """Images (N, 3, S, S) in [0, 1] -> features (N, outputs): the supplement's encoder table.
+
+    Stride-2 convolutions down to 2x2, a 2x2 convolution and a 1x1 one. The table ends with batch normalisation and
+    ReLU; left out here as in the released code, since a ReLU would confine view vectors to one octant.
+
+    Raises ViewnetError for a number of widths that does not fit the images.
+    """
+
+    def __init__(
+        self,
+        channels: tuple[int, ...],
+        outputs: int,
+        image_size: int,
+        padding: Literal["replicate", "zeros"] = "replicate",
+    ):
+        levels = power_of_two(image_size, 8, "image_size")
+        if len(channels) < levels:
+            raise ViewnetError(f"encoder_channels {channels}: {levels} are needed for images of {image_size} pixels")
+        layers: list[nn.Module] = []
+        previous = 3
+        for width in channels[: levels - 1]:
+            layers += [nn.Conv2d(previous, width, 3, stride=2, padding=1, padding_mode=padding, bias=False)]
+            layers += [nn.BatchNorm2d(width), nn.ReLU(inplace=True)]
+            previous = width
+        last = channels[levels - 1]
+        layers += [nn.Conv2d(previous, last, 2, bias=False), nn.BatchNorm2d(last), nn.ReLU(inplace=True)]
+        layers += [nn.Conv2d(last, outputs, 1), nn.Flatten()]
+        super().__init__(*layers)
+        self.to(memory_format=torch.channels_last)
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        """Features (N, outputs) of pictures (N, 3, S, S)."""
+        x = pictures.contiguous(memory_format=torch.channels_last)
+        for layer in self:
+            if isinstance(layer, _BatchNorm):
+                x = _normalised(layer, x)
+            elif not isinstance(layer, nn.ReLU):
+                x = layer(x)
+        return x
+
+
+def _normalised(layer: _BatchNorm, x: Tensor) -> Tensor:
+    """Batch normalisation and the ReLU after it."""
+    if not (layer.training and norm_relu_cpu.usable(x) and isinstance(layer, nn.BatchNorm2d | nn.BatchNorm3d)):
+        return F.relu(layer(x), inplace=True)
+    assert layer.momentum is not None and layer.running_mean is not None and layer.running_var is not None
+    assert layer.num_batches_tracked is not None
+    flat = x.movedim(1, -1).flatten(0, -2)[None]
+    out, mean, variance = norm_relu_cpu.norm_relu(flat, layer.weight[None], layer.bias[None], layer.eps)
+    with torch.no_grad():
+        count = flat.shape[1]
+        layer.num_batches_tracked += 1
+        layer.running_mean.lerp_(mean[0], layer.momentum)
+        layer.running_var.lerp_(variance[0] * (count / (count - 1)), layer.momentum)
+    return out.view(x.movedim(1, -1).shape).movedim(-1, 1)
+
+
+class AdaIN(nn.Module):
+    """Adaptive instance normalisation: features normalised a channel, then scaled and shifted by the appearance.
+
+    With the ReLU that follows it everywhere.
+    """
+
+    def __init__(self, channels: int, appearance: int):
+        super().__init__()
+        self.affine = nn.Linear(appearance, 2 * channels)
+        nn.init.zeros_(self.affine.bias)
+        with torch.no_grad():
+            self.affine.bias[:channels] = 1  # starts as plain instance normalisation
+
+    def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
+        """Features (N, C, ...) and appearances (N, A) -> features (N, C, ...), 0 or more."""
+        scale, shift = self.affine(appearance).chunk(2, dim=1)
+        if norm_relu_cpu.usable(x):
+            last = x.movedim(1, -1)
+            out, _, _ = norm_relu_cpu.norm_relu(last.flatten(1, -2), scale, shift)
+            return out.view(last.shape).movedim(-1, 1)
+        shape = (*scale.shape, *[1] * (x.dim() - 2))
+        return F.relu(torch.addcmul(shift.to(x.dtype).view(shape), F.instance_norm(x), scale.to(x.dtype).view(shape)))
+
+
+class Stage(nn.Module):
+    """Transposed convolution, normalisation, ReLU: one row of the supplement's generator table.
+
+    With `appearance` None the normalisation is by batch and takes no condition (the encoder-decoder ablation).
+    """
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, appearance: int | None, dims: int = 3):
+        super().__init__()
+        if stride == 1 and kernel == 4:
+            self.convolution: nn.Module = Opening(inputs, outputs)
+        else:
+            transposed = nn.ConvTranspose3d if dims == 3 else nn.ConvTranspose2d
+            self.convolution = transposed(inputs, outputs, kernel, stride, 1, bias=False)
+        if appearance is not None:
+            self.norm: AdaIN | _BatchNorm = AdaIN(outputs, appearance)
+        else:
+            self.norm = nn.BatchNorm3d(outputs) if dims == 3 else nn.BatchNorm2d(outputs)
+
+    def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
+        """Features (N, inputs, ...), or (1, ...) for all, and appearances (N, A) -> features (N, outputs, ...)."""
+        x = self.convolution(x)
+        if len(x) < len(appearance):
+            x = x.expand(len(appearance), *x.shape[1:])
+        return self.norm(x, appearance) if isinstance(self.norm, AdaIN) else _normalised(self.norm, x)
+
+
+class Opening(nn.ConvTranspose3d):
+    """Transposed convolution of kernel 4 on a single voxel, as the matrix product it is: (N, C, 1, 1, 1) to 4^3 voxels.
+
+    In float32: it is the largest of all weights by far, and to convert it takes longer than the product.
+    """
+
+    def __init__(self, inputs: int, outputs: int):
+        super().__init__(inputs, outputs, 4, bias=False)
+
+    def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
+        """(N, C, 1, 1, 1) -> (N, outputs, 4, 4, 4)."""
+        with torch.autocast(x.device.type, enabled=False):
+            flat = x.flatten(1).float() @ self.weight.permute(0, 2, 3, 4, 1).flatten(1)
+        return flat.view(len(x), 4, 4, 4, self.out_channels).movedim(-1, 1)
+
+
+class Doubling(nn.ConvTranspose3d):
+    """Transposed convolution of kernel and stride 2 to four channels, as the matrix product it is.
+
+    Every voxel becomes its own eight, so nothing is summed.
+    The eight start equal: detail is learned where it helps.
+    """
+
+    def __init__(self, inputs: int):
+        super().__init__(inputs, 4, 2, 2)
+        with torch.no_grad():
+            self.weight.copy_(self.weight[:, :, :1, :1, :1].expand_as(self.weight))
+
+    def blocks(self, x: Tensor) -> Tensor:
+        """(N, inputs, n, n, n) -> the eight of every voxel, (N, n, n, n, 2, 2, 2, 4)."""
+        weight = self.weight.permute(0, 2, 3, 4, 1).flatten(1)  # (inputs, 2 2 2 4)
+        bias = self.bias.repeat(8) if self.bias is not None else None
+        eight = F.linear(x.permute(0, 2, 3, 4, 1), weight.T, bias)
+        return eight.view(*eight.shape[:4], 2, 2, 2, 4)
+
+
+class Generator(nn.Module):
+    """Appearance (N, A) -> volume logits (N, 4, n, n, n), the last channel the occupancy's (section 3.2, supplement).
+
+    Refines a code drawn once from a normal distribution and never trained. `adain` conditions every stage on the
+    appearance; without it the appearance takes the code's place (the encoder-decoder row of Table 2).
+
+    Raises ViewnetError for a number of widths that does not fit the volume.
+    """
+
+    code: Tensor
+
+    def __init__(self, config: ModelConfig):
+        super().__init__()
+        levels = power_of_two(config.volume_size, 8, "volume_size") - 2
+        widths = config.generator_channels[:levels]
+        if len(widths) < levels:
+            raise ViewnetError(
+                f"generator_channels {widths}: {levels} are needed for a volume of {config.volume_size} voxels a side"
+            )
+        self.adain = config.decoder != "encoder_decoder"
+        appearance = config.appearance_size if self.adain else None
+        self.register_buffer("code", torch.randn(1, config.code_size, 1, 1, 1))
+        inputs = config.code_size if self.adain else config.appearance_size
+        stages = [Stage(inputs, widths[0], 4, 1, appearance)]
+        for before, width in pairwise(widths):
+            stages.append(Stage(before, width, 4, 2, appearance))
+            if config.generator_refine:
+                stages.append(Stage(width, width, 3, 1, appearance))
+        self.stages = nn.ModuleList(stages).to(memory_format=torch.channels_last_3d)
+        kernel = config.generator_last_kernel
+        self.last = Doubling(widths[-1]) if kernel == 2 else nn.ConvTranspose3d(widths[-1], 4, kernel, 2, 1)
+
+    def blocks(self, appearance: Tensor) -> Tensor:
+        """The logits as viewnet.model.volume.squash takes them."""
+        # What the first layer makes of the code is the same for all objects.
+        x = self.code if self.adain else appearance[:, :, None, None, None]
+        for stage in self.stages:
+            x = stage(x.contiguous(memory_format=torch.channels_last_3d), appearance)
+        if isinstance(self.last, Doubling):
+            return self.last.blocks(x)
+        logits = self.last(x).permute(0, 2, 3, 4, 1)
+        return logits.reshape(*logits.shape[:4], 1, 1, 1, 4)
+
+    def forward(self, appearance: Tensor) -> Tensor:
+        """Logits (N, 4, n, n, n) of appearances (N, A)."""
+        return joined(self.blocks(appearance))
+
+
+class HoloGANDecoder(nn.Module):
+    """Appearance (N, A) and camera frames -> pictures with learned layers after the rotation (Table 2, last row).
+
+    Features at a quarter of the picture's size are rotated rigidly, their depth is folded into channels, and 2-D
+    transposed convolutions paint the picture: nothing ties one view's pixels to another's.
+    """
+
+    def __init__(self, config: ModelConfig):
+        super().__init__()
+        size = config.render_size // 4
+        levels = power_of_two(size, 4, "render_size / 4") - 2
+        widths = (*config.generator_channels[: levels + 1], *[config.generator_channels[-1]] * 8)[: levels + 1]
+        self.code = nn.Parameter(0.02 * torch.randn(1, widths[0], 4, 4, 4))
+        self.enter = AdaIN(widths[0], config.appearance_size)
+        self.stages = nn.ModuleList(Stage(a, b, 4, 2, config.appearance_size) for a, b in pairwise(widths))
+        flat = widths[-1] * size
+        self.fold = nn.Conv2d(flat, flat, 1)
+        self.paint = nn.ModuleList(
+            [
+                Stage(flat, max(flat // 4, 16), 4, 2, config.appearance_size, dims=2),
+                Stage(max(flat // 4, 16), max(flat // 16, 16), 4, 2, config.appearance_size, dims=2),
+            ]
+        )
+        self.last = nn.Conv2d(max(flat // 16, 16), 3, 3, padding=1)
+        self.size = size
+        for painting in (self.fold, self.paint, self.last):
+            painting.to(memory_format=torch.channels_last)
+
+    def features(self, appearance: Tensor) -> Tensor:
+        """Feature volumes (N, C, s, s, s), before any rotation."""
+        x = self.enter(self.code.expand(len(appearance), -1, -1, -1, -1), appearance)
+        for stage in self.stages:
+            x = stage(x, appearance)
+        return x
+
+    def draw(self, features: Tensor, appearance: Tensor, frames: Tensor) -> Tensor:
+        """Pictures (N, 3, S, S) in [0, 1]; N a multiple of the number of feature volumes, as in viewnet.model.volume."""
+        share = len(frames) // len(features)
+        points = ray_points(self.size, self.size, frames.new_zeros(()))
+        # A volume's views are sampled as one grid, one behind the other, which spares a copy of the volume for each.
+        grid = torch.einsum("nij,dhwj->ndhwi", frames, points).unflatten(0, (-1, share)).flatten(1, 2)
+        turned = F.grid_sample(features, grid.to(features.dtype), padding_mode="border", align_corners=False)
+        views = turned.unflatten(2, (share, self.size)).transpose(1, 2).flatten(0, 1)
+        x = F.relu(self.fold(views.flatten(1, 2).contiguous(memory_format=torch.channels_last)))
+        for stage in self.paint:
+            x = stage(x, appearance.repeat_interleave(share, dim=0))
+        return torch.sigmoid(self.last(x))
+
+
+def gaussian_prior(size: int, width: float = 0.05) -> Tensor:
+    """S of section 3.3 on a volume of `size` voxels a side: exp(-r^2 / width), r in half sides of the volume."""
+    axis = (torch.arange(size) * 2 + 1) / size - 1
+    z, y, x = torch.meshgrid(axis, axis, axis, indexing="ij")
+    return torch.exp(-(x**2 + y**2 + z**2) / width)
+
+
+def parameters(module: nn.Module) -> int:
+    """How many numbers a module learns."""
+    return sum(math.prod(p.shape) for p in module.parameters())

@@ -1,0 +1,18 @@
+"""In which number format networks compute."""
+
+from __future__ import annotations
+
+import torch
+
+from viewnet.config import TrainConfig
+
+
+def half_precision(device: torch.device, config: TrainConfig) -> bool:
+    """Whether to compute in bfloat16: where the hardware does, unless the configuration forbids it."""
+    able = torch.cuda.is_bf16_supported() if device.type == "cuda" else torch.cpu._is_avx512_bf16_supported()
+    return able and config.amp == "auto"
+
+
+def autocast(device: torch.device, config: TrainConfig) -> torch.autocast:
+    """bfloat16 for convolutions with `half_precision`, plain float32 without."""
+    return torch.autocast(device.type, torch.bfloat16, enabled=half_precision(device, config))

@@ -1,0 +1,165 @@
+"""Wavefront MTL material libraries and their textures.
+
+Nothing outside a model's own folder is ever opened: a library or texture path that is absolute or leads out of the
+folder makes the model unusable.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+import numpy as np
+from PIL import Image
+
+from viewnet.errors import ViewnetError
+from viewnet.render.mesh import GREY, UnusableModel
+from viewnet.runtime import images
+from viewnet.runtime.images import opened
+
+# Pictures are 64 to 224 pixels wide: a larger texture would only alias, and cost memory.
+TEXTURE_SIZE = 256
+FORMATS = (*images.FORMATS, "TGA")
+MAX_BYTES = 64 * 2**20
+MAX_SCALE = 1e6
+
+# Options of a texture that do not change what we draw, and how many words follow them.
+_OPTIONS = {
+    "-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1, "-imfchan": 1, "-mm": 2, "-texres": 1,
+    "-type": 1, "-colorspace": 1,
+}  # fmt: skip
+
+
+@dataclass
+class Entry:
+    """What an MTL file says of one material before its texture is opened."""
+
+    diffuse: tuple[float, float, float] = GREY
+    opacity: float | None = None
+    transparency: float | None = None
+    texture: Path | None = None
+    scale: tuple[float, float] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def shown(self) -> float:
+        """Opacity 0..1 from `d` or, without it, `Tr`; 1 where there is neither."""
+        if self.opacity is not None:
+            return self.opacity
+        return 1.0 if self.transparency is None else 1.0 - self.transparency
+
+
+def _inside(obj: Path, folder: Path, name: str) -> Path:
+    """The file that `name` in an OBJ or MTL means, which must lie in the model's folder."""
+    relative = name.replace("\\", "/")
+    if "\0" in name or any(len(part.encode("utf-8", "surrogateescape")) > 255 for part in relative.split("/")):
+        raise UnusableModel(obj, f"path '{name}' names no file")
+    if PurePosixPath(relative).is_absolute() or PureWindowsPath(name).drive:
+        raise UnusableModel(obj, f"absolute path '{name}'")
+    file = (obj.parent / relative).resolve()
+    if not file.is_relative_to(folder.resolve()):
+        raise UnusableModel(obj, f"path '{name}' leads out of the model's folder")
+    return file
+
+
+def read_libraries(obj: Path, folder: Path, lines: Iterable[str]) -> dict[str, Entry]:
+    """The materials of `mtllib` lines, each of which names one file (perhaps with spaces) or several."""
+    files = [file for names in lines for file in _files(obj, folder, names)]
+    library: dict[str, Entry] = {}
+    # Each once, however often it is named: what counts of a material is where it is defined last.
+    for file in reversed(dict.fromkeys(reversed(files))):
+        library.update(_read(obj, folder, file))
+    return library
+
+
+def _files(obj: Path, folder: Path, names: str) -> list[Path]:
+    file = _inside(obj, folder, names) if len(names) <= 4096 else None
+    if file and file.is_file():
+        return [file]
+    parts = names.split()
+    if len(parts) < 2:
+        raise UnusableModel(obj, f"missing material library '{names}'")
+    return [found for part in parts for found in _files(obj, folder, part)]
+
+
+def _read(obj: Path, folder: Path, file: Path) -> dict[str, Entry]:
+    if (size := file.stat().st_size) > MAX_BYTES:
+        raise UnusableModel(obj, f"{size} bytes in {file.name}, more than {MAX_BYTES}")
+    library: dict[str, Entry] = {}
+    entry = Entry()
+    for line in file.read_text(encoding="utf-8", errors="surrogateescape").splitlines():
+        word, _, rest = line.replace("\t", " ").strip().partition(" ")
+        rest = rest.strip()
+        try:
+            if word == "newmtl":
+                entry = library[rest] = Entry()
+            elif word == "Kd" and not rest.startswith(("spectral", "xyz")):
+                red, green, blue, *_ = (float(x) for x in rest.split() * 3)
+                entry.diffuse = _clip(red), _clip(green), _clip(blue)
+            elif word == "d":
+                entry.opacity = float(rest.removeprefix("-halo"))
+            elif word == "Tr":
+                entry.transparency = float(rest)
+            elif word == "map_Kd":
+                entry.scale, entry.offset, name = _texture_options(rest)
+                entry.texture = _inside(obj, folder, name) if name else None
+        except UnusableModel:
+            raise
+        except ValueError:
+            raise UnusableModel(obj, f"cannot understand '{line.strip()[:60]}' in {file.name}") from None
+    return library
+
+
+def _clip(value: float) -> float:
+    """Into 0..1; ValueError for NaN."""
+    if value != value:
+        raise ValueError(value)
+    return min(max(value, 0.0), 1.0)
+
+
+def _texture_options(rest: str) -> tuple[tuple[float, float], tuple[float, float], str]:
+    """Scale, offset and file name of a `map_Kd` line; the other options do not change what we draw."""
+    scale, offset = (1.0, 1.0), (0.0, 0.0)
+    if len(rest) > 4096:  # no path is longer
+        raise ValueError(rest)
+    while match := re.match(r"(-[a-z]+)\s+", rest):
+        option = match.group(1)
+        if option in ("-s", "-o", "-t"):
+            found = re.match(r"-[a-z]\s+((?:[-+]?[\d.]+(?:[eE][-+]?\d+)?(?:\s+|$)){1,3})", rest)
+            if found is None:
+                raise ValueError(rest)
+            numbers = [float(x) for x in found.group(1).split()]
+            if max(map(abs, numbers)) > MAX_SCALE:
+                raise ValueError(rest)
+            u, v = numbers[0], numbers[1] if len(numbers) > 1 else (1.0 if option == "-s" else 0.0)
+            if option == "-s":
+                scale = (u, v)
+            elif option == "-o":
+                offset = (u, v)
+            rest = rest[found.end() :]
+        elif option in _OPTIONS:
+            rest = re.split(r"\s+", rest, maxsplit=1 + _OPTIONS[option])[-1]
+        else:
+            break
+    return scale, offset, rest.strip()
+
+
+def read_texture(obj: Path, folder: Path, file: Path) -> np.ndarray:
+    """(h, w, 3 or 4) uint8, at most TEXTURE_SIZE a side."""
+    name = file.relative_to(folder.resolve())
+    if not file.is_file():
+        raise UnusableModel(obj, f"missing texture '{name}'")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with opened(file, f"texture '{name}'", FORMATS) as picture:
+                picture.draft("RGB", (TEXTURE_SIZE, TEXTURE_SIZE))
+                alpha = "A" in picture.getbands() or "transparency" in picture.info
+                small = picture.convert("RGBA" if alpha else "RGB")
+                small.thumbnail((TEXTURE_SIZE, TEXTURE_SIZE), Image.Resampling.BOX)
+                return np.array(small)
+    except ViewnetError as error:
+        raise UnusableModel(obj, f"broken {error}") from None

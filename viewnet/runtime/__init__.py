@@ -1,0 +1,1 @@
+"""Files, processes, random numbers and provenance: what every room stands on."""

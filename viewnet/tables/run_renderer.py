@@ -1,0 +1,151 @@
+"""What a trained network draws of the objects in a view store, from viewpoints in the annotated frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from viewnet.config import RunConfig
+from viewnet.data import augment
+from viewnet.data.pairs import Views, tight_crop, viewed
+from viewnet.data.store import ViewStore
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.alignment import Procrustes
+from viewnet.evaluation.evaluate import Aligned, align
+from viewnet.evaluation.predict import load_model, predict
+from viewnet.evaluation.predictions import Predictions
+from viewnet.geometry import look_at, view_vector
+from viewnet.model.rendering import Imagined, Painter, shown
+from viewnet.model.viewnet import ViewNet
+from viewnet.runtime.files import read_json
+from viewnet.training.run_store import Run, name
+
+BATCH = 64
+SPLIT = "test"
+
+
+@dataclass(frozen=True)
+class Drawer(Painter):
+    """A trained network before the test views of a store, and the rotation between its frame and the annotated one.
+
+    Rows number the test views in the store's order, which is that of `aligned.predictions`.
+    """
+
+    network: ViewNet
+    config: RunConfig
+    store: ViewStore
+    aligned: Aligned
+
+    @classmethod
+    def of(cls, folder: Path, store: ViewStore) -> Drawer:
+        """Of a finished run. Its rotation is fitted on the validation views of `store`, as in the tables.
+
+        Views of `store` are looked at again unless they are the run's own. Raises ViewnetError as
+        viewnet.evaluation.predict.load_model and viewnet.evaluation.evaluate.align do.
+        """
+        network, config = load_model(folder)
+        kept, result = folder / "predictions.parquet", folder / "result.json"
+        told = read_json(result) if result.is_file() else None
+        own = kept.is_file() and isinstance(told, dict) and told.get("views") == store.identity
+        said = Predictions.from_parquet(kept) if own else predict(folder, store)
+        return cls(network, config, store, align(said))
+
+    def __len__(self) -> int:
+        return len(self.aligned.predictions)
+
+    @property
+    def rotation(self) -> Tensor:
+        """(3, 3), from the own frame to the annotated one. ViewnetError for an alignment that is no rotation."""
+        if not isinstance(self.aligned.alignment, Procrustes):
+            raise ViewnetError(f"alignment {self.aligned.alignment.kind} is no rotation: align by procrustes or robust")
+        return torch.tensor(self.aligned.alignment.rotation, dtype=torch.float32)
+
+    @cached_property
+    def turn(self) -> float:
+        """Degrees to add to own azimuths to have annotated ones: the best turn about the vertical alone.
+
+        Where a network has learned no common frame its rotation may lean anywhere; this leaves elevations as they are.
+        """
+        said, true = self.aligned.calibration.selected[:, :2], self.aligned.calibration.truth[:, :2]
+        sine = (said[:, 0] * true[:, 1] - said[:, 1] * true[:, 0]).sum()
+        return float(np.degrees(np.arctan2(sine, (said * true).sum())))
+
+    @cached_property
+    def views(self) -> Views:
+        """The test views, at the larger of the sizes that the network reads and draws."""
+        model = self.network.config
+        return viewed(self.store, SPLIT, max(model.input_size, model.render_size), model)
+
+    @cached_property
+    def _scenery(self) -> Tensor | None:
+        if self.views.opaque:
+            return None
+        return augment.load(self.config.data, self.network.config.input_size, self.device)
+
+    def pictures(self, rows: Sequence[int], size: int | None = None) -> Tensor:
+        """Test views (N, 4, S, S), RGB times alpha and alpha, of the size that the network draws unless told."""
+        size = self.network.config.render_size if size is None else size
+        return self.views.pictures(torch.as_tensor(rows), size, self.device)
+
+    def shown(self, rows: Sequence[int]) -> np.ndarray:
+        """Test views (N, S, S, 3) uint8 before white, of the size that the network reads."""
+        return shown(self.pictures(rows, self.network.config.input_size))
+
+    def partners(self, rows: Sequence[int]) -> list[int]:
+        """The next view of each view's object, or the view itself where there is no other."""
+        found: list[int] = self.views.partners(torch.as_tensor(rows)).tolist()
+        return found
+
+    @torch.no_grad()
+    def imagine(self, rows: Sequence[int]) -> Imagined:
+        """The objects in test views; before a background, always the same, for a run that was trained so."""
+        size, behind = self.network.config.input_size, None
+        if self._scenery is not None:
+            chance = torch.Generator().manual_seed(0)
+            behind = augment.behind(self._scenery, len(rows), size, chance, self.device)
+        return Imagined(*self.network.imagine(self.pictures(rows, size), behind=behind))
+
+    def level(self, azimuth: Tensor, elevation: Tensor) -> Tensor:
+        """Own camera frames (..., 3, 3), held level, of annotated azimuths (...) and own elevations (...), degrees."""
+        return look_at(view_vector(azimuth - self.turn, elevation))
+
+    def answers(self, rows: Sequence[int]) -> Tensor:
+        """Own camera frames (N, 3, 3) of the viewpoints that the network selects for test views."""
+        said = self.aligned.predictions.take(list(rows))
+        ups = None if said.ups is None else torch.from_numpy(said.ups[np.arange(len(said)), said.choice])
+        return look_at(torch.from_numpy(np.array(said.selected)), ups).float()
+
+    def reconstruct(self, rows: Sequence[int], size: int | None = None) -> Tensor:
+        """Test views drawn again (N, 4, S, S) from nothing but themselves: own appearance, selected viewpoint.
+
+        Photographs are cut to their object, so drawings of them are too.
+        """
+        drawn = self.draw(self.imagine(rows), self.answers(rows), size)
+        return tight_crop(drawn, drawn.shape[-1], margin=0.0) if self.views.opaque else drawn
+
+
+def own_views(run: Run) -> ViewStore:
+    """The views that a run was trained and scored on."""
+    from viewnet.data.build import view_store
+
+    return view_store(run.config.data, progress=False)
+
+
+Stores = Callable[[Run], ViewStore]
+"""Which views to show a run: its own (`own_views`), or photographs."""
+
+
+def drawers(runs: Sequence[Run], stores: Stores = own_views) -> list[Drawer]:
+    """A drawer for each run. ViewnetError for none, and for a run that was not trained."""
+    if not runs:
+        raise ViewnetError("no runs to draw with: train some first")
+    for run in runs:
+        if not run.trained:
+            raise ViewnetError(f"{name(run.config)} draws nothing: choose a trained variant")
+    return [Drawer.of(run.folder, stores(run)) for run in runs]
