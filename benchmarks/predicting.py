@@ -1,8 +1,8 @@
-"""How soon a picture's viewpoint is told, and how much the estimator adds to the network's own time.
+"""How soon an image's viewpoint is told, and how much the estimator adds to the network's own time.
 
-    python benchmarks/predicting.py [--model car] [--picture docs/car.jpg] [--times 9] [-o paper_tables/benchmarks]
+    python benchmarks/predicting.py [--model car] [--image docs/car.jpg] [--times 9] [-o paper_tables/benchmarks]
 
-Starts `viewnet predict` in fresh interpreters, in turns with ones that only import torch, and gives the same pictures,
+Starts `viewnet predict` in fresh interpreters, in turns with ones that only import torch, and gives the same images,
 many at once, to the estimator and, ready on its device, to the bare network, in turns as well. `predicting.csv` has a
 row for each: the median, and the least and the most of all times.
 """
@@ -27,11 +27,11 @@ from viewnet.estimator.viewpoint_estimator import BATCH, ViewpointEstimator
 from viewnet.runtime import provenance
 from viewnet.runtime.files import replacing, write_json
 
-PICTURES = 8 * BATCH
+IMAGES = 8 * BATCH
 """So many are predicted at once: several batches."""
 PHOTOGRAPH, BOX = (400, 300), (40, 60, 380, 250)
-"""Pixels of a picture that has to be cut, and to what."""
-BARE, READY = "the bare network", "the estimator, pictures of just the size"
+"""Pixels of an image that has to be cut, and to what."""
+BARE, READY = "the bare network", "the estimator, images of just the size"
 CUT = "the estimator, photographs of 400 x 300 cut to a box"
 
 
@@ -59,18 +59,18 @@ def fresh(*arguments: str) -> Callable[[], object]:
     return lambda: subprocess.run([sys.executable, *arguments], check=True, capture_output=True, env=hushed)
 
 
-def cold(model: str, picture: Path, box: list[str], times: int) -> list[dict[str, object]]:
+def cold(model: str, image: Path, box: list[str], times: int) -> list[dict[str, object]]:
     """Rows of one answer from a fresh interpreter."""
-    told = ["-m", "viewnet", "predict", str(picture), "--model", model, "--box", *box]
+    told = ["-m", "viewnet", "predict", str(image), "--model", model, "--box", *box]
     works = {"a fresh interpreter, import torch": fresh("-c", "import torch"), "viewnet predict": fresh(*told)}
     return [row(name, "seconds", values) for name, values in in_turns(works, times).items()]
 
 
 def batched(model: str, times: int) -> list[dict[str, object]]:
-    """Rows of many pictures at once."""
+    """Rows of many images at once."""
     estimator = ViewpointEstimator.from_pretrained(model)
     chance, size = np.random.default_rng(0), estimator.framing.size
-    views = chance.integers(0, 256, (PICTURES, size, size, 3), np.uint8)
+    views = chance.integers(0, 256, (IMAGES, size, size, 3), np.uint8)
     ready = torch.from_numpy(views).movedim(-1, 1).to(estimator.device).float().div_(255).split(BATCH)
 
     @torch.no_grad()
@@ -88,7 +88,7 @@ def batched(model: str, times: int) -> list[dict[str, object]]:
         times,
     )
     counts = {BARE: len(views), READY: len(views), CUT: len(photographs)}
-    rows = [row(name, "pictures a second", [counts[name] / value for value in found[name]]) for name in found]
+    rows = [row(name, "images a second", [counts[name] / value for value in found[name]]) for name in found]
     shares = [100 * one / other for one, other in zip(found[BARE], found[READY], strict=True)]
     return [*rows, row("the estimator against the bare network, in the same turn", "%", shares)]
 
@@ -102,7 +102,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     root = Path(__file__).resolve().parent.parent
     parser.add_argument("--model", default="car", help="what viewnet predict takes (default: %(default)s)")
-    parser.add_argument("--picture", type=Path, default=root / "docs" / "car.jpg")
+    parser.add_argument("--image", type=Path, default=root / "docs" / "car.jpg")
     parser.add_argument("--box", nargs=4, default=["129", "108", "341", "200"], metavar=("X0", "Y0", "X1", "Y1"))
     parser.add_argument("--times", type=int, default=9)
     parser.add_argument("-o", "--output", type=Path, default=paths.tables() / "benchmarks")

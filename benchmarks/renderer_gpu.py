@@ -5,7 +5,7 @@
 Prints one JSON object. For every size of volume, and for empty space passed over backwards (`sparse`) or not:
 milliseconds (median of as many runs as fit the time), peak memory, and what these amount to beside two ceilings that
 are measured in the same run: a copy of memory, and multiply-add on registers. Bytes and operations are counted, not
-measured: `floor_bytes` is the volume read once and the picture written once, `sample_bytes` eight corners of 16 bytes
+measured: `floor_bytes` is the volume read once and the image written once, `sample_bytes` eight corners of 16 bytes
 for each step that falls into an occupied cell (most of them served by caches), `sample_flops` what it computes.
 """
 
@@ -115,7 +115,7 @@ def passes(draw: Callable[..., Tensor], inputs: list[Tensor], seconds: float) ->
 
 
 def measure(side: int, options: argparse.Namespace, device: dict[str, float]) -> dict[str, Any]:
-    """All ways of drawing volumes of one size, on pictures of as many pixels and rays of as many steps."""
+    """All ways of drawing volumes of one size, on images of as many pixels and rays of as many steps."""
     inputs = scene(side, options.batch, options.views, options.occupied)
     ways: dict[str, Callable[..., Tensor]] = {
         "fused": lambda v, r, f: volume_gpu.render(v, r, f, side, side, False),
@@ -148,7 +148,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--volumes", type=int, nargs="+", default=[32, 64, 128], help="voxels a side")
     parser.add_argument("--batch", type=int, default=64, help="volumes")
-    parser.add_argument("--views", type=int, default=3, help="pictures of each volume")
+    parser.add_argument("--views", type=int, default=3, help="images of each volume")
     parser.add_argument("--occupied", type=float, default=0.1, help="share of a volume that is filled")
     parser.add_argument("--seconds", type=float, default=1.0, help="time for each figure")
     options = parser.parse_args()

@@ -92,7 +92,7 @@ def _page(name: str, text: str) -> pdoc.doc.Module:
 
 
 def _notebook(path: str, folder: Path) -> str:
-    """A notebook as Markdown, its pictures put where its page finds them."""
+    """A notebook as Markdown, its images put where its page finds them."""
     text, resources = nbconvert.MarkdownExporter().from_filename(str(ROOT / path))
     for name, content in resources["outputs"].items():
         place = Path(FILES, path).with_suffix("") / name

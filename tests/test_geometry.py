@@ -73,7 +73,7 @@ def test_the_camera_frame_is_an_upright_rotation_that_looks_at_the_object(azimut
     assert frame[2, 1] > 0  # up is up
 
 
-def test_seen_from_the_front_the_left_side_is_on_the_right_of_the_picture():
+def test_seen_from_the_front_the_left_side_is_on_the_right_of_the_image():
     right = look_at(tensor(1, 0, 0))[:, 0]
     assert torch.equal(right, tensor(0, 1, 0))
 

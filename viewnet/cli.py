@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
     """The parser of the whole command line."""
     found = _Parser(
         prog="viewnet",
-        description="ViewNet, replicated: tables and figures of the paper, and viewpoints of your own pictures.",
+        description="ViewNet, replicated: tables and figures of the paper, and viewpoints of your own images.",
         epilog=OUTCOMES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -57,7 +57,7 @@ class DataConfig:
     elevation_range: tuple[float, float] = (-20.0, 40.0)
     seed: int = 0
     renderer: Literal["auto", "raycast", "pyrender"] = "auto"
-    # Behind both inputs in training, never behind the target: SUN397, any folder of pictures, or "drawn"; None: nothing
+    # Behind both inputs in training, never behind the target: SUN397, any folder of images, or "drawn"; None: nothing
     backgrounds: str | None = None
     video: VideoConfig | None = None  # given: views are its clips' frames (section 4.4); only backgrounds count beside
 
@@ -77,7 +77,7 @@ class PhotoConfig:
     pad: tuple[int, int, int] = (0, 0, 0)  # colour of what lies beyond the photograph's edges
     models: int = 60  # the stand-in: CAD models a split
     count: int = 600  # the stand-in: photographs a split
-    backgrounds: str | None = None  # the stand-in: a folder of pictures; None: drawn ones
+    backgrounds: str | None = None  # the stand-in: a folder of images; None: drawn ones
     seed: int = 0  # the stand-in's
 
 
@@ -137,7 +137,7 @@ class ModelConfig:
     in_plane: bool = False  # learn the up vector too (section 3.1, the general case)
     decoder: Literal["adain", "encoder_decoder", "hologan"] = "adain"
     shape_prior: bool = True  # the Gaussian S in Q = S + Q'
-    colour_prior: bool = False  # colours start from the appearance picture's mean one
+    colour_prior: bool = False  # colours start from the appearance image's mean one
     balance_bands: int = 1  # in how many bands of elevation TrainConfig.balance tells viewpoints apart
     focal: float = 0.4  # initial perspective: reciprocal of the camera's distance in half sides of the volume
     learn_focal: bool = True
@@ -182,10 +182,10 @@ class TrainConfig:
     augment: bool = False  # random crop and +-3 degree rotation of the viewpoint encoder's input
     jitter: float = 0.0  # colours of that input change places, and strength by up to exp(+-2 jitter); 0: neither
     # The same input made to look as if cut from a photograph (viewnet.data.augment), with DataConfig.backgrounds only:
-    sightings: int = 1  # differently made pictures of each target that the viewpoint network learns from
+    sightings: int = 1  # differently made images of each target that the viewpoint network learns from
     box_error: float = 0.0  # the crop is off by up to this share of its sides
     tilt: float = 0.0  # and tilted by up to so many degrees
-    occlude: float = 0.0  # in this share of the pictures something is before the object
+    occlude: float = 0.0  # in this share of the images something is before the object
     exposure: float = 0.0  # how strongly light, contrast, blur and noise vary
     amp: Literal["auto", "off"] = "auto"  # bfloat16 where the hardware has it
     validate_every: int = 1  # epochs

@@ -2,7 +2,7 @@
 
 World (object) frame: right-handed, z up, +x is the object's front, +y its left side. A viewpoint says where the camera
 is as seen from the object. Azimuth runs counter-clockwise from +x: 0 shows the front and 90 the left side (the object
-then faces left in the picture), as in PASCAL3D+; elevation is the height above the horizon. Angles are degrees.
+then faces left in the image), as in PASCAL3D+; elevation is the height above the horizon. Angles are degrees.
 
     view vector   v = (cos e cos a, cos e sin a, sin e), from the object to the camera
     camera frame  R, columns (right, up, back) in world coordinates, with back = v
@@ -51,7 +51,7 @@ def azimuth_elevation(v: Tensor) -> tuple[Tensor, Tensor]:
 def look_at(v: Tensor, up: Tensor | None = None) -> Tensor:
     """Camera frames (..., 3, 3) of view vectors (..., 3): the orthogonalisation of section 3.1.
 
-    `up` (..., 3) is the direction that points up in the picture; the world's z without it. A learned `up` describes
+    `up` (..., 3) is the direction that points up in the image; the world's z without it. A learned `up` describes
     in-plane rotation too (the paper's general case). Where `v` and `up` are parallel the frame is undefined in the
     mathematics; here `right` is then the world's y, so that the result is always a rotation and gradients are finite.
 

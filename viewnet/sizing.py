@@ -11,7 +11,7 @@ from viewnet.errors import ViewnetError
 SHAPENETCORE = (55, 51_300)
 """Categories of ShapeNetCore, and how many models they have together, about."""
 RENDERING = {64: (309.0, 854.0)}
-"""Picture side -> views a second and core, slowest and fastest category, measured on the built-in models. Those of
+"""Image side -> views a second and core, slowest and fastest category, measured on the built-in models. Those of
 ShapeNet, read from a disk and often of more faces, are not measured, nor is any other side."""
 
 
@@ -22,7 +22,7 @@ class Work:
     views: int
     store_bytes: int
     core_hours: tuple[float, float] | None  # of rendering, least and most
-    targets: int  # pictures that all trainings together go through
+    targets: int  # images that all trainings together go through
     device_hours: float | None  # of training
 
 

@@ -27,12 +27,12 @@ NAMES = {"bench.json", "bench.csv", "bench.tex", "bench.png", "bench.pdf"}
 def test_the_textbook_renderer_is_the_definition(occupancy):
     shape = volume.squash(contestants.logits(occupancy, 11, 2), None, None)
     weights = torch.randn(6, 4, 9, 9, generator=torch.Generator().manual_seed(0))
-    pictures, gradients = [], []
+    images, gradients = [], []
     for draw in (textbook.render, volume.render_reference):
         leaves = [x.detach().double().requires_grad_() for x in (shape, contestants.frames(6), torch.tensor(0.3))]
-        pictures.append(draw(*leaves, 9, 13))
-        gradients.append(torch.autograd.grad((pictures[-1] * weights).sum(), leaves))
-    assert torch.allclose(*pictures, atol=1e-10)
+        images.append(draw(*leaves, 9, 13))
+        gradients.append(torch.autograd.grad((images[-1] * weights).sum(), leaves))
+    assert torch.allclose(*images, atol=1e-10)
     for found, wanted in zip(*gradients, strict=True):
         assert (found - wanted).abs().max() < 1e-4 * wanted.abs().max()
 
@@ -57,7 +57,7 @@ def gradients(change, perceptual=None):
         change(net)
     book = textbook.TextbookViewNet(config.model)
     book.load(net.state_dict())
-    batch = contestants.pictures(6, 32)
+    batch = contestants.images(6, 32)
     settings = dataclasses.replace(config.train, amp="off")
     ours = sum(step_loss(net, batch, settings, perceptual, 0.5, torch.Generator()).values())
     theirs = textbook.step_loss(book, batch, settings, perceptual)
@@ -100,11 +100,11 @@ def test_the_compiled_step_is_the_textbook_s_where_nothing_is_empty():
 
 def test_layers_and_samples_are_counted():
     layer = torch.nn.Conv2d(3, 8, 3, padding=1, bias=False, device="meta")
-    picture = torch.zeros(2, 3, 16, 16, device="meta")
-    need = roofline.network_need(layer, lambda: layer(picture).sum(), 216, 5.0)
+    image = torch.zeros(2, 3, 16, 16, device="meta")
+    need = roofline.network_need(layer, lambda: layer(image).sum(), 216, 5.0)
     products = 2 * 16 * 16 * 8 * 27
-    assert need.products == 5 * 2 * products  # forward, and the weights' gradient; pictures need none
-    assert need.layer_values == 5 * 3 * (picture.numel() + 2 * 8 * 256)
+    assert need.products == 5 * 2 * products  # forward, and the weights' gradient; images need none
+    assert need.layer_values == 5 * 3 * (image.numel() + 2 * 8 * 256)
     rates = roofline.Rates(float32=1.0, bfloat16=1e-9, copy=1e30)
     assert need.seconds(rates) == pytest.approx(need.products)
     rotated = torch.zeros(1, 4, 4, 1, 2)

@@ -1,4 +1,4 @@
-"""benchmarks/predicting.py: every row is measured, and rates are of as many pictures as were given."""
+"""benchmarks/predicting.py: every row is measured, and rates are of as many images as were given."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ predicting = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(predicting)
 
 
-def test_rates_are_pictures_over_seconds(monkeypatch):
-    monkeypatch.setattr(predicting, "PICTURES", 24)
+def test_rates_are_images_over_seconds(monkeypatch):
+    monkeypatch.setattr(predicting, "IMAGES", 24)
     monkeypatch.setattr(predicting, "BATCH", 8)
     lasting = itertools.cycle([2.0, 3.0, 4.0])
     monkeypatch.setattr(predicting, "seconds", lambda work: (work(), next(lasting))[1])
@@ -29,7 +29,7 @@ def test_rates_are_pictures_over_seconds(monkeypatch):
 
 @pytest.mark.slow
 def test_the_report_has_every_row(monkeypatch, tmp_path):
-    monkeypatch.setattr(predicting, "PICTURES", 16)
+    monkeypatch.setattr(predicting, "IMAGES", 16)
     monkeypatch.setattr(sys, "argv", ["predicting.py", "--times", "1", "-o", str(tmp_path / "new")])
     predicting.main()
     found = pd.read_csv(tmp_path / "new" / "predicting.csv")

@@ -60,13 +60,13 @@ def what_happens(switch, monkeypatch):
         "norm_relu",
         lambda x, *_, **__: {"fused layers"} | ({"bfloat16"} if x.dtype == torch.bfloat16 else set()),
     )
-    pictures = torch.rand(4, 4, 64, 64, generator=torch.Generator().manual_seed(0))
+    images = torch.rand(4, 4, 64, 64, generator=torch.Generator().manual_seed(0))
     with patch():
-        terms = step.step_loss(model, (pictures[:2], pictures, pictures), config.train, None, 0.0, torch.Generator())
+        terms = step.step_loss(model, (images[:2], images, images), config.train, None, 0.0, torch.Generator())
         early = frozenset(seen)
         sum(terms.values()).backward()
         seen.clear()
-        step.step_loss(model, (pictures[:2], pictures, pictures), config.train, None, 0.9, torch.Generator())
+        step.step_loss(model, (images[:2], images, images), config.train, None, 0.9, torch.Generator())
     return early, frozenset(seen)
 
 

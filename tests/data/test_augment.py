@@ -22,16 +22,16 @@ def chance(seed: int = 0) -> torch.Generator:
 
 def things(count: int, size: int = 40) -> torch.Tensor:
     """Red rectangles with CROP_MARGIN about them."""
-    pictures = torch.zeros(count, 4, size, size)
+    images = torch.zeros(count, 4, size, size)
     edge = round(size * CROP_MARGIN / (1 + 2 * CROP_MARGIN))
-    pictures[:, [0, 3], edge : size - edge, edge : size - edge] = 1
-    return pictures
+    images[:, [0, 3], edge : size - edge, edge : size - edge] = 1
+    return images
 
 
 def blue(count: int = 3) -> torch.Tensor:
-    pictures = torch.zeros(count, 3, 80, 80, dtype=torch.uint8)
-    pictures[:, 2] = 255
-    return pictures
+    images = torch.zeros(count, 3, 80, 80, dtype=torch.uint8)
+    images[:, 2] = 255
+    return images
 
 
 def test_nothing_stays_transparent_and_the_object_fills_its_box():
@@ -50,7 +50,7 @@ def test_backgrounds_show_where_there_is_no_object():
     assert augment.over(half, torch.ones(1, 3, 2, 2))[0, :, 0, 0].tolist() == [1.0, 0.5, 0.5, 1.0]
 
 
-def test_windows_of_backgrounds_differ_and_stay_pictures():
+def test_windows_of_backgrounds_differ_and_stay_images():
     ramp = (torch.linspace(0, 255, 64).to(torch.uint8)).expand(1, 3, 64, 64)
     windows = augment.behind(ramp, 20, 32, chance(), torch.device("cpu"))
     assert windows.shape == (20, 3, 32, 32) and windows.min() >= 0 and windows.max() <= 1
@@ -59,7 +59,7 @@ def test_windows_of_backgrounds_differ_and_stay_pictures():
     assert windows[:, 0, 0].amin(1).std() > 0.05
 
 
-def test_the_same_chance_gives_the_same_pictures():
+def test_the_same_chance_gives_the_same_images():
     first, second, other = (augment.photograph(things(6), blue(), PHOTO, chance(seed)) for seed in (1, 1, 2))
     assert torch.equal(first, second) and not torch.equal(first, other)
 
@@ -72,15 +72,15 @@ def test_each_setting_does_something_of_its_own(field, strength):
     assert (changed - plain).abs().amax((1, 2, 3)).gt(0.05).float().mean() > 0.8
 
 
-def test_occlusion_comes_in_its_share_of_pictures():
+def test_occlusion_comes_in_its_share_of_images():
     before = augment.photograph(things(400), blue(), replace(PLAIN, occlude=0.3), chance())
     hidden = (before[:, 2, 3:-3, 3:-3] > 0.5).flatten(1).any(1)
     assert 0.2 < hidden.float().mean() < 0.4
 
 
 def test_exposure_of_nothing_is_nothing():
-    pictures = torch.rand(4, 3, 16, 16, generator=chance())
-    assert torch.allclose(augment.expose(pictures, 0.0, chance()), pictures, atol=1e-6)
+    images = torch.rand(4, 3, 16, 16, generator=chance())
+    assert torch.allclose(augment.expose(images, 0.0, chance()), images, atol=1e-6)
 
 
 def test_scenery_is_loaded_where_it_is_asked_for(tmp_path, monkeypatch):

@@ -35,13 +35,13 @@ def sun397(root: Path, classes: dict[str, int]) -> None:
 
 def test_drawn_ones_differ_and_are_the_same_again():
     made = load("drawn", 24, 40)
-    assert made.pictures.shape == (40, 3, 24, 24) and made.pictures.dtype == np.uint8
+    assert made.images.shape == (40, 3, 24, 24) and made.images.dtype == np.uint8
     assert made.classes.tolist() == [0] * 40 and made.rejected == [] and len(made.identity) == 16
-    assert len({picture.tobytes() for picture in made.pictures}) == 40
-    assert len(np.unique(made.pictures.mean(axis=(1, 2, 3)).round())) > 20
+    assert len({image.tobytes() for image in made.images}) == 40
+    assert len(np.unique(made.images.mean(axis=(1, 2, 3)).round())) > 20
     again = np.stack([scenes.draw(np.random.default_rng([0, n]), 24, 24) for n in range(40)]).transpose(0, 3, 1, 2)
-    assert (again == made.pictures).all()
-    assert (load("drawn", 24, 40, seed=1).pictures != made.pictures).mean() > 0.5
+    assert (again == made.images).all()
+    assert (load("drawn", 24, 40, seed=1).images != made.images).mean() > 0.5
 
 
 @pytest.mark.parametrize("kind", scenes.KINDS, ids=lambda kind: kind.__name__)
@@ -50,15 +50,15 @@ def test_every_kind_draws_any_shape_with_something_in_it(kind, monkeypatch):
     spread = []
     for seed in range(12):
         for width, height in ((64, 64), (50, 20), (7, 31)):
-            picture = scenes.draw(np.random.default_rng(seed), width, height)
-            assert picture.shape == (height, width, 3) and picture.dtype == np.uint8
-            spread.append(float(picture.std()))
+            image = scenes.draw(np.random.default_rng(seed), width, height)
+            assert image.shape == (height, width, 3) and image.dtype == np.uint8
+            spread.append(float(image.std()))
     assert np.median(spread) > 8
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
 def test_even_tiny_ones_are_drawn(size):
-    assert load("drawn", size, 60).pictures.shape == (60, 3, size, size)
+    assert load("drawn", size, 60).images.shape == (60, 3, size, size)
 
 
 def test_a_folder_is_read_with_all_folders_in_it(tmp_path):
@@ -66,22 +66,22 @@ def test_a_folder_is_read_with_all_folders_in_it(tmp_path):
     plain(root / "a.png", (10, 0, 0))
     plain(root / "deep/er/b.JPG", (0, 90, 0), (300, 200))
     plain(root / ".hidden/c.png")
-    (root / "notes.txt").write_text("no picture")
+    (root / "notes.txt").write_text("no image")
     (root / "deep/loop").symlink_to(root)
     made = load(str(root), 8)
-    assert sorted(picture.mean(axis=(1, 2)).round().tolist() for picture in made.pictures) == [[0, 90, 0], [10, 0, 0]]
+    assert sorted(image.mean(axis=(1, 2)).round().tolist() for image in made.images) == [[0, 90, 0], [10, 0, 0]]
     assert made.classes.tolist() == [0, 0] and made.rejected == []
 
 
-def test_the_square_lies_within_the_picture_and_keeps_its_shape(tmp_path):
-    # Columns of one colour each: a cut that is not square, or left the picture, would show other steps.
+def test_the_square_lies_within_the_image_and_keeps_its_shape(tmp_path):
+    # Columns of one colour each: a cut that is not square, or left the image, would show other steps.
     columns = np.broadcast_to(np.arange(120, dtype=np.uint8)[None, :, None] * 2, (60, 120, 3))
     (tmp_path / "p").mkdir()
     for number in range(20):
         Image.fromarray(np.ascontiguousarray(columns)).save(tmp_path / "p" / f"{number}.png")
     made = load(str(tmp_path / "p"), 30)
-    ramp = made.pictures[:, 0, 15].astype(float)
-    steps = (ramp[:, -1] - ramp[:, 0]) / 29 / 2  # columns of the picture for one of the cut
+    ramp = made.images[:, 0, 15].astype(float)
+    steps = (ramp[:, -1] - ramp[:, 0]) / 29 / 2  # columns of the image for one of the cut
     assert (steps > 0.7 * 60 / 30 - 0.05).all() and (steps < 60 / 30 + 0.05).all() and steps.std() > 0.05
     assert len(np.unique(ramp[:, 0])) > 10
 
@@ -90,7 +90,7 @@ def test_unreadable_ones_are_told_and_replaced(tmp_path):
     root = tmp_path / "p"
     for number in range(6):
         plain(root / f"{number}.png")
-    (root / "broken.png").write_bytes(b"no picture")
+    (root / "broken.png").write_bytes(b"no image")
     whole = (root / "0.png").read_bytes()
     plain(root / "cut.jpg", size=(200, 200))
     (root / "cut.jpg").write_bytes((root / "cut.jpg").read_bytes()[:700])
@@ -98,7 +98,7 @@ def test_unreadable_ones_are_told_and_replaced(tmp_path):
     made = load(str(root), 8, count=100)
     assert len(made) == 6 and whole
     assert {path: reason.split(" (")[0] for path, reason in made.rejected} == dict.fromkeys(
-        ("broken.png", "cut.jpg", "empty.jpg"), "picture does not decode"
+        ("broken.png", "cut.jpg", "empty.jpg"), "image does not decode"
     )
     assert len(load(str(root), 8, count=6)) == 6
     assert load(str(root), 8, count=100).rejected == made.rejected
@@ -109,7 +109,7 @@ def test_classes_of_sun397_are_drawn_evenly(tmp_path):
     sun397(root, {"/a/abbey": 9, "/a/apse": 2, "/b/barn": 7, "/b/barn/indoor": 5})
     made = load(str(root), 4, count=14)
     assert np.bincount(made.classes).tolist() == [4, 2, 4, 4]
-    assert (made.pictures[:, 0, 0, 0] == 10 * made.classes).all()
+    assert (made.images[:, 0, 0, 0] == 10 * made.classes).all()
     everything = load(str(root), 4, count=1000)
     assert np.bincount(everything.classes).tolist() == [9, 2, 7, 5]
 
@@ -125,7 +125,7 @@ def test_a_class_without_its_folder_is_told(tmp_path):
         load(str(root), 4)
 
 
-def test_the_identity_is_of_the_pictures_not_of_the_place(tmp_path):
+def test_the_identity_is_of_the_images_not_of_the_place(tmp_path):
     sun397(tmp_path / "one", {"/a/abbey": 3})
     sun397(tmp_path / "two", {"/a/abbey": 3})
     first = load(str(tmp_path / "one"), 4)
@@ -141,20 +141,20 @@ def test_made_once_and_kept(tmp_path, monkeypatch):
     plain(tmp_path / "p/a.png")
     first = load(str(tmp_path / "p"), 4)
     monkeypatch.setattr(backgrounds, "_cut", None)
-    assert (load(str(tmp_path / "p"), 4).pictures == first.pictures).all()
+    assert (load(str(tmp_path / "p"), 4).images == first.images).all()
     (tmp_path / "data/backgrounds" / first.identity / "classes.npy").write_bytes(b"")
     with pytest.raises(ViewnetError, match=f"{first.identity}/classes.npy: not a whole array .*: remove the folder"):
         load(str(tmp_path / "p"), 4)
 
 
 def test_what_cannot_be_used_is_refused(tmp_path):
-    with pytest.raises(ViewnetError, match=r"nowhere: no such folder: give one of pictures, SUN397's, or 'drawn'"):
+    with pytest.raises(ViewnetError, match=r"nowhere: no such folder: give one of images, SUN397's, or 'drawn'"):
         load(str(tmp_path / "nowhere"), 8)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ViewnetError, match=r"empty: no pictures in it"):
+    with pytest.raises(ViewnetError, match=r"empty: no images in it"):
         load(str(tmp_path / "empty"), 8)
-    (tmp_path / "empty/a.png").write_bytes(b"no picture")
-    with pytest.raises(ViewnetError, match=r"none of its 1 pictures can be used \(a\.png: picture does not decode"):
+    (tmp_path / "empty/a.png").write_bytes(b"no image")
+    with pytest.raises(ViewnetError, match=r"none of its 1 images can be used \(a\.png: image does not decode"):
         load(str(tmp_path / "empty"), 8)
     with pytest.raises(ViewnetError, match="size 0: expected 1 to 1024"):
         load("drawn", 0)
@@ -169,4 +169,4 @@ def test_real_photographs(name):
         pytest.skip(f"no {name} among the real data")
     made = load(str(root), 32)
     assert len(made) == len(list(root.rglob("*.jpg"))) and made.rejected == []
-    assert 40 < made.pictures.mean() < 200 and made.pictures.std() > 30
+    assert 40 < made.images.mean() < 200 and made.images.std() > 30

@@ -19,7 +19,7 @@ from viewnet.data.synthetic import objectron_standin
 from viewnet.errors import ViewnetError
 
 
-def picture(path, size=(40, 30)):
+def image(path, size=(40, 30)):
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.zeros((size[1], size[0], 3), np.uint8)).save(path)
 
@@ -37,14 +37,14 @@ def cars(root, sequences=2, frames=3):
     for number in range(1, sequences + 1):
         names = [f"car{number:03d}/{frame:04d}.png" for frame in range(frames)]
         for name in names:
-            picture(root / name)
+            image(root / name)
         lines = "".join(f"{name} 2 2 30 25 {40 * i}\n" for i, name in enumerate(names))
         (root / "annotations" / f"{number}_annot.txt").write_text(lines)
 
 
 def photographs(root, splits=("val", "test")):
     for split in splits:
-        picture(root / "images" / f"{split}.png")
+        image(root / "images" / f"{split}.png")
     rows = [{"file": f"{split}.png", "azimuth_deg": 10, "elevation_deg": 5, "split": split} for split in splits]
     rows.append(rows[0] | {"file": "lost.png"})
     pd.DataFrame(rows).to_csv(root / "viewpoints.csv", index=False)
@@ -74,7 +74,7 @@ def test_pascal3d_is_counted_and_a_missing_list_told(tmp_path):
     assert any("no such list" in problem for problem in found.problems)
 
 
-def test_freiburg_and_lists_and_pictures(tmp_path):
+def test_freiburg_and_lists_and_images(tmp_path):
     cars(tmp_path / "freiburg")
     (tmp_path / "freiburg" / "annotations" / "9_annot.txt").write_text("")
     found = check(tmp_path / "freiburg")
@@ -83,11 +83,11 @@ def test_freiburg_and_lists_and_pictures(tmp_path):
     photographs(tmp_path / "mine")
     found = check(tmp_path / "mine")
     assert (found.key, found.counts) == ("photographs", {"": {"objects to calibrate": 1, "objects to score": 1}})
-    assert found.problems == ["1 left out: no such picture"]
+    assert found.problems == ["1 left out: no such image"]
     photographs(tmp_path / "half", ("val",))
     assert "viewpoints.csv: no row of split test" in check(tmp_path / "half").problems
     for name in ("a/abbey/1.jpg", "a/abbey/2.jpg", "b/bar/3.jpg"):
-        picture(tmp_path / "sun" / name)
+        image(tmp_path / "sun" / name)
     assert check(tmp_path / "sun").counts == {"": {"pictures": 3, "classes": 1}}
     (tmp_path / "sun" / "ClassName.txt").write_text("/a/abbey\n/b/bar\n/c/cave\n")
     found = check(tmp_path / "sun")

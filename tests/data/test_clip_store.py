@@ -32,9 +32,9 @@ def make_clip(root: Path, name: str, split: str = "train", frames: int = 3, **ch
     (root / "masks" / name).mkdir(parents=True)
     for k in range(frames):
         for folder, ground, thing, mode in ((root, "red", (0, 200, 0), "RGB"), (root / "masks", 0, 255, "L")):
-            picture = Image.new(mode, (40, 30), ground)
-            ImageDraw.Draw(picture).rectangle((5 + k, 6, 20 + k, 21), thing)
-            picture.save(folder / name / f"{k}.png")
+            image = Image.new(mode, (40, 30), ground)
+            ImageDraw.Draw(image).rectangle((5 + k, 6, 20 + k, 21), thing)
+            image.save(folder / name / f"{k}.png")
     clip = Clip(name, "car", split, root / name, tuple(Frame(k, 10.0 * k, 5.0) for k in range(frames)))
     return replace(clip, **{"masks": root / "masks" / name, **changes})
 
@@ -74,9 +74,9 @@ def turning(root: Path, sizes: list[tuple[int, int]]) -> Clip:
     clip = make_clip(root, "turning", frames=len(sizes))
     for k, (width, height) in enumerate(sizes):
         for folder, ground, thing, mode in ((clip.source, "red", (0, 200, 0), "RGB"), (clip.masks, 0, 255, "L")):
-            picture = Image.new(mode, (400, 200), ground)
-            ImageDraw.Draw(picture).rectangle((3, 4, 2 + width, 3 + height), thing)
-            picture.save(folder / f"{k}.png")
+            image = Image.new(mode, (400, 200), ground)
+            ImageDraw.Draw(image).rectangle((3, 4, 2 + width, 3 + height), thing)
+            image.save(folder / f"{k}.png")
     return clip
 
 
@@ -152,7 +152,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_used(tmp_path):
     assert [(row.model_id, row.path, row.reason.split(" (")[0]) for row in store.rejected.itertuples()] == [
         ("x", "x", "no reason"),
         ("gone", "gone.mp4", "video cannot be read"),
-        ("good/1", "good", "picture does not decode"),
+        ("good/1", "good", "image does not decode"),
         ("half/0", "half", "mask is missing"),
         ("half/2", "half", "mask is empty"),
         ("lone/0", "lone", "mask is missing"),
@@ -162,7 +162,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_used(tmp_path):
     ]
     assert summary(store) == (
         "car: 5 views of 2 clips (2 train); 50.0 % of the frames without a usable mask; left out: 1 fewer than two"
-        " usable frames, 1 mask is empty, 4 mask is missing, 1 no reason, 1 picture does not decode, 1 video cannot be"
+        " usable frames, 1 mask is empty, 4 mask is missing, 1 no reason, 1 image does not decode, 1 video cannot be"
         " read"
     )
 

@@ -9,23 +9,23 @@ import pytest
 from helpers.video_data import write_frames, write_video
 from PIL import Image
 
-from viewnet.data.frames import count, pick, pictures, stills, upright
+from viewnet.data.frames import count, images, pick, stills, upright
 from viewnet.errors import ViewnetError
 
 
 def greys(source: Path, numbers: list[int]) -> list[tuple[int, str, int]]:
     """Number, name and how bright a frame is."""
     found = []
-    for number, name, picture in stills(source, numbers):
-        assert isinstance(picture, Image.Image), picture
-        found.append((number, name, round(float(np.asarray(picture.convert("L")).mean()))))
+    for number, name, image in stills(source, numbers):
+        assert isinstance(image, Image.Image), image
+        found.append((number, name, round(float(np.asarray(image.convert("L")).mean()))))
     return found
 
 
 def test_a_folder_is_read_in_the_order_of_numbers(tmp_path):
     write_frames(tmp_path / "clip", {"10.png": 100, "9.png": 90, "1.png": 10})
-    (tmp_path / "clip/notes.txt").write_text("no picture")
-    assert [path.name for path in pictures(tmp_path / "clip")] == ["1.png", "9.png", "10.png"]
+    (tmp_path / "clip/notes.txt").write_text("no image")
+    assert [path.name for path in images(tmp_path / "clip")] == ["1.png", "9.png", "10.png"]
     assert count(tmp_path / "clip") == 3
     assert greys(tmp_path / "clip", [2, 0]) == [(0, "1", 10), (2, "10", 100)]
 
@@ -43,14 +43,14 @@ def test_damaged_files_cost_what_is_damaged(tmp_path):
     (tmp_path / "clip/1.png").write_bytes((tmp_path / "clip/1.png").read_bytes()[:60])
     first, second, beyond = stills(tmp_path / "clip", [0, 1, 2])
     assert isinstance(first[2], Image.Image)
-    assert "picture does not decode" in str(second[2]) and "no such frame" in str(beyond[2])
+    assert "image does not decode" in str(second[2]) and "no such frame" in str(beyond[2])
 
     write_video(tmp_path / "b.mkv", [20 * k for k in range(12)], noise=40)
     whole = (tmp_path / "b.mkv").read_bytes()
     (tmp_path / "b.mkv").write_bytes(whole[: len(whole) // 2])
     found = list(stills(tmp_path / "b.mkv", range(12)))
     assert [number for number, *_ in found] == list(range(12))
-    good = [isinstance(picture, Image.Image) for *_, picture in found]
+    good = [isinstance(image, Image.Image) for *_, image in found]
     assert good[0] and not good[-1] and good == sorted(good, reverse=True)
 
     (tmp_path / "c.mp4").write_bytes(b"not a video")
@@ -72,8 +72,8 @@ def test_frames_are_picked_by_seed_and_name_or_evenly():
 
 
 def test_a_quarter_turn_counter_clockwise():
-    picture = Image.new("L", (3, 2), 0)
-    picture.putpixel((2, 0), 255)  # the right upper corner comes to the left upper one
-    turned = upright(picture, -270)
+    image = Image.new("L", (3, 2), 0)
+    image.putpixel((2, 0), 255)  # the right upper corner comes to the left upper one
+    turned = upright(image, -270)
     assert turned.size == (2, 3) and turned.getpixel((0, 0)) == 255
-    assert upright(picture, 0) is picture
+    assert upright(image, 0) is image

@@ -67,7 +67,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_used(tmp_path):
     assert clips[0].frames[1].box == (0.0, 0.0, 64.0, 9.0)
     assert [(name, path, reason.split(" (")[0]) for name, path, reason in rejected] == [
         ("car001:2", "annotations/1_annot.txt", "annotation is malformed"),
-        ("car001:3", "annotations/1_annot.txt", "box has no part in the picture"),
+        ("car001:3", "annotations/1_annot.txt", "box has no part in the image"),
         ("car001:4", "annotations/1_annot.txt", "annotation of a frame that is missing"),
         ("car001:5", "annotations/1_annot.txt", "frame annotated twice"),
         ("car001:6", "annotations/1_annot.txt", "annotation is malformed"),
@@ -76,7 +76,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_used(tmp_path):
         ("car001/5", "car001/5.png", "frame without a usable annotation"),
         ("car003", "car003", "no annotations of the sequence"),
         ("car004", "annotations/4_annot.txt", "no frames of the sequence"),
-        ("car009:2", "annotations/9_annot.txt", "picture does not decode"),
+        ("car009:2", "annotations/9_annot.txt", "image does not decode"),
     ]
 
 

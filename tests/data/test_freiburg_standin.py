@@ -23,8 +23,8 @@ def test_sequences_are_read_as_the_data_set_is(tmp_path, monkeypatch):
         assert (abs(turns - 60) <= 1).all() or (abs(turns - 300) <= 1).all()
         follow = FromFiles().follow(clip)
         for frame, file in zip(clip.frames, sorted(clip.source.iterdir()), strict=True):
-            with Image.open(file) as picture:
-                mask = follow(frame.number, file.stem, picture) > 127
+            with Image.open(file) as image:
+                mask = follow(frame.number, file.stem, image) > 127
             x0, y0, x1, y1 = (round(value) for value in frame.box)
             filled = mask[y0:y1, x0:x1]
             # A car fills much of its box, its mask is off by little, and nothing of it is elsewhere.

@@ -16,7 +16,7 @@ from viewnet.data.clips import Clip
 from viewnet.data.masks import FromAlpha, FromFiles, Predicted, predicted, regions
 from viewnet.errors import ViewnetError
 
-PICTURE = Image.new("RGB", (6, 4), (50, 60, 70))
+IMAGE = Image.new("RGB", (6, 4), (50, 60, 70))
 HALF = np.zeros((4, 6), np.uint8)
 HALF[:, 3:] = 255
 
@@ -36,9 +36,9 @@ def clip(folder: Path | None = None) -> Clip:
     ],
     ids=["grey", "ones", "bits", "colours", "16 bits"],
 )
-def test_files_of_any_kind_are_read(tmp_path, picture):
-    picture.save(tmp_path / "frame7.png")
-    assert (FromFiles().follow(clip(tmp_path))(0, "frame7", PICTURE) == HALF).all()
+def test_files_of_any_kind_are_read(tmp_path, image):
+    image.save(tmp_path / "frame7.png")
+    assert (FromFiles().follow(clip(tmp_path))(0, "frame7", IMAGE) == HALF).all()
 
 
 def test_a_palette_holds_numbers_of_classes_and_soft_edges_stay(tmp_path):
@@ -46,9 +46,9 @@ def test_a_palette_holds_numbers_of_classes_and_soft_edges_stay(tmp_path):
     labelled.putpalette([0] * 768)
     labelled.save(tmp_path / "000003.png")
     follow = FromFiles().follow(clip(tmp_path))
-    assert (follow(3, "other name", PICTURE) == HALF).all()
+    assert (follow(3, "other name", IMAGE) == HALF).all()
     Image.fromarray(HALF // 2).save(tmp_path / "soft.png")
-    assert set(np.unique(follow(0, "soft", PICTURE))) == {0, 127}
+    assert set(np.unique(follow(0, "soft", IMAGE))) == {0, 127}
 
 
 def test_files_that_cannot_be_used(tmp_path):
@@ -57,22 +57,22 @@ def test_files_that_cannot_be_used(tmp_path):
     (tmp_path / "broken.png").write_bytes(b"?")
     for name, reason in (
         ("none", "mask is missing"),
-        ("turned", r"mask has another size than its picture \(4 x 6\)"),
+        ("turned", r"mask has another size than its image \(4 x 6\)"),
         ("broken", "mask does not decode"),
     ):
         with pytest.raises(ViewnetError, match=f"^{reason}"):
-            follow(0, name, PICTURE)
+            follow(0, name, IMAGE)
     with pytest.raises(ViewnetError, match="mask is missing"):
-        FromFiles().follow(clip(None))(0, "none", PICTURE)
+        FromFiles().follow(clip(None))(0, "none", IMAGE)
 
 
-def test_the_pictures_own_alpha():
-    picture = PICTURE.copy()
-    picture.putalpha(Image.fromarray(HALF))
+def test_the_images_own_alpha():
+    image = IMAGE.copy()
+    image.putalpha(Image.fromarray(HALF))
     follow = FromAlpha().follow(clip())
-    assert (follow(0, "", picture) == HALF).all()
-    with pytest.raises(ViewnetError, match=r"mask is missing \(the picture has no alpha"):
-        follow(0, "", PICTURE)
+    assert (follow(0, "", image) == HALF).all()
+    with pytest.raises(ViewnetError, match=r"mask is missing \(the image has no alpha"):
+        follow(0, "", IMAGE)
 
 
 def test_the_largest_object_is_followed_even_when_another_becomes_larger():
@@ -89,11 +89,11 @@ def test_the_largest_object_is_followed_even_when_another_becomes_larger():
         objects((8, 14), (14, 20)),
         objects((0, 2), (18, 19)),  # nothing where it was: the larger
     ])  # fmt: skip
-    follow = Predicted(lambda picture: next(frames), {}).follow(clip())
+    follow = Predicted(lambda image: next(frames), {}).follow(clip())
     found = []
     for number in range(5):
         try:
-            found.append(int(np.flatnonzero(follow(number, "", PICTURE)[0])[0]))
+            found.append(int(np.flatnonzero(follow(number, "", IMAGE)[0])[0]))
         except ViewnetError as error:
             assert str(error).startswith("mask is missing")
             found.append(None)
@@ -128,9 +128,9 @@ def test_deeplab_finds_what_it_holds_for_the_category(tmp_path, monkeypatch):
     monkeypatch.setenv("VIEWNET_DEEPLABV3_RESNET50_WEIGHTS", str(file))
     sources = [predicted("deeplabv3", category) for category in ("car", "chair")]
     cars, chairs = (source.follow(clip()) for source in sources)
-    assert (cars(0, "", PICTURE.resize((60, 40))) == 255).all()
+    assert (cars(0, "", IMAGE.resize((60, 40))) == 255).all()
     with pytest.raises(ViewnetError, match=r"mask is missing \(nothing of the class"):
-        chairs(0, "", PICTURE.resize((60, 40)))
+        chairs(0, "", IMAGE.resize((60, 40)))
     assert sources[0].described != sources[1].described and sources[0].described["masks"] == "deeplabv3"
 
 
@@ -146,9 +146,9 @@ def test_mask_rcnn_gives_instances_of_the_category(tmp_path, monkeypatch):
         roi_heads__mask_predictor__mask_fcn_logits__bias=torch.full((91,), 9.0),
     )
     monkeypatch.setattr(detection.mask_rcnn.MaskRCNN, "forward", _at_a_small_size(detection.mask_rcnn.MaskRCNN.forward))
-    found = predicted("maskrcnn", "sofa", file).segment(PICTURE.resize((60, 40)))
+    found = predicted("maskrcnn", "sofa", file).segment(IMAGE.resize((60, 40)))
     assert found.dtype == bool and found.shape[1:] == (40, 60) and len(found) and found.any((1, 2)).all()
-    assert not len(predicted("maskrcnn", "car", file).segment(PICTURE.resize((60, 40))))
+    assert not len(predicted("maskrcnn", "car", file).segment(IMAGE.resize((60, 40))))
 
 
 def _at_a_small_size(forward):

@@ -20,8 +20,8 @@ from viewnet.data.synthetic import objectron_standin
 from viewnet.errors import ViewnetError
 
 NAME = "chair/batch-1/0"
-TALL = 0.75  # width of a picture by its height
-FOCAL = 1.5  # in picture heights
+TALL = 0.75  # width of an image by its height
+FOCAL = 1.5  # in image heights
 SIZE = np.array([0.5, 1.0, 0.6])
 FRONT = (0.0, 0.0, 4.0)
 
@@ -31,7 +31,7 @@ def sensor(place, up=(0.0, 1.0, 0.0)) -> np.ndarray:
     back = np.array(place) / np.linalg.norm(place)
     right = np.cross(up, back) / np.linalg.norm(np.cross(up, back))
     pose = np.eye(4)
-    # The sensor lies on its side: its x points down in the picture and its y to the right.
+    # The sensor lies on its side: its x points down in the image and its y to the right.
     pose[:3, :3] = np.column_stack([-np.cross(back, right), right, back])
     pose[:3, 3] = place
     return pose
@@ -80,7 +80,7 @@ def around(count, distance=4.0):
     return [(distance * math.sin(turn), 1.0, distance * math.cos(turn)) for turn in turns]
 
 
-def write(root: Path, sequence, name=NAME, pictures=None, video=True) -> Path:
+def write(root: Path, sequence, name=NAME, images=None, video=True) -> Path:
     path = root / "annotations" / f"{name}.pbdata"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(sequence if isinstance(sequence, bytes) else sequence.SerializeToString())
@@ -88,8 +88,8 @@ def write(root: Path, sequence, name=NAME, pictures=None, video=True) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     if video:
         (folder / "video.MOV").write_bytes(b"")
-    for picture in pictures or ():
-        Image.new("RGB", (90, 120)).save(folder / picture)
+    for image in images or ():
+        Image.new("RGB", (90, 120)).save(folder / image)
     return path
 
 
@@ -133,7 +133,7 @@ def test_either_of_the_cameras_two_matrices_is_enough():
         assert interpret(sequence).views[0].azimuth == pytest.approx(90, abs=1e-4), kept
 
 
-def test_boxes_are_pixels_of_the_picture_as_shown(tmp_path):
+def test_boxes_are_pixels_of_the_image_as_shown(tmp_path):
     # The nearer face of the box is 3.7 away: 0.25 to the sides, 0.5 up and down.
     across, along = FOCAL / TALL * 0.25 / 3.7, FOCAL * 0.5 / 3.7
     edges = np.array([0.5 - across, 0.5 - along, 0.5 + across, 0.5 + along])
@@ -141,7 +141,7 @@ def test_boxes_are_pixels_of_the_picture_as_shown(tmp_path):
     (clip,), _ = objectron.read(tmp_path, "chair")
     assert clip.source.name == "video.MOV" and clip.masks is None
     assert clip.frames[0].box == pytest.approx(edges * [1440, 1920, 1440, 1920], abs=0.01)
-    write(tmp_path, record(), pictures=["000.png"])
+    write(tmp_path, record(), images=["000.png"])
     (tmp_path / "masks" / NAME).mkdir(parents=True)
     (clip,), _ = objectron.read(tmp_path, "chair")
     assert clip.source == tmp_path / "videos" / NAME and clip.masks == tmp_path / "masks" / NAME
@@ -162,7 +162,7 @@ def test_a_phone_held_on_its_side(tmp_path):
         )
     (view,) = interpret(sequence).views
     assert view.upright is False and view.size == (1920, 1440) and view.azimuth == pytest.approx(0, abs=1e-4)
-    write(tmp_path, sequence, pictures=["0.jpg"])
+    write(tmp_path, sequence, images=["0.jpg"])
     with pytest.raises(ViewnetError, match="no usable video of chair"):
         objectron.read(tmp_path, "chair")
     Image.new("RGB", (120, 90)).save(tmp_path / "videos" / NAME / "0.jpg")
@@ -225,8 +225,8 @@ FAULTS = {
     "camera's pose is not finite": spoil("transform", [math.nan] * 16),
     "camera's pose is not sixteen numbers": spoil("view_matrix", [1.0] * 12),
     "camera's pose is no rotation and translation": spoil("transform", np.diag([1.0, 1.1, 1, 1]).ravel()),
-    "object mostly hidden or outside of the picture": lambda frame: setattr(frame.annotations[0], "visibility", 0.2),
-    "object partly outside of the picture": keypoints(shifted),
+    "object mostly hidden or outside of the image": lambda frame: setattr(frame.annotations[0], "visibility", 0.2),
+    "object partly outside of the image": keypoints(shifted),
     "object behind the camera": keypoints(behind),
     "camera and keypoints disagree": keypoints(lowered),
     "keypoints are no box": keypoints(shrunk),
@@ -235,7 +235,7 @@ FAULTS = {
     "object not annotated": lambda frame: frame.ClearField("annotations"),
     "frame annotated twice": lambda frame: setattr(frame, "frame_id", 0),
     "frame number below 0": lambda frame: setattr(frame, "frame_id", -3),
-    "size of the video's picture is not recorded": lambda frame: frame.camera.ClearField("image_resolution_width"),
+    "size of the video's image is not recorded": lambda frame: frame.camera.ClearField("image_resolution_width"),
 }
 
 
@@ -294,7 +294,7 @@ def test_records_that_cannot_be_used(tmp_path, monkeypatch):
         ("1/7", "object's pose is not nine and three finite numbers"),
         ("2/0", "object without pose"),
         ("2/1", "record without an annotated object"),
-        ("2/2", "neither video nor pictures"),
+        ("2/2", "neither video nor images"),
         ("10/0", "video without a record"),
     ]
     monkeypatch.setattr(objectron_record, "MOST_FRAMES", 3)
@@ -313,33 +313,33 @@ def test_a_record_of_many_objects_is_refused_before_they_are_looked_at(monkeypat
         interpret(sequence)
 
 
-def test_frames_without_a_picture_or_with_a_broken_one(tmp_path):
-    write(tmp_path, record(around(5)), pictures=["0000.jpg", "0002.jpg", "0003.png", "0004.jpg", "cover.jpg"])
-    (tmp_path / "videos" / NAME / "0003.png").write_bytes(b"no picture")
+def test_frames_without_a_image_or_with_a_broken_one(tmp_path):
+    write(tmp_path, record(around(5)), images=["0000.jpg", "0002.jpg", "0003.png", "0004.jpg", "cover.jpg"])
+    (tmp_path / "videos" / NAME / "0003.png").write_bytes(b"no image")
     Image.new("RGB", (120, 90)).save(tmp_path / "videos" / NAME / "0004.jpg")
     (clip,), rejected = objectron.read(tmp_path, "chair")
-    # The frame is the second picture, whose place counts from 0.
+    # The frame is the second image, whose place counts from 0.
     assert [frame.number for frame in clip.frames] == [0, 1]
     assert clip.frames[1].azimuth == pytest.approx(45, abs=1e-3)
     where = f"annotations/{NAME}.pbdata"
     assert sorted(rejected) == [
-        (f"{NAME}/1", where, "no such picture"),
-        (f"{NAME}/3", where, "picture does not decode (UnidentifiedImageError)"),
-        (f"{NAME}/4", where, "picture is not turned as its annotation"),
+        (f"{NAME}/1", where, "no such image"),
+        (f"{NAME}/3", where, "image does not decode (UnidentifiedImageError)"),
+        (f"{NAME}/4", where, "image is not turned as its annotation"),
     ]
 
 
 @pytest.mark.parametrize(
     ("pictures", "reason"),
     [
-        (["1.jpg", "2.jpg", "3.jpg"], "pictures are numbered from 1"),
-        (["0.jpg", "1.jpg", "1.png"], "two pictures of one frame"),
-        (["2.jpg", "10.jpg"], "pictures' names do not sort by number"),
+        (["1.jpg", "2.jpg", "3.jpg"], "images are numbered from 1"),
+        (["0.jpg", "1.jpg", "1.png"], "two images of one frame"),
+        (["2.jpg", "10.jpg"], "images' names do not sort by number"),
         (["7.jpg"], "no usable frame"),
     ],
 )
-def test_folders_of_pictures_that_cannot_be_used(tmp_path, pictures, reason):
-    write(tmp_path, record(around(3)), pictures=pictures)
+def test_folders_of_images_that_cannot_be_used(tmp_path, images, reason):
+    write(tmp_path, record(around(3)), images=images)
     with pytest.raises(ViewnetError, match=f"no usable video of chair .*1 {reason}"):
         objectron.read(tmp_path, "chair")
 
@@ -446,7 +446,7 @@ def test_no_values_break_the_reader(data):
 
 @pytest.fixture(scope="module")
 def stand_in(tmp_path_factory):
-    """A stand-in's folder, and the viewpoints (videos, 2, frames) that its pictures were drawn from."""
+    """A stand-in's folder, and the viewpoints (videos, 2, frames) that its images were drawn from."""
     root, drawn = tmp_path_factory.mktemp("stand-in") / "root", []
     with pytest.MonkeyPatch.context() as patch:
         original = objectron_standin.camera_frames
@@ -458,7 +458,7 @@ def stand_in(tmp_path_factory):
 def test_a_stand_in_is_read_as_it_was_drawn(stand_in):
     root, drawn = stand_in
     clips, rejected = objectron.read(root, "chair", frames=10)
-    assert set(reasons(rejected)) <= {"object partly outside of the picture"}
+    assert set(reasons(rejected)) <= {"object partly outside of the image"}
     assert splits(clips) == {"train": 1, "val": 1, "test": 1}
     total = 0
     for clip, (azimuths, elevations) in zip(clips, drawn, strict=True):
@@ -474,8 +474,8 @@ def test_boxes_of_a_stand_in_are_around_its_masks(stand_in):
     for clip in objectron.read(stand_in[0], "chair", frames=10)[0]:
         for frame in clip.frames:
             name = f"{frame.number:06d}"
-            with Image.open(clip.masks / f"{name}.png") as mask, Image.open(clip.source / f"{name}.jpg") as picture:
-                assert mask.size == picture.size == (90, 120)
+            with Image.open(clip.masks / f"{name}.png") as mask, Image.open(clip.source / f"{name}.jpg") as image:
+                assert mask.size == image.size == (90, 120)
                 seen = np.asarray(mask) > 0
             x0, y0, x1, y1 = frame.box
             ys, xs = np.nonzero(seen)

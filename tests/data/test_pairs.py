@@ -13,7 +13,7 @@ CPU = torch.device("cpu")
 
 
 def views_of(counts: list[int]) -> Views:
-    """Objects with so many views each, without pictures."""
+    """Objects with so many views each, without images."""
     count = torch.tensor(counts)
     objects = torch.arange(len(counts)).repeat_interleave(count)
     total = int(count.sum())
@@ -76,14 +76,14 @@ def test_a_single_view_cannot_be_paired():
 # Crops
 
 
-def picture_of(rows: slice, columns: slice, size: int = 32) -> torch.Tensor:
-    picture = torch.zeros(1, 4, size, size)
-    picture[:, :, rows, columns] = torch.tensor([0.8, 0.4, 0.2, 1.0]).view(4, 1, 1)
-    return picture
+def image_of(rows: slice, columns: slice, size: int = 32) -> torch.Tensor:
+    image = torch.zeros(1, 4, size, size)
+    image[:, :, rows, columns] = torch.tensor([0.8, 0.4, 0.2, 1.0]).view(4, 1, 1)
+    return image
 
 
 def test_a_square_object_fills_its_crop_up_to_the_margin():
-    crop = tight_crop(picture_of(slice(3, 13), slice(18, 28)), 110, margin=0.05)[0]
+    crop = tight_crop(image_of(slice(3, 13), slice(18, 28)), 110, margin=0.05)[0]
     inside, edge = crop[:, 10:-10, 10:-10], crop[3, :4]
     assert torch.allclose(inside, torch.tensor([0.8, 0.4, 0.2, 1.0]).view(4, 1, 1).expand_as(inside), atol=1e-4)
     assert edge.max() < 0.5  # enlarging blurs an edge by half a pixel of the original
@@ -91,7 +91,7 @@ def test_a_square_object_fills_its_crop_up_to_the_margin():
 
 
 def test_a_long_object_keeps_its_aspect_and_is_centred():
-    crop = tight_crop(picture_of(slice(10, 14), slice(2, 22)), 64, margin=0.0)[0, 3]
+    crop = tight_crop(image_of(slice(10, 14), slice(2, 22)), 64, margin=0.0)[0, 3]
     rows, columns = crop.mean(1) > 0.5, crop[32] > 0.5
     assert columns.sum() >= 62
     assert rows.sum() == pytest.approx(64 * 4 / 20, abs=2)
@@ -99,9 +99,9 @@ def test_a_long_object_keeps_its_aspect_and_is_centred():
 
 
 def test_a_stretched_crop_is_filled_both_ways():
-    crop = tight_crop(picture_of(slice(10, 14), slice(2, 22)), 64, stretch=True, margin=0.0)[0, 3]
+    crop = tight_crop(image_of(slice(10, 14), slice(2, 22)), 64, stretch=True, margin=0.0)[0, 3]
     assert (crop[10:-10, 4:-4] > 0.9).all()
-    framed = tight_crop(picture_of(slice(10, 14), slice(2, 22)), 64, stretch=True, margin=0.5)[0, 3] > 0.5
+    framed = tight_crop(image_of(slice(10, 14), slice(2, 22)), 64, stretch=True, margin=0.5)[0, 3] > 0.5
     assert framed.any(0).sum() == pytest.approx(32, abs=2) and framed.any(1).sum() == pytest.approx(32, abs=8)
 
 
@@ -111,18 +111,18 @@ def test_photographs_are_left_whole():
     assert torch.allclose(tight_crop(photograph, 16), photograph, atol=1e-5)
 
 
-def test_a_crop_may_reach_beyond_the_picture():
-    crop = tight_crop(picture_of(slice(0, 30), slice(0, 4)), 30, margin=0.0)[0]
+def test_a_crop_may_reach_beyond_the_image():
+    crop = tight_crop(image_of(slice(0, 30), slice(0, 4)), 30, margin=0.0)[0]
     assert crop[3].mean(0).argmax() in range(12, 18)  # centred, with nothing on either side
     assert crop[:, :, :10].abs().max() < 1e-4
 
 
 def test_where_the_object_is_and_how_large_does_not_matter():
-    small, large = picture_of(slice(4, 8), slice(20, 28)), picture_of(slice(8, 24), slice(0, 32))
+    small, large = image_of(slice(4, 8), slice(20, 28)), image_of(slice(8, 24), slice(0, 32))
     assert (tight_crop(small, 32, margin=0.0) - tight_crop(large, 32, margin=0.0)).abs().mean() < 0.05
 
 
-def test_a_picture_without_an_object_is_left_whole():
+def test_a_image_without_an_object_is_left_whole():
     empty = torch.zeros(2, 4, 16, 16)
     faint = empty.clone()
     faint[:, :, 3, 4] = 0.2
@@ -147,26 +147,26 @@ def test_views_of_a_split(store):
     assert views.count.tolist() == [3, 3, 3]
     rows = store.index[store.index["split"] == "train"]
     assert views.truth.numpy() == pytest.approx(rows[["azimuth", "elevation"]].to_numpy(), rel=1e-6)
-    pictures = views.pictures(torch.tensor([4]), 32, CPU)
+    images = views.images(torch.tensor([4]), 32, CPU)
     straight = torch.from_numpy(store.images[4].copy()).permute(2, 0, 1).float() / 255
-    assert (pictures[0, :3] - straight[:3] * straight[3:]).abs().max() <= 0.5 / 255 + 1e-6
-    assert torch.equal(pictures[0, 3], straight[3])
-    assert torch.equal(views.seen(torch.tensor([4]), 32, CPU), pictures)
+    assert (images[0, :3] - straight[:3] * straight[3:]).abs().max() <= 0.5 / 255 + 1e-6
+    assert torch.equal(images[0, 3], straight[3])
+    assert torch.equal(views.seen(torch.tensor([4]), 32, CPU), images)
 
 
-def test_smaller_pictures_are_means_of_weighted_colours(store):
+def test_smaller_images_are_means_of_weighted_colours(store):
     fine, coarse = load_views(store, "val", 32), load_views(store, "val", 16)
     rows = torch.arange(6)
-    expected = resize(fine.pictures(rows, 32, CPU), 16)
-    assert (coarse.pictures(rows, 16, CPU) - expected).abs().max() < 1.01 / 255
-    assert torch.equal(fine.pictures(rows, 16, CPU), expected)
+    expected = resize(fine.images(rows, 32, CPU), 16)
+    assert (coarse.images(rows, 16, CPU) - expected).abs().max() < 1.01 / 255
+    assert torch.equal(fine.images(rows, 16, CPU), expected)
 
 
 def test_crops_are_what_the_viewpoint_network_sees(store):
     views = load_views(store, "train", 32, crop=16)
     seen = views.seen(torch.arange(9), 16, CPU)
     assert seen.shape == (9, 4, 16, 16)
-    assert (seen[:, 3].mean((1, 2)) > views.pictures(torch.arange(9), 16, CPU)[:, 3].mean((1, 2))).all()
+    assert (seen[:, 3].mean((1, 2)) > views.images(torch.arange(9), 16, CPU)[:, 3].mean((1, 2))).all()
 
 
 def test_a_split_without_views(store):

@@ -51,7 +51,7 @@ def thing(**changes):
 
 
 def write(root: Path, name: str, *objects, subset: str = "imagenet") -> None:
-    """A picture of 100 x 90 pixels with a record."""
+    """An image of 100 x 90 pixels with a record."""
     pascal3d_standin._write(root, "car", subset, name, Image.new("RGB", (100, 90), (9, 99, 199)), objects)
 
 
@@ -71,8 +71,8 @@ def test_what_is_written_is_read(stand_in):
         assert [a.elevation for a in found] == pytest.approx(wanted["elevation"].tolist())
         assert report == pascal3d.Report()
         for a in found:
-            with Image.open(a.picture) as picture:
-                assert 0 <= a.box[0] < a.box[2] <= picture.width and 0 <= a.box[1] < a.box[3] <= picture.height
+            with Image.open(a.image_path) as image:
+                assert 0 <= a.box[0] < a.box[2] <= image.width and 0 <= a.box[1] < a.box[3] <= image.height
     both, _ = pascal3d.read(stand_in, "bus", "both", "val")
     assert [a.subset for a in both] == ["imagenet"] * 12 + ["pascal"] * 12
     assert len({a.id for a in both}) == 24
@@ -116,8 +116,8 @@ def test_a_box_of_the_stand_in_holds_its_object(tmp_path):
     Image.new("RGB", (300, 300), (255, 255, 255)).save(tmp_path / "white/a.png")
     write_stand_in(tmp_path / "root", ["car"], 2, 6, backgrounds=tmp_path / "white", workers=1, progress=False)
     for a in pascal3d.read(tmp_path / "root", "car", "imagenet", "val")[0]:
-        with Image.open(a.picture) as picture:
-            pixels = np.asarray(picture.convert("L"), dtype=float)
+        with Image.open(a.image_path) as image:
+            pixels = np.asarray(image.convert("L"), dtype=float)
         x0, y0, x1, y1 = (int(value) for value in a.box)
         inside = pixels[y0:y1, x0:x1]
         outside = np.concatenate([pixels[: max(y0 - 4, 0)].ravel(), pixels[:, : max(x0 - 15, 0)].ravel()])
@@ -188,7 +188,7 @@ def test_boxes_flags_and_several_objects(tmp_path):
     assert report.counts == {"not the first of its image": 1}
 
 
-def test_boxes_beyond_the_picture_and_in_another_scale(tmp_path):
+def test_boxes_beyond_the_image_and_in_another_scale(tmp_path):
     write(tmp_path, "a", thing(bbox=np.array([-30.0, 5, 400, 40])), thing(bbox=np.array([1.0, 1, 100.5, 90])))
     write(tmp_path, "b", thing(bbox=np.array([200.0, 5, 300, 40])), thing())
     write(tmp_path, "c", thing(bbox=np.array([21.0, 41, 120, 160])))
@@ -204,11 +204,11 @@ def test_boxes_beyond_the_picture_and_in_another_scale(tmp_path):
         "imagenet/c/0": (10, 20, 60, 80),
     }
     assert report.mended == [
-        ("imagenet/a/0", "box beyond the picture's edges"),
-        ("imagenet/c/0", "box in another scale than its picture"),
+        ("imagenet/a/0", "box beyond the image's edges"),
+        ("imagenet/c/0", "box in another scale than its image"),
     ]
     where = "Annotations/car_imagenet/b.mat"
-    assert report.rejected == [("imagenet/b/0", where, "box has no part in the picture (100 x 90)")]
+    assert report.rejected == [("imagenet/b/0", where, "box has no part in the image (100 x 90)")]
 
 
 def test_what_cannot_be_used_is_told(tmp_path):
@@ -229,7 +229,7 @@ def test_what_cannot_be_used_is_told(tmp_path):
     write(tmp_path, "alone", thing())
     (tmp_path / "Annotations/car_imagenet/alone.mat").unlink()
     write(tmp_path, "blind", thing())
-    (tmp_path / "Images/car_imagenet/blind.JPEG").write_bytes(b"no picture")
+    (tmp_path / "Images/car_imagenet/blind.JPEG").write_bytes(b"no image")
     for name, content in (("strange", {"x": 1}), ("vacant", {"record": {"size": 1}}), ("empty", None)):
         write(tmp_path, name, thing())
         content = {"record": {"objects": np.zeros((0, 0))}} if content is None else content
@@ -251,13 +251,13 @@ def test_what_cannot_be_used_is_told(tmp_path):
         "no such annotation": 1,
         "annotation without a record": 1,
         "annotation without objects": 1,
-        "picture does not decode": 1,
-        "no such picture": 1,
+        "image does not decode": 1,
+        "no such image": 1,
     }
     assert sum(report.counts.values()) + len(found) == len(names) + 1
     assert report.mended == [("imagenet/good", "listed twice")]
     assert report.others == 1
-    assert ("imagenet/missing", "Images/car_imagenet/missing.JPEG", "no such picture") in report.rejected
+    assert ("imagenet/missing", "Images/car_imagenet/missing.JPEG", "no such image") in report.rejected
     with_coarse = {a.image: (a.azimuth, a.tilt) for a in read(tmp_path, coarse=True)[0]}
     assert with_coarse == {"good": (10, 2), "coarse": (45, 0), "lacking": (45, 0), "hollow": (45, 0)}
 
@@ -285,7 +285,7 @@ def test_lists_of_both_kinds(tmp_path):
     (tmp_path / "Image_sets/car_pascal_val.txt").write_text("d  \nb 1\n")
     (tmp_path / "Images/car_pascal/d.jpg").rename(tmp_path / "Images/car_pascal/d.png")
     found = pascal3d.read(tmp_path, "car", "pascal", "val")[0]
-    assert [(a.image, a.picture.name) for a in found] == [("d", "d.png"), ("b", "b.jpg")]
+    assert [(a.image, a.image_path.name) for a in found] == [("d", "d.png"), ("b", "b.jpg")]
     (tmp_path / "Image_sets/car_pascal_val.txt").write_text("a yes\n")
     with pytest.raises(ViewnetError, match=r"car_pascal_val\.txt: line 'a yes': expected an image and -1, 0 or 1"):
         pascal3d.read(tmp_path, "car", "pascal", "val")
@@ -298,7 +298,7 @@ def test_what_is_no_pascal3d_is_refused(tmp_path):
     with pytest.raises(ViewnetError, match=r"car_imagenet_val\.txt: no such list: expected the folder of PASCAL3D"):
         read(tmp_path)
     listed(tmp_path, "missing")
-    with pytest.raises(ViewnetError, match=r"no usable car in imagenet val \(1 no such picture\)"):
+    with pytest.raises(ViewnetError, match=r"no usable car in imagenet val \(1 no such image\)"):
         read(tmp_path)
     listed(tmp_path)
     with pytest.raises(ViewnetError, match=r"no usable car in imagenet val \(the list is empty\)"):

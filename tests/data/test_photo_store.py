@@ -34,7 +34,7 @@ def views(config: PhotoConfig) -> ViewStore:
 
 
 def folder(root: Path, *rows: str, header: str = "file,azimuth_deg,elevation_deg,split") -> Path:
-    """A folder with three pictures, each of another grey, and a list."""
+    """A folder with three images, each of another grey, and a list."""
     (root / "images").mkdir(parents=True, exist_ok=True)
     for number in range(3):
         Image.new("RGB", (40, 20), (60 * number + 30,) * 3).save(root / "images" / f"{number}.png")
@@ -53,9 +53,9 @@ def folder(root: Path, *rows: str, header: str = "file,azimuth_deg,elevation_deg
     ],
 )
 def test_a_box_is_cut_with_so_much_around_it(crop, wanted):
-    picture = Image.new("RGB", (40, 40), (0, 0, 255))
-    picture.paste((255, 0, 0), (10, 10, 20, 20))
-    small = cut(picture, (10, 10, 20, 20), crop)
+    image = Image.new("RGB", (40, 40), (0, 0, 255))
+    image.paste((255, 0, 0), (10, 10, 20, 20))
+    small = cut(image, (10, 10, 20, 20), crop)
     assert small.shape == (4, 4, 4) and (small[..., 3] == 255).all()
     if wanted == "exact":
         assert (small[..., :3] == (255, 0, 0)).all()
@@ -75,8 +75,8 @@ def test_beyond_the_edge_there_is_the_colour_and_shape_is_kept():
 
 
 def test_a_square_shows_what_is_around_a_narrow_box_not_the_colour():
-    picture = Image.new("RGB", (60, 60), (0, 200, 0))
-    small = cut(picture, (10, 25, 50, 35), Crop(8, colour=(255, 0, 0)))
+    image = Image.new("RGB", (60, 60), (0, 200, 0))
+    small = cut(image, (10, 25, 50, 35), Crop(8, colour=(255, 0, 0)))
     assert (small[..., :3] == (0, 200, 0)).all()
 
 
@@ -90,8 +90,8 @@ def test_shrinking_averages_and_enlarging_does_not_shift():
     assert middles.tolist() == pytest.approx([0, 60, 120, 180], abs=2)
 
 
-def test_boxes_outside_of_the_picture_are_refused():
-    with pytest.raises(ViewnetError, match=r"box has no part in the picture \(40 x 10\)"):
+def test_boxes_outside_of_the_image_are_refused():
+    with pytest.raises(ViewnetError, match=r"box has no part in the image \(40 x 10\)"):
         cut(Image.new("RGB", (40, 10)), (50, 0, 60, 10), Crop(8))
     for values, message in (
         ({"size": 0}, "size 0: expected 1 to 1024 pixels"),
@@ -126,9 +126,9 @@ def test_the_stand_in_becomes_a_store(monkeypatch, data):
         for row in mine.itertuples():
             a = wanted[row.model_id]
             assert (row.azimuth, row.elevation) == pytest.approx((a.azimuth, a.elevation))
-            assert (root / row.source) == a.picture
-            with Image.open(a.picture) as picture:
-                assert (store.images[row.Index] == cut(picture, a.box, Crop(32))).all()
+            assert (root / row.source) == a.image_path
+            with Image.open(a.image_path) as image:
+                assert (store.images[row.Index] == cut(image, a.box, Crop(32))).all()
     # Found again without drawing, reading or cutting anything.
     monkeypatch.setattr(build, "stand_in", None)
     monkeypatch.setattr(photo_store, "photo_store", None)
@@ -141,7 +141,7 @@ def test_every_setting_that_decides_pixels_is_in_the_key():
         assert views(replace(SMALL, **changes)).identity != base.identity, changes
 
 
-def test_the_stand_in_before_given_pictures(tmp_path):
+def test_the_stand_in_before_given_images(tmp_path):
     (tmp_path / "p").mkdir()
     Image.new("RGB", (300, 300), (0, 255, 0)).save(tmp_path / "p/a.png")
     config = replace(SMALL, backgrounds=str(tmp_path / "p"), margin=0.1, pad=(0, 255, 0))
@@ -160,7 +160,7 @@ def test_pascal3d_by_its_root_with_things_left_out(tmp_path):
     (root / "Annotations/bus_imagenet/bus_train_00002.mat").unlink()
     config = replace(SMALL, root=str(root))
     store = views(config)
-    assert summary(store) == ("bus: 5 calibrate, 5 scored; left out: 1 no such annotation, 1 picture does not decode")
+    assert summary(store) == ("bus: 5 calibrate, 5 scored; left out: 1 no such annotation, 1 image does not decode")
     assert set(store.rejected["path"]) == {
         "Annotations/bus_imagenet/bus_train_00002.mat",
         "Images/bus_imagenet/bus_val_00001.JPEG",
@@ -187,12 +187,12 @@ def test_one_photograph_in_both_splits_is_refused(tmp_path):
         views(replace(SMALL, root=str(root)))
 
 
-def test_the_same_picture_under_two_names_is_not_calibrated_on(tmp_path):
+def test_the_same_image_under_two_names_is_not_calibrated_on(tmp_path):
     root = folder(tmp_path / "f", "0.png,1,2,val", "1.png,3,4,val", "2.png,5,6,test")
     (root / "images/1.png").write_bytes((root / "images/2.png").read_bytes())
     store = views(PhotoConfig("car", str(root), size=8))
     assert store.index["model_id"].tolist() == ["0.png", "2.png"]
-    assert summary(store).endswith("left out: 1 picture to calibrate on that is scored on under another name")
+    assert summary(store).endswith("left out: 1 image to calibrate on that is scored on under another name")
 
 
 # -- a folder with a list
@@ -228,10 +228,10 @@ def test_boxes_of_a_list_are_cut(tmp_path):
     Image.fromarray(np.arange(40, dtype=np.uint8)[None].repeat(20, axis=0) * 6).save(root / "images/0.png")
     store = views(PhotoConfig("car", str(root), size=10))
     assert store.images[0, 5, :, 0].tolist() == [6 * x for x in range(5, 15)]
-    assert summary(store) == "car: 1 calibrate, 1 scored; left out: 1 box has no part in the picture"
+    assert summary(store) == "car: 1 calibrate, 1 scored; left out: 1 box has no part in the image"
 
 
-def test_pictures_of_a_folder_are_turned_as_their_camera_says(tmp_path):
+def test_images_of_a_folder_are_turned_as_their_camera_says(tmp_path):
     root = folder(tmp_path / "f", "0.jpg,0,0,val", "1.png,0,0,test")
     sideways = Image.new("RGB", (40, 20), (0, 0, 0))
     sideways.paste((255, 255, 255), (0, 0, 20, 20))
@@ -249,8 +249,8 @@ def test_pictures_of_a_folder_are_turned_as_their_camera_says(tmp_path):
         ("0.png,0,,val", "row 2: elevation_deg nan: expected a number"),
         ("0.png,0,91,val", "row 2: elevation_deg 91: expected -90 to 90"),
         ("0.png,0,0,train", r"row 2: split 'train': expected val \(calibrated on\) or test \(scored\)"),
-        ("../0.png,0,0,val", r"row 2: file '\.\./0\.png': expected the name of a picture in images/"),
-        (",0,0,val", "row 2: file nan: expected the name of a picture in images/"),
+        ("../0.png,0,0,val", r"row 2: file '\.\./0\.png': expected the name of an image in images/"),
+        (",0,0,val", "row 2: file nan: expected the name of an image in images/"),
     ],
 )
 def test_a_wrong_row_is_named(tmp_path, row, message):
@@ -270,7 +270,7 @@ def test_a_wrong_list_is_named(tmp_path):
         read_folder(folder(tmp_path / "f"), "car")
     with pytest.raises(ViewnetError, match="no usable photograph in the test split"):
         views(PhotoConfig("car", str(folder(tmp_path / "f", "1.png,0,0,val"))))
-    with pytest.raises(ViewnetError, match=r"no usable photograph in the val split .*images/9\.png: no such picture"):
+    with pytest.raises(ViewnetError, match=r"no usable photograph in the val split .*images/9\.png: no such image"):
         views(PhotoConfig("car", str(folder(tmp_path / "f", "1.png,0,0,test", "9.png,0,0,val"))))
     with pytest.raises(ViewnetError, match="its list has no flags to go by: use keep='all'"):
         views(PhotoConfig("car", str(tmp_path / "f"), keep="easy"))

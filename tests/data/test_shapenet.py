@@ -183,13 +183,13 @@ def material(tmp_path: Path, text: str, faces: str = "usemtl m\nf 1/1 2/2 3/3 4/
     (file.parent / "square.mtl").write_text(text)
     images = file.parent.parent / "images"
     images.mkdir(exist_ok=True)
-    Image.new("RGB", (4, 4), (10, 200, 30)).save(images / "a picture.png")
+    Image.new("RGB", (4, 4), (10, 200, 30)).save(images / "an image.png")
     Image.new("RGBA", (4, 4), (10, 200, 30, 0)).save(images / "clear.png")
     mesh = read_obj(file, file.parent.parent)
     return mesh, mesh.materials[mesh.material[0]]
 
 
-@pytest.mark.parametrize("name", ["../images/a picture.png", "..\\images\\a picture.png", "./../images/a picture.png"])
+@pytest.mark.parametrize("name", ["../images/an image.png", "..\\images\\an image.png", "./../images/an image.png"])
 def test_texture_names(tmp_path: Path, name: str) -> None:
     """Spaces and backslashes are part of real files; a black Kd beside a texture is a habit of exporters."""
     mesh, found = material(tmp_path, f"newmtl m\nKd 0 0 0\nmap_Kd {name}\n")
@@ -200,7 +200,7 @@ def test_texture_names(tmp_path: Path, name: str) -> None:
 
 def test_texture_options(tmp_path: Path) -> None:
     options = "-s 2 3 1 -o 0.5 0.25 0 -clamp on -blendu off -mm 0 1 -bm 1.0 -imfchan l"
-    mesh, found = material(tmp_path, f"newmtl m\nmap_Kd {options} ../images/a picture.png\n")
+    mesh, found = material(tmp_path, f"newmtl m\nmap_Kd {options} ../images/an image.png\n")
     assert found.texture is not None
     assert mesh.uv is not None and mesh.uv[0].tolist() == [[0.5, 0.25], [2.5, 0.25], [2.5, 3.25]]
 
@@ -294,7 +294,7 @@ def test_unusable_models_are_refused_with_the_reason(
     assert str(file) in str(error.value) and "\n" not in str(error.value)
 
 
-def test_a_truncated_picture_is_a_broken_texture(tmp_path: Path) -> None:
+def test_a_truncated_image_is_a_broken_texture(tmp_path: Path) -> None:
     file = obj_file(tmp_path, CAR, "broken")
     file.write_text(TEXTURED)
     (file.parent / "m.mtl").write_text("newmtl m\nmap_Kd t.png\n")

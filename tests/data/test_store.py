@@ -47,15 +47,13 @@ def make_index(models: int = 3, count: int = 2) -> pd.DataFrame:
 
 
 @pytest.fixture
-def pictures() -> np.ndarray:
+def images() -> np.ndarray:
     return np.random.default_rng(0).integers(0, 255, (6, 8, 8, 4), dtype=np.uint8)
 
 
 @pytest.fixture
-def store(tmp_path: Path, pictures: np.ndarray) -> ViewStore:
-    return write_store(
-        tmp_path / "s", [pictures[:4], pictures[4:]], make_index(), {"seed": 1}, [("m9", "p", "why, so")]
-    )
+def store(tmp_path: Path, images: np.ndarray) -> ViewStore:
+    return write_store(tmp_path / "s", [images[:4], images[4:]], make_index(), {"seed": 1}, [("m9", "p", "why, so")])
 
 
 @pytest.fixture
@@ -81,8 +79,8 @@ def content(folder: Path) -> dict[str, bytes]:
 # The store itself
 
 
-def test_what_is_written_is_read(store: ViewStore, pictures: np.ndarray) -> None:
-    assert np.array_equal(store.images, pictures) and len(store) == 6
+def test_what_is_written_is_read(store: ViewStore, images: np.ndarray) -> None:
+    assert np.array_equal(store.images, images) and len(store) == 6
     assert isinstance(store.images, np.memmap) and not store.images.flags.writeable
     pd.testing.assert_frame_equal(store.index, make_index(), check_dtype=False)
     assert store.rejected.to_dict("records") == [{"model_id": "m9", "path": "p", "reason": "why, so"}]
@@ -161,16 +159,16 @@ def test_a_store_that_is_not_there(tmp_path: Path) -> None:
         ViewStore.open(tmp_path / "none")
 
 
-def test_writing_refuses_what_does_not_fit_and_leaves_nothing(tmp_path: Path, pictures: np.ndarray) -> None:
-    for batches in ([pictures[:5]], [pictures, pictures], []):
+def test_writing_refuses_what_does_not_fit_and_leaves_nothing(tmp_path: Path, images: np.ndarray) -> None:
+    for batches in ([images[:5]], [images, images], []):
         with pytest.raises(ViewnetError, match="rows of the index"):
             write_store(tmp_path / "s", batches, make_index(), {})
     with pytest.raises(ViewnetError, match="no column source"):
-        write_store(tmp_path / "s", [pictures], make_index().drop(columns="source"), {})
+        write_store(tmp_path / "s", [images], make_index().drop(columns="source"), {})
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "s").mkdir()
     with pytest.raises(ViewnetError, match="exists already"):
-        write_store(tmp_path / "s", [pictures], make_index(), {})
+        write_store(tmp_path / "s", [images], make_index(), {})
 
 
 def test_an_index_may_hold_unequal_numbers_of_views() -> None:
@@ -207,7 +205,7 @@ def test_views_do_not_depend_on_order_company_or_chunks(
     assert whole.index[rows]["azimuth"].tolist() == few.index["azimuth"].tolist()
 
 
-def test_seeds_and_settings_change_pictures_and_identity(models: list[ModelFile], tmp_path: Path) -> None:
+def test_seeds_and_settings_change_images_and_identity(models: list[ModelFile], tmp_path: Path) -> None:
     changes = [{}, {"seed": 1}, {"elevation_range": (0, 40)}, {"supersample": 1}, {"image_size": 8}, {"views": 3}]
     stores = [draw(models, tmp_path / str(i), **change) for i, change in enumerate(changes)]
     assert len({store.identity for store in stores}) == len(changes)

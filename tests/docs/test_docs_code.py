@@ -74,7 +74,7 @@ def given(kind: str) -> list:
 
 @pytest.fixture
 def world(tmp_path, monkeypatch) -> Path:
-    """A working directory with what the examples name: a finished run KEY, pictures, a list, folders below /data."""
+    """A working directory with what the examples name: a finished run KEY, images, a list, folders below /data."""
     keep_apart(tmp_path, monkeypatch)
     monkeypatch.setenv("VIEWNET_CLUSTER", "")  # what a command sets goes with the test
     monkeypatch.chdir(tmp_path)
@@ -125,7 +125,7 @@ def obeyed(words: list[str], world: Path, monkeypatch) -> None:
     monkeypatch.setattr("viewnet.bench.report.as_text", lambda found: "measured")
     monkeypatch.setattr("viewnet.bench.report.write", lambda found, folder: [folder])
     monkeypatch.setattr("viewnet.experiments.score_model.photo_views", lambda _: photographs(world))
-    # The last value of an option counts: two pictures of a turn are as good as 48.
+    # The last value of an option counts: two images of a turn are as good as 48.
     words, output = (words[:-2], words[-1]) if ">" in words else (words, os.devnull)
     if "--scores" in words:
         Path("scores.json").write_text(json.dumps(score_model.scores("KEY")))

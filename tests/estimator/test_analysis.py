@@ -23,20 +23,20 @@ def turn(degrees: float) -> np.ndarray:
 
 @pytest.mark.parametrize("overrides", [{}, SQUARE, PHOTOS], ids=["whole", "square", "photos"])
 def test_an_inspection_is_what_the_estimator_says_and_draws(overrides):
-    estimator, picture = untrained(rotation=turn(40), **overrides), photograph()
-    mask = np.zeros(picture.shape[:2], bool)
+    estimator, image = untrained(rotation=turn(40), **overrides), photograph()
+    mask = np.zeros(image.shape[:2], bool)
     mask[15:40, 20:60] = True
     for alpha, box in ((None, None), (None, BOX), (mask, None), (mask, BOX)):
-        found = analysis.inspect(estimator, picture, alpha, box)
-        given = ([picture], None if alpha is None else [alpha], None if box is None else [box])
+        found = analysis.inspect(estimator, image, alpha, box)
+        given = ([image], None if alpha is None else [alpha], None if box is None else [box])
         said = estimator.predict(*given)[0]
         assert (found.viewpoint.azimuth, found.viewpoint.elevation) == (said.azimuth, said.elevation)
         assert np.array_equal(found.viewpoint.probabilities, said.probabilities)
         drawn = analysis.novel_view(estimator, found.imagined, 70, -10)
-        again = estimator.novel_view(picture, 70, -10, *given[1:], size=len(drawn))[0]
+        again = estimator.novel_view(image, 70, -10, *given[1:], size=len(drawn))[0]
         assert np.abs(drawn.astype(int) - again).max() <= 1
         assert np.array_equal(found.posed, estimator.reconstruct(*given, size=len(found.posed))[0])
-    assert len({analysis.inspect(estimator, picture, None, box).seen.tobytes() for box in (None, BOX)}) == 2
+    assert len({analysis.inspect(estimator, image, None, box).seen.tobytes() for box in (None, BOX)}) == 2
 
 
 def test_what_speaks_against_an_answer_is_said():
@@ -45,7 +45,7 @@ def test_what_speaks_against_an_answer_is_said():
 
     photos, cutouts, whole = untrained(**PHOTOS), untrained(**SQUARE), untrained()
     mask = np.ones(photograph().shape[:2], bool)
-    assert "whole picture" in notes(photos)
+    assert "whole image" in notes(photos)
     assert notes(photos, box=BOX) == notes(photos, mask=mask) == ""
     assert "cut out" in notes(cutouts, box=BOX)
     assert notes(cutouts, mask=mask) == ""
@@ -74,7 +74,7 @@ def test_what_the_model_is_is_said():
 @pytest.mark.parametrize(
     ("known", "message"),
     [
-        ({"box": (100, 0, 120, 30)}, "^box has no part in the picture"),
+        ({"box": (100, 0, 120, 30)}, "^box has no part in the image"),
         ({"box": (30, 0, 20, 30)}, "^box .*x0 below x1"),
         ({"mask": np.zeros((60, 90), bool)}, "^mask is empty"),
         ({"mask": np.ones((60, 91), bool)}, "^mask is 91 x 60"),
@@ -85,7 +85,7 @@ def test_what_cannot_be_looked_at_is_said(known, message):
         analysis.inspect(untrained(**PHOTOS), photograph(), **known)
 
 
-def test_two_clicks_in_any_order_are_a_box_in_the_pictures_pixels(tmp_path):
+def test_two_clicks_in_any_order_are_a_box_in_the_images_pixels(tmp_path):
     width, height = 2 * SHOWN, 1500
     Image.new("RGB", (width, height)).save(tmp_path / "a.png")
     chosen = Chosen.of(tmp_path / "a.png", "a.png")
@@ -105,15 +105,15 @@ def test_two_clicks_in_any_order_are_a_box_in_the_pictures_pixels(tmp_path):
     assert not np.asarray(ended.shown()).any()
 
 
-def test_pictures_are_shown_upright_and_transparency_white(tmp_path):
-    picture = Image.fromarray(photograph())
+def test_images_are_shown_upright_and_transparency_white(tmp_path):
+    image = Image.fromarray(photograph())
     exif = Image.Exif()
     exif[0x0112] = 6
-    picture.transpose(Image.Transpose.ROTATE_90).save(tmp_path / "turned.png", exif=exif)
+    image.transpose(Image.Transpose.ROTATE_90).save(tmp_path / "turned.png", exif=exif)
     chosen = Chosen.of(tmp_path / "turned.png", "turned.png")
-    assert chosen.picture().tobytes() == picture.tobytes()
+    assert chosen.image().tobytes() == image.tobytes()
     assert chosen.display.size == (SHOWN, round(SHOWN * 60 / 90))
-    assert np.abs(np.asarray(chosen.display.resize(picture.size)).astype(int) - picture).max() < 8
+    assert np.abs(np.asarray(chosen.display.resize(image.size)).astype(int) - image).max() < 8
     cut = np.dstack([photograph(), np.zeros((60, 90), np.uint8)])
     cut[:30, :, 3] = 255
     Image.fromarray(cut).save(tmp_path / "cut.png")
@@ -130,15 +130,15 @@ def test_grey_of_16_bits_is_shown_as_grey(tmp_path):
     assert display[0].mean() < 10 < 120 < display[512].mean() < 136 < 245 < display[-1].mean()
 
 
-def test_a_file_that_is_no_picture_is_named_as_its_sender_knows_it(tmp_path):
-    (tmp_path / "upload0").write_text("no picture")
-    with pytest.raises(ViewnetError, match=r"^picture notes\.txt does not decode"):
+def test_a_file_that_is_no_image_is_named_as_its_sender_knows_it(tmp_path):
+    (tmp_path / "upload0").write_text("no image")
+    with pytest.raises(ViewnetError, match=r"^image notes\.txt does not decode"):
         Chosen.of(tmp_path / "upload0", "notes.txt")
     Image.new("RGB", (4, 4)).save(tmp_path / "a.png")
     chosen = Chosen.of(tmp_path / "a.png", "car.png")
     (tmp_path / "a.png").unlink()
-    with pytest.raises(ViewnetError, match=r"^no such picture car\.png"):
-        chosen.picture()
+    with pytest.raises(ViewnetError, match=r"^no such image car\.png"):
+        chosen.image()
 
 
 def test_a_box_is_typed_as_four_edges_or_none():
@@ -154,16 +154,16 @@ def test_a_box_is_typed_as_four_edges_or_none():
 def test_examples_are_drawn_as_the_network_was_trained_to_see_them():
     cutouts, photographs = examples.drawn(untrained()), examples.drawn(untrained(**PHOTOS))
     assert len(cutouts) == len(photographs) == len(examples.VIEWPOINTS)
-    assert len({example.picture.tobytes() for example in cutouts}) == len(cutouts)
+    assert len({example.image.tobytes() for example in cutouts}) == len(cutouts)
     for cutout, photo in zip(cutouts, photographs, strict=True):
         assert (cutout.azimuth, cutout.elevation) == (photo.azimuth, photo.elevation)
-        alpha = np.array(cutout.picture.getchannel("A"))
+        alpha = np.array(cutout.image.getchannel("A"))
         assert cutout.box is None
         assert alpha.min() == 0
         x0, y0, x1, y1 = photo.box
         assert (x1 - x0, y1 - y0) == tuple(np.subtract(bounds(alpha)[2:], bounds(alpha)[:2]))
-        inside = photo.picture.crop((int(x0), int(y0), int(x1), int(y1)))
-        object_alone = cutout.picture.crop(tuple(int(edge) for edge in bounds(alpha)))
+        inside = photo.image.crop((int(x0), int(y0), int(x1), int(y1)))
+        object_alone = cutout.image.crop(tuple(int(edge) for edge in bounds(alpha)))
         solid = np.array(object_alone.getchannel("A")) == 255
         assert np.array_equal(np.asarray(inside)[solid], np.asarray(object_alone.convert("RGB"))[solid])
 

@@ -17,7 +17,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 def told(angles: list[tuple[float, float]], logits: list[float], aligned: bool = True) -> Viewpoint:
-    """What is said of one picture, from the azimuth and elevation of each hypothesis."""
+    """What is said of one image, from the azimuth and elevation of each hypothesis."""
     azimuth, elevation = torch.tensor(angles, dtype=torch.float64).T
     return Viewpoints.of(view_vector(azimuth, elevation)[None].numpy(), [logits], None, aligned)[0]
 

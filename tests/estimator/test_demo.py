@@ -49,8 +49,8 @@ def folder(tmp_path_factory):
     Image.fromarray(mask).save(found / "empty.png")
     mask[10:50, 20:80] = 255
     Image.fromarray(mask).save(found / "mask.png")
-    (found / "notes.txt").write_text("no picture")
-    (found / "notes.png").write_text("no picture either")
+    (found / "notes.txt").write_text("no image")
+    (found / "notes.png").write_text("no image either")
     return found
 
 
@@ -83,7 +83,7 @@ def sent(file, name=None):
 
 
 def taken(page, file):
-    """What has been chosen after a picture was sent."""
+    """What has been chosen after an image was sent."""
     return list(page.take(sent(file)))[-1][0]
 
 
@@ -111,14 +111,14 @@ def test_a_mask_counts_and_so_does_what_is_missing(page, estimator, folder):
     chosen = taken(page, file)
     masked = page.ask(chosen, sent(mask), "")[1]
     assert f">{estimator.predict(file, mask)[0].azimuth:.1f}°<" in masked
-    assert "whole picture" not in masked
-    assert "whole picture" in page.ask(chosen, None, "")[1]
+    assert "whole image" not in masked
+    assert "whole image" in page.ask(chosen, None, "")[1]
 
 
 @pytest.mark.parametrize(
     ("mask", "box", "message"),
     [
-        (None, "100 0 120 30", "box has no part in the picture"),
+        (None, "100 0 120 30", "box has no part in the image"),
         (None, "30 0 20 30", "x0 below x1"),
         (None, "30 0 20", "expected its left, top, right and bottom edge"),
         (None, "all", "expected its left, top, right and bottom edge"),
@@ -141,7 +141,7 @@ def test_names_of_files_are_no_markup(page, folder):
     assert "<img" not in caught.value.message
 
 
-def test_another_picture_takes_the_answer_away(page, folder):
+def test_another_image_takes_the_answer_away(page, folder):
     for file in (sent(folder / "photo1.png"), None):
         last = list(page.take(file))[-1]
         assert last[2:5] == ["", None, app.WAITING]
@@ -226,9 +226,9 @@ class Visit:
             self.problems.append(line.text)
 
     def send(self, file):
-        """A picture, and wait until the server has taken it and shows it in its own format."""
-        self.tab.locator("#picture input[type=file]").set_input_files(file)
-        self.tab.locator("#picture img[src$='.webp']").wait_for()
+        """An image, and wait until the server has taken it and shows it in its own format."""
+        self.tab.locator("#image input[type=file]").set_input_files(file)
+        self.tab.locator("#image img[src$='.webp']").wait_for()
 
     def send_mask(self, file):
         self.tab.locator("#mask input[type=file]").set_input_files(file)
@@ -251,10 +251,10 @@ class Visit:
         return self.tab.locator("#answer b").all_inner_texts()
 
     def image(self, where):
-        """Pixels (H, W, 3) of a picture on the page, as the server has it."""
+        """Pixels (H, W, 3) of an image on the page, as the server has it."""
         source = self.tab.locator(f"{where} img").get_attribute("src")
-        with Image.open(io.BytesIO(self.tab.request.get(source).body())) as picture:
-            return np.asarray(picture.convert("RGB"))
+        with Image.open(io.BytesIO(self.tab.request.get(source).body())) as file:
+            return np.asarray(file.convert("RGB"))
 
     def toast(self):
         """The error that is told; it is closed."""
@@ -292,7 +292,7 @@ def settled(look, before, tab):
 
 
 @pytest.mark.slow
-def test_a_picture_is_asked_about_from_end_to_end(visit, estimator, folder, address, reached):
+def test_a_image_is_asked_about_from_end_to_end(visit, estimator, folder, address, reached):
     visit.send(folder / "photo0.png")
     visit.frame(BOX)
     said = estimator.predict(folder / "photo0.png", boxes=BOX)[0]
@@ -338,15 +338,15 @@ def test_the_object_turns_as_the_slider_moves(visit, estimator, folder):
 @pytest.mark.slow
 def test_two_clicks_draw_the_box(visit, folder):
     visit.send(folder / "photo0.png")
-    before = visit.image("#picture")
-    picture = visit.tab.locator("#picture img")
-    place = picture.bounding_box()
+    before = visit.image("#image")
+    image = visit.tab.locator("#image img")
+    place = image.bounding_box()
     scale = min(place["width"] / 90, place["height"] / 60)
     left = (place["width"] - 90 * scale) / 2
     top = (place["height"] - 60 * scale) / 2
     for x, y in ((70, 50), (10, 8)):
-        picture.click(position={"x": left + x * scale, "y": top + y * scale})
-        before = settled(lambda: visit.image("#picture"), before, visit.tab)
+        image.click(position={"x": left + x * scale, "y": top + y * scale})
+        before = settled(lambda: visit.image("#image"), before, visit.tab)
     assert np.allclose([float(word) for word in visit.box.input_value().split()], BOX, atol=1.5)
     visit.tab.locator("#unbox").click()
     settled(visit.box.input_value, visit.box.input_value(), visit.tab)
@@ -356,13 +356,13 @@ def test_two_clicks_draw_the_box(visit, folder):
 @pytest.mark.slow
 def test_what_is_wrong_is_toasted_and_nothing_breaks(visit, estimator, folder):
     visit.tab.locator("#find").click()
-    assert "no picture" in visit.toast()
-    visit.tab.locator("#picture input[type=file]").set_input_files(folder / "notes.png")
-    assert "picture notes.png does not decode" in visit.toast()
+    assert "no image" in visit.toast()
+    visit.tab.locator("#image input[type=file]").set_input_files(folder / "notes.png")
+    assert "image notes.png does not decode" in visit.toast()
     visit.send(folder / "photo0.png")
     visit.frame((100, 0, 120, 30))
     visit.tab.locator("#find").click()
-    assert "box has no part in the picture (90 x 60)" in visit.toast()
+    assert "box has no part in the image (90 x 60)" in visit.toast()
     visit.tab.locator("#unbox").click()
     visit.tab.locator("#mask-panel button").first.click()
     visit.send_mask(folder / "empty.png")
@@ -378,7 +378,7 @@ def test_what_is_wrong_is_toasted_and_nothing_breaks(visit, estimator, folder):
 @pytest.mark.slow
 def test_a_file_that_is_too_large_is_refused(visit, tmp_path):
     (tmp_path / "large.png").write_bytes(bytes(21 * 2**20))
-    visit.tab.locator("#picture input[type=file]").set_input_files(tmp_path / "large.png")
+    visit.tab.locator("#image input[type=file]").set_input_files(tmp_path / "large.png")
     assert "size" in visit.toast()
 
 
@@ -404,20 +404,20 @@ def test_the_3d_model_is_the_objects(visit, estimator, folder):
 
 
 def pixels(element):
-    with Image.open(io.BytesIO(element.screenshot())) as picture:
-        return np.asarray(picture.convert("RGB"))
+    with Image.open(io.BytesIO(element.screenshot())) as image:
+        return np.asarray(image.convert("RGB"))
 
 
 @pytest.mark.slow
 def test_examples_answer_at_one_click(visit, estimator):
     visit.tab.locator("#examples button").first.click()
     example = examples.drawn(estimator)[0]
-    assert visit.answer() == spoken(estimator.predict(example.picture, boxes=example.box)[0])
+    assert visit.answer() == spoken(estimator.predict(example.image, boxes=example.box)[0])
     assert [float(word) for word in visit.box.input_value().split()] == list(example.box)
 
 
 @pytest.mark.slow
-def test_visitors_do_not_see_each_others_pictures(browser, address, estimator, folder):
+def test_visitors_do_not_see_each_others_images(browser, address, estimator, folder):
     with visiting(browser, address) as one, visiting(browser, address) as other:
         one.send(folder / "photo0.png")
         other.send(folder / "photo1.png")
@@ -435,7 +435,7 @@ def test_visitors_do_not_see_each_others_pictures(browser, address, estimator, f
         assert one.answer() != other.answer()
         with visiting(browser, address) as third:
             third.tab.locator("#find").click()
-            assert "no picture" in third.toast()
+            assert "no image" in third.toast()
 
 
 @pytest.mark.slow

@@ -38,7 +38,7 @@ def store(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def pictures(store):
+def images(store):
     """Its test views (9, 32, 32, 4)."""
     return np.asarray(store.images[store.split("test")])
 
@@ -68,9 +68,9 @@ def same(one, other, tolerance: float = 1e-6) -> bool:
 
 
 @pytest.mark.parametrize("overrides", [{}, SQUARE, STRETCHED], ids=["whole", "square", "stretched"])
-def test_views_get_the_answers_that_runs_are_scored_by(store, pictures, overrides):
+def test_views_get_the_answers_that_runs_are_scored_by(store, images, overrides):
     drawer = untrained_drawer(store, **overrides)
-    said = estimator_of(drawer).predict(pictures)
+    said = estimator_of(drawer).predict(images)
     assert np.allclose(said.hypotheses, drawer.aligned.hypotheses, atol=1e-6)
     assert np.array_equal(said.choice, drawer.aligned.predictions.choice)
     assert np.allclose(said.vector, drawer.aligned.selected, atol=1e-6)
@@ -94,7 +94,7 @@ def test_photographs_get_the_answers_that_they_are_scored_by(tmp_path):
         assert np.allclose(estimator.predict(files, boxes=boxes).hypotheses, scored.hypotheses, atol=1e-6)
 
 
-def test_whatever_a_picture_comes_as_it_is_the_same_picture(tmp_path):
+def test_whatever_a_image_comes_as_it_is_the_same_image(tmp_path):
     estimator, array = untrained(**PHOTOS), photograph()
     tensor = torch.tensor(array).movedim(-1, 0)
     Image.fromarray(array).save(tmp_path / "a.png")
@@ -124,7 +124,7 @@ def test_whatever_a_picture_comes_as_it_is_the_same_picture(tmp_path):
         assert same(estimator.predict(images, batch_size=1), several)
 
 
-def test_grey_pictures_are_pictures():
+def test_grey_images_are_images():
     estimator, grey = untrained(**PHOTOS), photograph()[..., 0]
     expected = estimator.predict(np.dstack([grey] * 3))
     for image in (grey, grey[..., None], Image.fromarray(grey), torch.tensor(grey)[None]):
@@ -132,7 +132,7 @@ def test_grey_pictures_are_pictures():
 
 
 @pytest.mark.parametrize("overrides", [{}, PHOTOS, SQUARE])
-def test_pictures_that_are_ready_are_not_cut(overrides):
+def test_images_that_are_ready_are_not_cut(overrides):
     estimator = untrained(**overrides)
     ready = np.stack([photograph(32, 32, seed) // 20 for seed in range(3)])
     at_once, one_by_one = estimator.predict(ready), estimator.predict(list(ready))
@@ -145,39 +145,39 @@ def test_pictures_that_are_ready_are_not_cut(overrides):
 
 
 def seen(estimator: ViewpointEstimator, images, masks=None) -> torch.Tensor:
-    """What the viewpoint network sees of pictures that make one batch."""
+    """What the viewpoint network sees of images that make one batch."""
     (found,) = batches(images, masks, None, estimator.framing, estimator.device, 99)
     return found.seen
 
 
-def placed(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A view (S, S, 4) twice as large, off the centre of a larger picture; and its mask."""
-    large = np.asarray(Image.fromarray(picture).resize((64, 64), Image.Resampling.BICUBIC))
+def placed(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A view (S, S, 4) twice as large, off the centre of a larger image; and its mask."""
+    large = np.asarray(Image.fromarray(image).resize((64, 64), Image.Resampling.BICUBIC))
     canvas = np.zeros((120, 200, 4), np.uint8)
     canvas[50:114, 20:84] = large
     return canvas[..., :3].copy(), canvas[..., 3]
 
 
 @pytest.mark.parametrize("overrides", [SQUARE, STRETCHED])
-def test_a_masked_object_is_seen_as_in_training_wherever_it_is(pictures, overrides):
+def test_a_masked_object_is_seen_as_in_training_wherever_it_is(images, overrides):
     estimator = untrained(**overrides)
-    found = [placed(picture) for picture in pictures]
-    images, masks = [image for image, _ in found], [mask for _, mask in found]
-    cut_out, whole = seen(estimator, images, masks), seen(estimator, list(pictures))
+    found = [placed(whole) for whole in images]
+    cutouts, masks = [image for image, _ in found], [mask for _, mask in found]
+    cut_out, whole = seen(estimator, cutouts, masks), seen(estimator, list(images))
     apart = (cut_out[:, None] - whole[None]).abs().flatten(2).mean(2)
-    assert torch.equal(apart.argmin(1), torch.arange(len(pictures)))
+    assert torch.equal(apart.argmin(1), torch.arange(len(images)))
     assert apart.diagonal().mean() < apart.mean() / 3
     # Transparency is a mask, and so is any array that says where the object is.
     transparent = [np.dstack(both) for both in found]
-    expected = estimator.predict(images, masks)
+    expected = estimator.predict(cutouts, masks)
     assert same(estimator.predict(transparent), expected)
-    solid = estimator.predict(images, [mask > 127 for mask in masks])
+    solid = estimator.predict(cutouts, [mask > 127 for mask in masks])
     for kind in ([Image.fromarray(mask > 127) for mask in masks], [(mask > 127).astype(np.uint8) for mask in masks]):
-        assert same(estimator.predict(images, kind), solid)
+        assert same(estimator.predict(cutouts, kind), solid)
 
 
-def test_what_is_beside_a_mask_is_seen_by_those_who_always_saw_something(pictures):
-    image, mask = placed(pictures[0])
+def test_what_is_beside_a_mask_is_seen_by_those_who_always_saw_something(images):
+    image, mask = placed(images[0])
     other = np.where(mask[..., None] > 0, image, 200).astype(np.uint8)
     black, photos = untrained(), untrained(**PHOTOS)
     assert (seen(photos, [image], mask) - seen(photos, [other], mask)).abs().max() > 0.5
@@ -205,18 +205,18 @@ def test_filmed_objects_are_cut_out_as_frames_were():
     mask[10:30, 20:60] = 255
     given = Given(Image.fromarray(photograph()), mask, bounds(mask))
     framing = Framing.of(make_config(profile="smoke", video=video))
-    assert np.array_equal(viewed(given, framing).pixels, cut(given.picture, given.box, Crop(48, 0.1), mask))
-    # Without masks in training there were none: frames were seen as they are, and so is the picture.
+    assert np.array_equal(viewed(given, framing).pixels, cut(given.image, given.box, Crop(48, 0.1), mask))
+    # Without masks in training there were none: frames were seen as they are, and so is the image.
     framing = Framing.of(make_config(profile="smoke", video=replace(video, masks="none"), crop="square"))
-    assert np.array_equal(viewed(given, framing).pixels, cut(given.picture, given.box, Crop(64, 0.1)))
+    assert np.array_equal(viewed(given, framing).pixels, cut(given.image, given.box, Crop(64, 0.1)))
 
 
-def test_pictures_unlike_those_of_training_are_named(caplog):
+def test_images_unlike_those_of_training_are_named(caplog):
     bright, dark = photograph(), photograph() // 30
     untrained(**SQUARE).predict([dark, bright])
     untrained(**SQUARE).predict([dark, bright], [np.ones((60, 90), bool)] * 2)
     untrained(**PHOTOS).predict(bright)
-    assert [record.message.partition(" is not")[0] for record in caplog.records] == ["picture 1"]
+    assert [record.message.partition(" is not")[0] for record in caplog.records] == ["image 1"]
 
 
 def test_networks_that_see_whole_views_say_so_of_what_is_cut(caplog):
@@ -231,8 +231,8 @@ def test_networks_that_see_whole_views_say_so_of_what_is_cut(caplog):
     ]
 
 
-def test_viewpoints_are_rows(store, pictures):
-    said = estimator_of(untrained_drawer(store)).predict(pictures)
+def test_viewpoints_are_rows(store, images):
+    said = estimator_of(untrained_drawer(store)).predict(images)
     assert len(said) == 9
     assert [one.azimuth for one in said] == said.azimuth.tolist()
     assert said[4].hypotheses.shape == (3, 3)
@@ -252,48 +252,48 @@ def test_viewpoints_are_rows(store, pictures):
     assert repr(said[[0] * 20]).splitlines()[-1] == "  and 8 more"
 
 
-def test_in_plane_rotation_is_in_the_frames(pictures):
+def test_in_plane_rotation_is_in_the_frames(images):
     rotation = turned(50)
-    own, there = untrained(True).predict(pictures), untrained(True, rotation).predict(pictures)
+    own, there = untrained(True).predict(images), untrained(True, rotation).predict(images)
     assert not np.allclose(own.frame, look_at(torch.tensor(own.vector)).numpy(), atol=1e-2)
     assert np.allclose(there.frame, rotation @ own.frame, atol=1e-6)
     assert np.allclose((there.azimuth - own.azimuth) % 360, 50, atol=1e-4)
 
 
-def test_without_alignment_the_frame_is_the_network_s(pictures):
+def test_without_alignment_the_frame_is_the_network_s(images):
     estimator = untrained()
-    said = estimator.predict(pictures)
+    said = estimator.predict(images)
     assert not estimator.aligned
     assert not said.aligned
     assert not said[0].aligned
     assert "own frame: not aligned" in repr(estimator)
     assert "own frame: not aligned" in repr(said)
     with torch.no_grad():
-        seen = torch.tensor(pictures).movedim(-1, 1).float() / 255
+        seen = torch.tensor(images).movedim(-1, 1).float() / 255
         seen[:, :3] *= seen[:, 3:]
         found = estimator.network.viewpoint(estimator.network.see(seen))
     assert np.allclose(said.hypotheses, found.vectors, atol=1e-2)
 
 
-def test_volumes_and_meshes_are_those_of_the_run(store, pictures):
+def test_volumes_and_meshes_are_those_of_the_run(store, images):
     drawer = untrained_drawer(store)
     estimator = estimator_of(drawer)
     volume = drawer.imagine([4]).shape[0]
-    assert torch.allclose(estimator.volume(pictures[4]), volume, atol=1e-4)
+    assert torch.allclose(estimator.volume(images[4]), volume, atol=1e-4)
     expected = volume_mesh.surface(volume, drawer.rotation, 0.3)
-    mesh = estimator.mesh(pictures[4], level=0.3)
+    mesh = estimator.mesh(images[4], level=0.3)
     assert np.allclose(mesh.bounds, expected.bounds, atol=1e-3)
     assert mesh.is_watertight
     hologan = estimator_of(untrained_drawer(store, variant="hologan_decoder"))
     for ask in (hologan.volume, hologan.mesh):
         with pytest.raises(ViewnetError, match="HoloGAN decoder has no volume"):
-            ask(pictures[4])
-    assert hologan.reconstruct(pictures[:2]).shape == (2, 16, 16, 3)
+            ask(images[4])
+    assert hologan.reconstruct(images[:2]).shape == (2, 16, 16, 3)
 
 
-def test_reconstructions_are_those_of_the_run(store, pictures):
+def test_reconstructions_are_those_of_the_run(store, images):
     drawer = untrained_drawer(store)
-    found = estimator_of(drawer).reconstruct(pictures, size=24)
+    found = estimator_of(drawer).reconstruct(images, size=24)
     expected = drawer.painted(drawer.reconstruct(list(range(9)), 24))
     assert np.abs(found.astype(int) - expected).max() <= 1
 
@@ -313,70 +313,70 @@ def test_appearance_is_the_object_s_alone_before_what_is_there():
     assert torch.allclose(estimator.network.see(shown.object, shown.behind), shown.seen[:, :3], atol=0.005)
 
 
-def test_the_view_from_the_predicted_viewpoint_is_the_reconstruction(store, pictures):
+def test_the_view_from_the_predicted_viewpoint_is_the_reconstruction(store, images):
     estimator = estimator_of(untrained_drawer(store, turned(70)))
-    said = estimator.predict(pictures)
-    again = estimator.novel_view(pictures, said.azimuth, said.elevation, size=24)
-    assert np.abs(again.astype(int) - estimator.reconstruct(pictures, size=24)).max() <= 2
-    other = estimator.novel_view(pictures, 10, 20, size=24)
+    said = estimator.predict(images)
+    again = estimator.novel_view(images, said.azimuth, said.elevation, size=24)
+    assert np.abs(again.astype(int) - estimator.reconstruct(images, size=24)).max() <= 2
+    other = estimator.novel_view(images, 10, 20, size=24)
     assert np.abs(again.astype(int) - other).max() > 20
     for azimuth in ([1.0, 2.0], np.nan):
         with pytest.raises(ViewnetError, match=r"azimuth .*: expected degrees, one number or 9"):
-            estimator.novel_view(pictures, azimuth, 0)
+            estimator.novel_view(images, azimuth, 0)
 
 
-def test_turntables_are_those_of_the_run(store, pictures, tmp_path):
+def test_turntables_are_those_of_the_run(store, images, tmp_path):
     drawer = untrained_drawer(store)
-    frames = estimator_of(drawer).turntable(pictures[5], tmp_path / "a.gif", steps=5, hold=0, size=64)
+    frames = estimator_of(drawer).turntable(images[5], tmp_path / "a.gif", steps=5, hold=0, size=64)
     expected = turntable.turntable(drawer, 5, steps=5, hold=0, size=64)
     assert len(frames) == len(expected) == 5
     assert max(np.abs(one.astype(int) - other).max() for one, other in zip(frames, expected, strict=True)) <= 2
     with Image.open(tmp_path / "a.gif") as back:
         assert back.n_frames == 5
     with pytest.raises(ViewnetError, match=r"a\.webm: unknown kind of animation"):
-        untrained().turntable(pictures[5], tmp_path / "a.webm")
-    with pytest.raises(ViewnetError, match="9 pictures: expected one"):
-        untrained().turntable(pictures)
+        untrained().turntable(images[5], tmp_path / "a.webm")
+    with pytest.raises(ViewnetError, match="9 images: expected one"):
+        untrained().turntable(images)
     with pytest.raises(ViewnetError, match="steps 0"):
-        untrained().turntable(pictures[5], steps=0)
+        untrained().turntable(images[5], steps=0)
 
 
 @pytest.mark.parametrize(
     ("image", "given", "message"),
     [
-        ([], {}, "pictures: none were given"),
-        (7, {}, "pictures: got int"),
-        ([7], {}, "picture 0: got int: expected a PIL picture"),
-        (np.zeros((4, 5, 2), np.uint8), {}, r"picture 0: picture is \(4, 5, 2\): expected \(H, W\)"),
-        (torch.zeros(5, 4, 3), {}, r"picture is \(5, 4, 3\): expected .*\(3, H, W\)"),
-        (np.zeros((0, 5, 3), np.uint8), {}, r"picture is \(0, 5, 3\)"),
-        (np.zeros((4, 5, 3), np.int64), {}, "picture is of int64: expected uint8"),
+        ([], {}, "images: none were given"),
+        (7, {}, "images: got int"),
+        ([7], {}, "image 0: got int: expected a PIL image"),
+        (np.zeros((4, 5, 2), np.uint8), {}, r"image 0: image is \(4, 5, 2\): expected \(H, W\)"),
+        (torch.zeros(5, 4, 3), {}, r"image is \(5, 4, 3\): expected .*\(3, H, W\)"),
+        (np.zeros((0, 5, 3), np.uint8), {}, r"image is \(0, 5, 3\)"),
+        (np.zeros((4, 5, 3), np.int64), {}, "image is of int64: expected uint8"),
         (np.full((4, 5, 3), 2.0), {}, "values from 2 to 2: expected 0 to 1"),
         (np.full((4, 5, 3), np.nan), {}, "values from nan to nan"),
-        (np.full((2, 32, 32, 3), np.nan), {}, "pictures have values from nan"),
-        (np.zeros((2, 32, 32, 3), np.int32), {}, "picture 0: picture is of int32"),
-        (torch.zeros(2, 3, 32, 32, dtype=torch.int32), {}, "pictures are of torch.int32"),
-        (photograph(), {"masks": np.zeros((60, 90), bool)}, "picture 0: mask is empty"),
-        (photograph(), {"masks": np.ones((90, 60), bool)}, "mask is 60 x 90, its picture 90 x 60"),
-        (photograph(), {"masks": [None, None]}, "masks: 2 for 1 pictures"),
+        (np.full((2, 32, 32, 3), np.nan), {}, "images have values from nan"),
+        (np.zeros((2, 32, 32, 3), np.int32), {}, "image 0: image is of int32"),
+        (torch.zeros(2, 3, 32, 32, dtype=torch.int32), {}, "images are of torch.int32"),
+        (photograph(), {"masks": np.zeros((60, 90), bool)}, "image 0: mask is empty"),
+        (photograph(), {"masks": np.ones((90, 60), bool)}, "mask is 60 x 90, its image 90 x 60"),
+        (photograph(), {"masks": [None, None]}, "masks: 2 for 1 images"),
         (photograph(), {"masks": [np.zeros((2, 2, 2))]}, r"mask is \(2, 2, 2\): expected \(H, W\)"),
         (photograph(), {"masks": "nowhere.png"}, "no such mask nowhere.png"),
         (photograph(), {"boxes": (5, 5, 5, 9)}, r"box .* x0 below x1"),
         (photograph(), {"boxes": [(1, 2, 3)]}, r"box \(1, 2, 3\): expected four numbers"),
-        (photograph(), {"boxes": [(1, 2, 3, 4)] * 2}, "boxes: 2 for 1 pictures"),
-        ([photograph()] * 2, {"boxes": [None, (200, 0, 210, 5)]}, "picture 1: box has no part in the picture"),
+        (photograph(), {"boxes": [(1, 2, 3, 4)] * 2}, "boxes: 2 for 1 images"),
+        ([photograph()] * 2, {"boxes": [None, (200, 0, 210, 5)]}, "image 1: box has no part in the image"),
         (photograph(), {"batch_size": 0}, "batch_size 0: expected"),
-        (np.zeros((8, 8, 4), np.uint8), {}, "picture 0: mask is empty"),
+        (np.zeros((8, 8, 4), np.uint8), {}, "image 0: mask is empty"),
     ],
 )
-def test_what_is_no_picture_is_said(image, given, message):
+def test_what_is_no_image_is_said(image, given, message):
     with pytest.raises(ViewnetError, match=message):
         untrained().predict(image, **given)
 
 
-def test_files_that_are_no_pictures_are_named(tmp_path):
-    (tmp_path / "text.jpg").write_text("no picture")
-    for name, message in (("text.jpg", "picture does not decode"), ("missing.jpg", "no such picture")):
+def test_files_that_are_no_images_are_named(tmp_path):
+    (tmp_path / "text.jpg").write_text("no image")
+    for name, message in (("text.jpg", "image does not decode"), ("missing.jpg", "no such image")):
         with pytest.raises(ViewnetError, match=rf"{name}: {message}"):
             untrained().predict(tmp_path / name)
 
@@ -391,14 +391,14 @@ print(json.dumps(sorted(sys.modules)))
 
 def test_one_answer_needs_no_heavy_library(store, tmp_path):
     run = finished_run(tmp_path / "run", store)
-    picture = tmp_path / "a.png"
-    Image.fromarray(photograph() // 30).save(picture)
+    image = tmp_path / "a.png"
+    Image.fromarray(photograph() // 30).save(image)
     root = Path(__file__).resolve().parents[2]
     environment = os.environ | {"PYTHONPATH": str(root), "HF_HUB_OFFLINE": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", FRESH, run.folder, picture], env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", FRESH, run.folder, image], env=environment, capture_output=True, text=True, check=True
     )
     azimuth, modules = done.stdout.splitlines()
-    assert float(azimuth) == pytest.approx(ViewpointEstimator.from_pretrained(run.folder).predict(picture).azimuth[0])
+    assert float(azimuth) == pytest.approx(ViewpointEstimator.from_pretrained(run.folder).predict(image).azimuth[0])
     heavy = {"pandas", "scipy", "matplotlib", "trimesh", "numba", "skimage", "torchvision", "av", "huggingface_hub"}
     assert heavy & set(json.loads(modules)) == set()

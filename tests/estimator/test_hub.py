@@ -36,7 +36,7 @@ def store(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def pictures(store):
+def images(store):
     return np.asarray(store.images[store.split("test")])
 
 
@@ -47,20 +47,20 @@ def run(store, tmp_path, monkeypatch):
     return finished_run(tmp_path / "runs" / "viewnet" / "0123456789ab", store)
 
 
-def test_a_run_is_known_by_its_key_its_folder_and_its_checkpoint(run, pictures):
+def test_a_run_is_known_by_its_key_its_folder_and_its_checkpoint(run, images):
     aligned = align(Predictions.from_parquet(run.folder / "predictions.parquet"))
     for where in ("0123456789ab", run.folder, str(run.folder), run.folder / "checkpoint.safetensors"):
         estimator = load(where, device="cpu")
         assert estimator.aligned
-        assert np.allclose(estimator.predict(pictures).hypotheses, aligned.hypotheses, atol=1e-6)
+        assert np.allclose(estimator.predict(images).hypotheses, aligned.hypotheses, atol=1e-6)
     assert "annotated frame" in repr(estimator)
     assert estimator.about["key"] == "0123456789ab"
 
 
-def test_a_run_that_is_not_scored_is_not_aligned(tmp_path, pictures):
+def test_a_run_that_is_not_scored_is_not_aligned(tmp_path, images):
     estimator = load(finished_run(tmp_path / "run", None).folder)
     assert not estimator.aligned
-    assert not estimator.predict(pictures).aligned
+    assert not estimator.predict(images).aligned
     estimator.save_pretrained(tmp_path / "saved")
     assert not load(tmp_path / "saved").aligned
     said = (tmp_path / "saved" / "README.md").read_text()
@@ -87,15 +87,15 @@ def test_what_is_no_finished_run_is_said(run, tmp_path):
             load(run.folder, device="cuda")
 
 
-def test_saved_models_say_the_same_to_the_bit(run, pictures, tmp_path):
+def test_saved_models_say_the_same_to_the_bit(run, images, tmp_path):
     estimator = load(run.folder)
     assert estimator.save_pretrained(tmp_path / "saved") is None
     assert sorted(p.name for p in (tmp_path / "saved").iterdir()) == ["README.md", "config.json", "model.safetensors"]
     again = load(tmp_path / "saved")
-    one, other = estimator.predict(pictures), again.predict(pictures)
+    one, other = estimator.predict(images), again.predict(images)
     assert np.array_equal(one.hypotheses, other.hypotheses)
     assert np.array_equal(one.probabilities, other.probabilities)
-    assert np.array_equal(estimator.reconstruct(pictures), again.reconstruct(pictures))
+    assert np.array_equal(estimator.reconstruct(images), again.reconstruct(images))
     assert again.about == estimator.about
     assert again.config == estimator.config
     # Saved from a saved one, and over another one.
@@ -219,11 +219,11 @@ def cached(estimator: ViewpointEstimator, cache: Path, name: str) -> None:
     (repository / "refs" / "main").write_text("c0ffee")
 
 
-def test_the_hub_s_models_are_read_from_its_cache(pictures, tmp_path):
+def test_the_hub_s_models_are_read_from_its_cache(images, tmp_path):
     estimator = untrained(rotation=turned(20))
     cached(estimator, tmp_path, "someone/cars")
     found = load("someone/cars", cache_dir=tmp_path, local_files_only=True)
-    assert same(found.predict(pictures), estimator.predict(pictures), 0)
+    assert same(found.predict(images), estimator.predict(images), 0)
     for name, options in (("someone/boats", {}), ("someone/cars", {"revision": "v2"})):
         with pytest.raises(ViewnetError, match=rf"{name}: the Hugging Face hub gives no such model \(") as told:
             load(name, cache_dir=tmp_path, local_files_only=True, **options)
@@ -238,7 +238,7 @@ def test_without_the_hub_s_library_folders_are_all_there_is(tmp_path, monkeypatc
         load("someone/cars")
 
 
-def test_models_go_to_the_hub(tmp_path, monkeypatch, pictures):
+def test_models_go_to_the_hub(tmp_path, monkeypatch, images):
     class Api:
         def __init__(self, token=None):
             assert token == "secret"
@@ -259,7 +259,7 @@ def test_models_go_to_the_hub(tmp_path, monkeypatch, pictures):
     options = {"push_to_hub": True, "private": True, "token": "secret"}
     address = estimator.save_pretrained(tmp_path / "cars", repo_id="someone/cars", **options)
     assert address == "https://huggingface.co/someone/cars/commit/1"
-    assert same(load(tmp_path / "hub" / "someone" / "cars").predict(pictures), estimator.predict(pictures), 0)
+    assert same(load(tmp_path / "hub" / "someone" / "cars").predict(images), estimator.predict(images), 0)
     assert not (tmp_path / "hub" / "someone" / "cars" / "private.txt").exists()
     with pytest.raises(ViewnetError, match=r"someone/cars: the Hugging Face hub takes no model \("):
         estimator.save_pretrained(tmp_path / "cars", repo_id="someone/cars", **options)
@@ -300,7 +300,7 @@ def test_what_cannot_be_exported_is_said(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_half_precision_is_half_the_size_and_answers_alike(tmp_path, pictures):
+def test_half_precision_is_half_the_size_and_answers_alike(tmp_path, images):
     estimator = untrained()
     for half in (False, True):
         estimator.save_pretrained(tmp_path / str(half), half=half)
@@ -309,7 +309,7 @@ def test_half_precision_is_half_the_size_and_answers_alike(tmp_path, pictures):
     assert {value.dtype for value in load_file(half).values()} == {torch.float16, torch.int64}
     found = load(tmp_path / "True", device="cpu")
     assert {value.dtype for value in found.network.state_dict().values()} == {torch.float32, torch.int64}
-    assert np.allclose(found.predict(pictures).hypotheses, estimator.predict(pictures).hypotheses, atol=0.01)
+    assert np.allclose(found.predict(images).hypotheses, estimator.predict(images).hypotheses, atol=0.01)
 
 
 def test_what_half_precision_cannot_hold_is_said(tmp_path):
@@ -321,12 +321,12 @@ def test_what_half_precision_cannot_hold_is_said(tmp_path):
     assert not (tmp_path / "saved").exists()
 
 
-def test_models_that_come_with_the_package_are_called_by_their_category(tmp_path, monkeypatch, pictures):
+def test_models_that_come_with_the_package_are_called_by_their_category(tmp_path, monkeypatch, images):
     untrained().save_pretrained(tmp_path / "car", half=True)
     monkeypatch.setattr(hub, "SHIPPED", tmp_path)
     (tmp_path / "not a model").mkdir()
     assert hub.shipped() == ["car"]
-    assert np.allclose(load("car").predict(pictures).hypotheses, load(tmp_path / "car").predict(pictures).hypotheses)
+    assert np.allclose(load("car").predict(images).hypotheses, load(tmp_path / "car").predict(images).hypotheses)
     with pytest.raises(ViewnetError, match=r"boat: no model there: expected a model that comes with viewnet \(car\)"):
         load("boat")
 

@@ -27,7 +27,7 @@ def test_models_see_what_they_have_not_been_trained_on(category):
     assert estimator.aligned
     assert (estimator.config.category, estimator.config.profile) == (category, "pocket")
     drawn = examples.drawn(estimator)
-    found = estimator.predict([one.picture for one in drawn], boxes=[one.box for one in drawn])
+    found = estimator.predict([one.image for one in drawn], boxes=[one.box for one in drawn])
     truth = view_vector(*(torch.tensor([getattr(one, name) for one in drawn]) for name in ("azimuth", "elevation")))
     said = torch.tensor(np.array([one.vector for one in found]), dtype=truth.dtype)
     errors = rotation_angle(look_at(said), look_at(truth))

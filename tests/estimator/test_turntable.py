@@ -30,7 +30,7 @@ def test_it_starts_at_the_marked_prediction_and_goes_round(drawer):
     assert np.array_equal(frames[0], frames[2])
     right = [frame[4:100, 104:200] for frame in frames]
     assert not np.array_equal(right[2], right[4])
-    # The picture stays.
+    # The image stays.
     assert np.array_equal(frames[0][4:100, 4:100], frames[5][4:100, 4:100])
 
 
@@ -60,7 +60,7 @@ def test_what_cannot_be_written_is_said(drawer, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(ViewnetError, match=r"PyAV is not installed: pip install av, or write a \.gif"):
         turntable.save(frames, tmp_path / "turn.mp4")
-    with pytest.raises(ViewnetError, match="picture 8: there are 8"):
+    with pytest.raises(ViewnetError, match="image 8: there are 8"):
         turntable.turntable(drawer, 8)
     with pytest.raises(ViewnetError, match="size 65"):
         turntable.turntable(drawer, 0, size=65)

@@ -68,7 +68,7 @@ def test_features_of_a_network_are_its_normalised_convolutions(store, tmp_path, 
     found = features.extract(store, "squeezenet1_1", 48)
     network = models.squeezenet1_1()
     network.load_state_dict(torch.load(path))
-    shown = features.pictures(store, np.arange(3), 48)
+    shown = features.images(store, np.arange(3), 48)
     mean, std = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
     with torch.no_grad():
         expected = network.features((shown - mean.view(3, 1, 1)) / std.view(3, 1, 1))
@@ -82,10 +82,10 @@ def test_networks_without_a_list_of_features_end_before_their_pooling(tmp_path):
     assert not layers.training
 
 
-def test_pictures_are_shown_over_black_at_the_size_asked_for(store):
-    shown = features.pictures(store, np.array([4]), 24)
+def test_images_are_shown_over_black_at_the_size_asked_for(store):
+    shown = features.images(store, np.array([4]), 24)
     assert torch.allclose(shown[0], torch.from_numpy(store.images[4][..., :3] / 255).movedim(-1, 0).float())
-    assert features.pictures(store, np.array([4, 5]), 50).shape == (2, 3, 50, 50)
+    assert features.images(store, np.array([4, 5]), 50).shape == (2, 3, 50, 50)
 
 
 def test_features_are_kept_and_made_again_for_other_settings(store, tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Methods of a reader's own in the tables: scored as ours are, given nothing but pictures, and held to account."""
+"""Methods of a reader's own in the tables: scored as ours are, given nothing but images, and held to account."""
 
 from __future__ import annotations
 
@@ -250,7 +250,7 @@ def test_a_method_sees_the_pixels_that_our_networks_see(drawn):
         assert np.array_equal(images.images(split, np.arange(len(rows))), ours.numpy())
 
 
-def test_nothing_but_pictures_is_handed_out(photographs, monkeypatch):
+def test_nothing_but_images_is_handed_out(photographs, monkeypatch):
     monkeypatch.setattr(own_method, "BATCH", 16)
     asked = of_cars(calibration=20)
     nearest = Nearest()

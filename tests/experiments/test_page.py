@@ -76,7 +76,7 @@ def table(folder: Path, name: str = "table2_ablation", **more: object) -> None:
     write_json(folder / f"{name}.json", told | {"cells": cells, "runs": {"0123456789ab": run}} | more)
 
 
-def picture(path: Path, frames: int = 1, width: int = 40) -> None:
+def write_image(path: Path, frames: int = 1, width: int = 40) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     drawn = [Image.fromarray(np.full((20, width, 3), 40 * n + 9, np.uint8)) for n in range(frames)]
     drawn[0].save(path, **({"save_all": True, "append_images": drawn[1:]} if frames > 1 else {}))
@@ -115,9 +115,9 @@ def test_what_files_say_is_text_and_never_markup(folder):
 
 
 def test_it_needs_nothing_but_itself(folder):
-    picture(folder / "figure3_azimuth.png")
+    write_image(folder / "figure3_azimuth.png")
     (folder / "figure3_azimuth.pdf").write_bytes(b"%PDF")
-    picture(folder / "figures" / "turntable_car.gif", frames=3)
+    write_image(folder / "figures" / "turntable_car.gif", frames=3)
     page = written(folder)
     images = page.all("img")
     assert len(images) == 2
@@ -137,7 +137,7 @@ def test_it_needs_nothing_but_itself(folder):
 def test_links_lead_somewhere_and_ids_are_there_once(folder):
     shutil.copytree(folder, folder.parent / "copy")
     shutil.move(folder.parent / "copy", folder / "tiny car & more")
-    picture(folder / "tiny car & more" / "figure3_azimuth.png")
+    write_image(folder / "tiny car & more" / "figure3_azimuth.png")
     page = written(folder)
     ids = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
     assert len(ids) == len(set(ids))
@@ -158,7 +158,7 @@ def test_what_is_not_there_is_named_with_its_command(folder):
 
 
 def test_the_same_files_make_the_same_page(folder):
-    picture(folder / "figures" / "volumes_car.png")
+    write_image(folder / "figures" / "volumes_car.png")
     first = page.write(folder).read_bytes()
     assert page.write(folder).read_bytes() == first
 
@@ -180,7 +180,7 @@ def test_figures_shrink_until_the_page_is_small_enough(folder, monkeypatch):
         ("table1_shapenet.json", '{"table": "table1_shapenet"}', "table1_shapenet.json: not as this version writes it"),
         ("alignment_study_scores.csv", "a,b\n1,2\n", "alignment_study_scores.csv: not as this version writes it"),
         ("architecture_encoder.csv", "a\n1\n", "architecture_encoder.csv: columns are not layer, channels"),
-        ("figure3_azimuth.png", "no picture", "figure3_azimuth.png: picture does not decode"),
+        ("figure3_azimuth.png", "no image", "figure3_azimuth.png: image does not decode"),
     ],
 )
 def test_damaged_files_are_named_and_the_page_stays(folder, name, content, message, capsys):
@@ -215,7 +215,7 @@ def test_every_committed_file_has_its_place(committed):
     for section in committed:
         for setting in section.settings:
             shown |= {COMMITTED / file for file in setting.files}
-            shown |= {COMMITTED / file for picture in setting.pictures for file in picture.files}
+            shown |= {COMMITTED / file for image in setting.images for file in image.files}
     there = {p for p in COMMITTED.rglob("*") if p.is_file() and "published" not in p.parts and p.name != "index.html"}
     assert shown == there
     assert "other" not in {section.name for section in committed}
@@ -239,7 +239,7 @@ def test_every_number_of_a_committed_table_is_on_the_page(committed):
 
 
 def test_the_committed_page_is_of_the_committed_files(committed):
-    """Pictures apart, whose bytes differ with the version of the library that encodes them."""
+    """Images apart, whose bytes differ with the version of the library that encodes them."""
     page = (COMMITTED / "index.html").read_text(encoding="utf-8")
     there = re.sub(r"data:image/webp;base64,[A-Za-z0-9+/=]+", "data", page)
     assert there == re.sub(r"data:(still|moving)", "data", page.render(committed)), "run viewnet tables --page"

@@ -16,7 +16,7 @@ from viewnet.render.camera import DISTANCE, FOCAL
 from viewnet.render.mesh import Material, Mesh
 
 HALF_SIDE = DISTANCE / (2 * FOCAL)
-"""Of the volume in world units, when its middle slice fills the picture of the rendering camera."""
+"""Of the volume in world units, when its middle slice fills the image of the rendering camera."""
 PERSPECTIVE = HALF_SIDE / DISTANCE
 """The volume's focal parameter that belongs to the rendering camera."""
 

@@ -55,7 +55,7 @@ class Document:
 
     @cached_property
     def links(self) -> list[str]:
-        """What links and pictures lead to, HTML's included."""
+        """What links and images lead to, HTML's included."""
         found = [token["attrs"]["url"] for token in self.tokens if token["type"] in ("link", "image")]
         html = "".join(token["raw"] for token in self.tokens if token["type"] in ("block_html", "inline_html"))
         return found + re.findall(r"""(?:href|src)=["']([^"']*)""", html)

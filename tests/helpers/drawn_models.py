@@ -1,4 +1,4 @@
-"""Runs and drawers of untrained networks of the profile smoke before made-up views, for the tests of pictures."""
+"""Runs and drawers of untrained networks of the profile smoke before made-up views, for the tests of images."""
 
 from __future__ import annotations
 

@@ -68,11 +68,11 @@ def executing(place: str, save: Callable[[Any], bytes]) -> Callable[[Path], Path
     return spoil
 
 
-# ---- pictures
+# ---- images
 
 
 def png(width: int, height: int, rows: bytes = b"") -> bytes:
-    """A grey picture that claims a size, whatever it holds."""
+    """A grey image that claims a size, whatever it holds."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -81,9 +81,9 @@ def png(width: int, height: int, rows: bytes = b"") -> bytes:
     return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
 
 
-def saved(picture: Image.Image, kind: str) -> bytes:
+def saved(image: Image.Image, kind: str) -> bytes:
     target = io.BytesIO()
-    picture.save(target, kind)
+    image.save(target, kind)
     return target.getvalue()
 
 
@@ -220,7 +220,7 @@ def instead(old: bytes, new: bytes) -> Callable[[bytes], bytes]:
 
 
 def linked_texture(folder: Path) -> Path:
-    """A texture that is a link to a picture elsewhere."""
+    """A texture that is a link to an image elsewhere."""
     file = folder / SYNSET / "box/images/texture.png"
     file.rename(folder.parent / "elsewhere.png")
     file.symlink_to(folder.parent / "elsewhere.png")
@@ -259,8 +259,8 @@ CAD = (
 )
 
 
-def long_picture(folder: Path) -> Path:
-    """A picture of some hundred bytes, the square about which has 3.6 billion pixels."""
+def long_image(folder: Path) -> Path:
+    """An image of some hundred bytes, the square about which has 3.6 billion pixels."""
     put("viewpoints.csv", instead(b"test,2,3,20,22\nd", b"test,0,0,60000,2\nd"))(folder)
     return put("images/c.png", LONG)(folder)
 
@@ -270,15 +270,15 @@ DATA = (
     ("ShapeNet's lists", "list that is no text", put("lists/*_val.txt", b"\xff\xfe\0"), "val.txt: cannot be read"),
     ("ShapeNet's lists", "empty list", put("all.csv", b""), "not a readable CSV file"),
     ("ShapeNet's lists", "quotes without end", put("all.csv", after(b'"')), "not a readable CSV file"),
-    ("pictures", "picture of 100000 x 100000", put("a/a.png", HUGE), BOMB),
-    ("pictures", "picture that is a program", put("a/b.jpg", EPS), "does not decode (UnidentifiedImageError)"),
+    ("pictures", "image of 100000 x 100000", put("a/a.png", HUGE), BOMB),
+    ("pictures", "image that is a program", put("a/b.jpg", EPS), "does not decode (UnidentifiedImageError)"),
     ("pictures", "class elsewhere", put("ClassName.txt", b"/a/../../etc\n"), "expected a folder such as"),
     ("pictures", "class with a long name", put("ClassName.txt", b"a" * 5000), "expected a folder such as"),
     ("pictures", "classes that are no text", put("ClassName.txt", b"\xff\xfe"), "cannot be read"),
-    ("photographs", "large picture", put("images/c.png", LARGE), ""),
-    ("photographs", "long picture", long_picture, "too large to be cut"),
-    ("photographs", "picture elsewhere", put("viewpoints.csv", instead(b"a.png", b"../../a.png")), "name of a picture"),
-    ("photographs", "picture with a zero", put("viewpoints.csv", instead(b"a.png", b'"a\0.png"')), ""),
+    ("photographs", "large image", put("images/c.png", LARGE), ""),
+    ("photographs", "long image", long_image, "too large to be cut"),
+    ("photographs", "image elsewhere", put("viewpoints.csv", instead(b"a.png", b"../../a.png")), "name of an image"),
+    ("photographs", "image with a zero", put("viewpoints.csv", instead(b"a.png", b'"a\0.png"')), ""),
     ("photographs", "angle of 1e400", put("viewpoints.csv", instead(b"30.5", b"1e400")), "expected a number"),
     ("PASCAL3D+", "cells within cells", put(PASCAL, cells_in_cells(50_000)), "more than 10000 arrays"),
     ("PASCAL3D+", "10^10 structures without fields", put(PASCAL, FIELDLESS), "an array of 100000 x 100000 values"),
@@ -334,7 +334,7 @@ OWN = (
     ("drawings kept", "brackets", put("*.npz", BRACKETS), "damaged"),
     ("backgrounds kept", "classes of 16 GB", put("*/*/classes.npy", npy((2**31,), "<i8")), "not a whole array"),
     ("backgrounds kept", "pickled", executing("*/*/classes.npy", pickled_array), "not a whole array"),
-    ("backgrounds kept", "one number", put("*/*/pictures.npy", npy(()) + b"\0"), "damaged"),
+    ("backgrounds kept", "one number", put("*/*/images.npy", npy(()) + b"\0"), "damaged"),
     ("features kept", "not finite", put("features/*", lambda content: content[:-4] + b"\xff\xff\xff\xff"), "delete it"),
     ("notebook", "brackets", put("notebooks/*.ipynb", BRACKETS), "not a notebook"),
     ("list of viewpoints", "infinite", put("viewpoints.csv", instead(b"30.5", b"-inf")), ""),

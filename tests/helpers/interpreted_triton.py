@@ -48,7 +48,7 @@ def render(voxels, frames, focal, size, steps, sparse=False):
 
 @pytest.fixture(autouse=True, scope="module")
 def larger_tiles():
-    """A picture of up to 8 x 8 pixels in one program: the interpreter's time goes by programs."""
+    """An image of up to 8 x 8 pixels in one program: the interpreter's time goes by programs."""
     volume_gpu.CHOICES.update(draw=((2, 2),), draw_backward=((2, 2),))
 
 
@@ -86,8 +86,8 @@ def test_an_opaque_voxel_hides_all_the_same_whatever_is_behind_it():
     voxels[0, 3] = torch.tensor([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])[:, None, None]
     inputs, red = [voxels, torch.eye(3)[None], torch.tensor(0.0)], torch.zeros(1, 4, 1, 1)
     red[:, 0] = 1
-    picture, (grad, _, _) = gradients(lambda v, r, f: render(v, r, f, 1, 6), inputs, red)
-    assert picture[0, :, 0, 0].tolist() == pytest.approx([0.2, 0, 0, 1])
+    image, (grad, _, _) = gradients(lambda v, r, f: render(v, r, f, 1, 6), inputs, red)
+    assert image[0, :, 0, 0].tolist() == pytest.approx([0.2, 0, 0, 1])
     # The camera is on the side of +z: only the last voxel is seen, and behind it the one before.
     assert grad[0, 3, :, 0, 0].tolist() == pytest.approx([0, 0, 0, 0, 0, 0.2 - 0.5], abs=1e-6)
 
@@ -96,10 +96,10 @@ def test_sparse_leaves_out_what_the_processors_renderer_leaves_out():
     (voxels, frames, focal), weights = Case((8, 9, 7), 2, 1, 7, 9, 0.3, False, 3).inputs()
     voxels[:, 3] *= torch.rand(voxels[:, 3].shape, generator=torch.Generator().manual_seed(0)) < 0.04
     inputs = [voxels, frames, focal]
-    picture, found = gradients(lambda v, r, f: render(v, r, f, 7, 9, True), inputs, weights)
+    image, found = gradients(lambda v, r, f: render(v, r, f, 7, 9, True), inputs, weights)
     wanted, expected = gradients(lambda v, r, f: volume_cpu.render(v, r, f, 7, 9, True), inputs, weights)
     _, full = gradients(lambda v, r, f: render(v, r, f, 7, 9, False), inputs, weights)
-    assert torch.allclose(picture, wanted, atol=1e-6)
+    assert torch.allclose(image, wanted, atol=1e-6)
     assert all(torch.allclose(a, b, atol=1e-5) for a, b in zip(found, expected, strict=True))
     left_out = (found[0][:, 3] == 0) & (full[0][:, 3] != 0)
     assert 0.02 < left_out.float().mean() < 0.98
@@ -116,7 +116,7 @@ def test_pixels_without_gradient_give_none():
 
 
 @pytest.mark.parametrize("warps, chunk", [(1, 1), (4, 4)])
-def test_tiles_and_chunks_do_not_change_the_picture(warps, chunk, monkeypatch):
+def test_tiles_and_chunks_do_not_change_the_image(warps, chunk, monkeypatch):
     (voxels, frames, focal), _ = FLAT.inputs()
     wanted = render(voxels, frames, focal, 9, 3)
     monkeypatch.setitem(volume_gpu.CHOICES, "draw", ((warps, chunk),))

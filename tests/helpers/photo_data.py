@@ -1,4 +1,4 @@
-"""Made-up photographs: view stores in which a picture tells where it was taken from."""
+"""Made-up photographs: view stores in which an image tells where it was taken from."""
 
 from __future__ import annotations
 
@@ -51,4 +51,4 @@ def make_photos(
         }
     )
     made_by = {"photographs": [category, count, size, seed, spread]}
-    return write_store(folder, [images], index, made_by, [("lost", "lost.jpg", "no such picture")])
+    return write_store(folder, [images], index, made_by, [("lost", "lost.jpg", "no such image")])

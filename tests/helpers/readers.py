@@ -101,9 +101,9 @@ def _textured(root: Path) -> None:
     file = write_box(root, SYNSET, "box")
     folder = file.parent.parent / "images"
     folder.mkdir()
-    picture = Image.fromarray(np.random.default_rng(0).integers(0, 255, (8, 8, 4), dtype=np.uint8))
-    picture.save(folder / "texture.png")
-    picture.convert("RGB").save(folder / "texture.jpg")
+    image = Image.fromarray(np.random.default_rng(0).integers(0, 255, (8, 8, 4), dtype=np.uint8))
+    image.save(folder / "texture.png")
+    image.convert("RGB").save(folder / "texture.jpg")
     file.with_suffix(".mtl").write_text(
         "newmtl front\nKd 0.2 0.4 0.6\nd 0.9\nmap_Kd -s 2 2 -o 0.5 0 ../images/texture.png\n"
         "newmtl back\nTr 0.1\nmap_Kd ../images/texture.jpg\n"
@@ -124,8 +124,8 @@ def _mesh(root: Path) -> object:
     assert mesh.colours is None or np.isfinite(mesh.colours).all()
     assert mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)
     assert mesh.material.min() >= 0 and mesh.material.max() < len(mesh.materials)
-    picture = render(mesh, np.array([30.0]), np.array([20.0]), 16, 1)
-    assert picture.shape == (1, 16, 16, 4)
+    image = render(mesh, np.array([30.0]), np.array([20.0]), 16, 1)
+    assert image.shape == (1, 16, 16, 4)
     return mesh
 
 
@@ -146,17 +146,17 @@ def _models(root: Path) -> object:
     return listed
 
 
-# ---- pictures
+# ---- images
 
-PICTURES = ("a.png", "b.jpg", "c.bmp", "d.webp", "e.ppm", "f.tif")
+IMAGES = ("a.png", "b.jpg", "c.bmp", "d.webp", "e.ppm", "f.tif")
 
 
-def _pictures(root: Path) -> None:
+def _images(root: Path) -> None:
     rng = np.random.default_rng(0)
     (root / "a").mkdir()
-    for number, name in enumerate(PICTURES):
-        picture = Image.fromarray(rng.integers(0, 255, (24, 32, 3), dtype=np.uint8))
-        picture.save(root / "a" / name, **({"exif": _turned()} if number in (1, 3) else {}))
+    for number, name in enumerate(IMAGES):
+        image = Image.fromarray(rng.integers(0, 255, (24, 32, 3), dtype=np.uint8))
+        image.save(root / "a" / name, **({"exif": _turned()} if number in (1, 3) else {}))
     (root / "ClassName.txt").write_text("/a\n/b\n")
 
 
@@ -168,7 +168,7 @@ def _turned() -> Image.Exif:
 
 def _backgrounds(root: Path) -> object:
     found = fresh(lambda: backgrounds.load(str(root), 8, 10, progress=False))
-    assert found.pictures.shape == (len(found), 3, 8, 8) and len(found) + len(found.rejected) >= len(PICTURES)
+    assert found.images.shape == (len(found), 3, 8, 8) and len(found) + len(found.rejected) >= len(IMAGES)
     return "; ".join(reason for _, reason in found.rejected)
 
 
@@ -180,7 +180,7 @@ def _kept(root: Path) -> None:
 def _kept_again(root: Path) -> object:
     with mock.patch.dict(os.environ, VIEWNET_DATA=str(root)):
         found = backgrounds.load("drawn", 4, 3, progress=False)
-    assert found.pictures.shape == (3, 3, 4, 4) and found.pictures.dtype == np.uint8
+    assert found.images.shape == (3, 3, 4, 4) and found.images.dtype == np.uint8
     assert found.classes.shape == (3,) and found.classes.dtype == np.int64
     assert all(isinstance(text, str) for row in found.rejected for text in row)
     return found
@@ -193,8 +193,8 @@ def _photographs(root: Path) -> None:
     for number, (name, split) in enumerate((("a.png", "val"), ("b.jpg", "val"), ("c.png", "test"), ("d.webp", "test"))):
         deep = number == 0
         pixels = rng.integers(0, 65535 if deep else 255, (24, 32) if deep else (24, 32, 3))
-        picture = Image.fromarray(pixels.astype(np.uint16 if deep else np.uint8))
-        picture.save(root / "images" / name, **({"exif": _turned()} if number in (1, 3) else {}))
+        image = Image.fromarray(pixels.astype(np.uint16 if deep else np.uint8))
+        image.save(root / "images" / name, **({"exif": _turned()} if number in (1, 3) else {}))
         rows.append(f"{name},{30.5 * number},{number},{split},2,3,20,22")
     (root / "viewpoints.csv").write_text("\n".join(rows) + "\n")
 
@@ -219,8 +219,8 @@ def _pascal3d(root: Path) -> None:
     for number, split in enumerate(pascal3d.SPLITS):
         names = [f"n{number}_{i}" for i in range(2)]
         for name in names:
-            picture = Image.fromarray(np.random.default_rng(number).integers(0, 255, (24, 32, 3), dtype=np.uint8))
-            pascal3d_standin._write(root, "car", "imagenet", name, picture, [_thing(), _thing(difficult=1)])
+            image = Image.fromarray(np.random.default_rng(number).integers(0, 255, (24, 32, 3), dtype=np.uint8))
+            pascal3d_standin._write(root, "car", "imagenet", name, image, [_thing(), _thing(difficult=1)])
         pascal3d_standin._write_list(root, "car", "imagenet", split, names)
     # One record without compression, in which damage is not just told by a checksum.
     path = pascal3d.annotation_file(root, "car", "imagenet", "n0_0")
@@ -274,7 +274,7 @@ READERS = (
         ("{folder}/" + SYNSET + "/box/models/model_normalized.obj",),
     ),
     Reader("ShapeNet's lists", _collection, _models, {"all.csv": None, "lists/*.txt": None}, ("{folder}/lists",)),
-    Reader("pictures", _pictures, _backgrounds, {"a/*": None, "ClassName.txt": None}, ("{folder}",)),
+    Reader("pictures", _images, _backgrounds, {"a/*": None, "ClassName.txt": None}, ("{folder}",)),
     Reader(
         "backgrounds kept",
         _kept,

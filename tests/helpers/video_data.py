@@ -11,14 +11,14 @@ from PIL import Image
 
 
 def write_frames(folder: Path, greys: Mapping[str, int], size: tuple[int, int] = (64, 48)) -> None:
-    """Pictures of one grey each."""
+    """Images of one grey each."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, grey in greys.items():
         Image.new("RGB", size, (grey,) * 3).save(folder / name)
 
 
 def write_video(file: Path, greys: Sequence[int], size: tuple[int, int] = (64, 48), noise: int = 0) -> None:
-    """A video of one grey a frame, or of noise about it; every frame is a picture of its own."""
+    """A video of one grey a frame, or of noise about it; every frame is an image of its own."""
     rng = np.random.default_rng(0)
     with av.open(str(file), "w") as container:
         stream = container.add_stream("mpeg4", rate=10)

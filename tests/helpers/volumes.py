@@ -26,10 +26,10 @@ def random_volume(count: int, shape: tuple[int, int, int], rng: np.random.Genera
 
 
 def gradients(draw, inputs: list[torch.Tensor], weights: torch.Tensor) -> tuple[torch.Tensor, list[torch.Tensor]]:
-    """A picture and the gradients of its weighted sum."""
+    """An image and the gradients of its weighted sum."""
     inputs = [x.detach().clone().requires_grad_() for x in inputs]
-    picture = draw(*inputs)
-    return picture.detach(), list(torch.autograd.grad((picture * weights.to(picture)).sum(), inputs))
+    image = draw(*inputs)
+    return image.detach(), list(torch.autograd.grad((image * weights.to(image)).sum(), inputs))
 
 
 def close(found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> bool:
@@ -80,7 +80,7 @@ CASES = st.builds(
 
 
 def check_against_definition(draw, case: Case, device: str = "cpu", by_vector: bool = False) -> None:
-    """That `draw`, called as `viewnet.model.volume.render_reference`, gives the definition's picture and gradients, to 1e-4.
+    """That `draw`, called as `viewnet.model.volume.render_reference`, gives the definition's image and gradients, to 1e-4.
 
     Those of volume, frames and focal parameter; with `by_vector` the frames are those that look along view vectors, and
     the gradient is the vectors'.

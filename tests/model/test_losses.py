@@ -35,7 +35,7 @@ PLAIN = {"neighbours": 0.0, "pull_weight": 0.0, "search": 0.0, "balance": 0.0, "
 SMOKE = make_config(profile="smoke", recipe="matting", **PLAIN)
 
 
-def pictures(count: int, size: int = 32, seed: int = 0) -> torch.Tensor:
+def images(count: int, size: int = 32, seed: int = 0) -> torch.Tensor:
     """(count, 4, size, size): RGB times mask, and mask."""
     values = torch.rand(count, 4, size, size, generator=torch.Generator().manual_seed(seed))
     return torch.cat([values[:, :3] * values[:, 3:], values[:, 3:]], dim=1)
@@ -45,10 +45,10 @@ def pictures(count: int, size: int = 32, seed: int = 0) -> torch.Tensor:
 
 
 @given(st.integers(0, 1000))
-def test_equal_pictures_are_equal_over_every_colour(seed):
-    picture = pictures(3, 8, seed)
+def test_equal_images_are_equal_over_every_colour(seed):
+    image = images(3, 8, seed)
     colour = torch.rand(3, 3, generator=torch.Generator().manual_seed(seed + 1))
-    assert pixel_loss(composite(picture, colour), composite(picture.clone(), colour)) == 0
+    assert pixel_loss(composite(image, colour), composite(image.clone(), colour)) == 0
 
 
 def test_a_wrong_mask_cannot_hide_over_a_random_colour():
@@ -63,8 +63,8 @@ def test_a_wrong_mask_cannot_hide_over_a_random_colour():
 
 
 def test_compositing_is_a_blend():
-    picture = torch.tensor([0.3, 0.2, 0.1, 0.5]).view(1, 4, 1, 1)
-    assert composite(picture, torch.tensor([[1.0, 0.0, 0.5]])).flatten().tolist() == pytest.approx([0.8, 0.2, 0.35])
+    image = torch.tensor([0.3, 0.2, 0.1, 0.5]).view(1, 4, 1, 1)
+    assert composite(image, torch.tensor([[1.0, 0.0, 0.5]])).flatten().tolist() == pytest.approx([0.8, 0.2, 0.35])
 
 
 def test_pixel_loss_by_hand():
@@ -76,7 +76,7 @@ def test_pixel_loss_by_hand():
 # The choice among heads
 
 
-def test_head_errors_are_means_over_a_picture():
+def test_head_errors_are_means_over_a_image():
     drawn, target = torch.rand(2, 3, 3, 4, 4), torch.rand(2, 3, 4, 4)
     found = head_errors(drawn, target)
     assert found.shape == (2, 3)
@@ -90,8 +90,8 @@ def model():
 
 
 def test_the_winner_alone_gets_the_reconstruction_s_gradients(model):
-    model.viewpoint.encoder[-2].weight.data.mul_(5)  # viewpoints that differ from picture to picture
-    target, appearance = pictures(6, seed=1), pictures(6, seed=2)
+    model.viewpoint.encoder[-2].weight.data.mul_(5)  # viewpoints that differ from image to image
+    target, appearance = images(6, seed=1), images(6, seed=2)
     found = reconstruct(model, appearance, target, target, SMOKE.train)
     assert torch.equal(found.best, found.errors.argmin(1))
     grad_vectors, grad_logits = torch.autograd.grad(
@@ -103,11 +103,11 @@ def test_the_winner_alone_gets_the_reconstruction_s_gradients(model):
     won = F.one_hot(found.best, SMOKE.model.heads).bool()
     assert (grad_vectors[won].abs().sum(-1) > 0).all()
     assert (grad_vectors[~won] == 0).all()
-    assert (grad_logits == 0).all()  # which the choice teaches, not the picture
+    assert (grad_logits == 0).all()  # which the choice teaches, not the image
 
 
-def test_the_picture_is_the_winner_s(model):
-    target = pictures(4, seed=1)
+def test_the_image_is_the_winner_s(model):
+    target = images(4, seed=1)
     found = reconstruct(model, target, target, target, SMOKE.train)
     drawn = model.draw(found.shape, found.appearance, look_at(found.better), SMOKE.model.render_size)
     assert torch.allclose(found.drawn, drawn, atol=1e-6)
@@ -117,7 +117,7 @@ def test_the_picture_is_the_winner_s(model):
 @pytest.mark.parametrize(("colours", "masks"), [(1.0, 0.0), (0.0, 1.0), (0.5, 2.0)])
 def test_viewpoints_are_compared_by_colours_and_masks_as_configured(model, colours, masks):
     config = dataclasses.replace(SMOKE.train, compare_colours=colours, compare_masks=masks)
-    target = pictures(4, seed=1)
+    target = images(4, seed=1)
     found = reconstruct(model.eval(), target, target, target, config)
     off = (found.drawn - found.target).square().mean(dim=(2, 3))
     expected = colours * off[:, :3].mean(1) + masks * off[:, 3]
@@ -125,8 +125,8 @@ def test_viewpoints_are_compared_by_colours_and_masks_as_configured(model, colou
 
 
 def test_several_targets_share_an_appearance(model):
-    model.eval()  # batch statistics would tie the pictures together
-    target, appearance = pictures(4, seed=1), pictures(2, seed=2)
+    model.eval()  # batch statistics would tie the images together
+    target, appearance = images(4, seed=1), images(2, seed=2)
     shared = reconstruct(model, appearance, target, target, SMOKE.train)
     apart = reconstruct(model, appearance.repeat_interleave(2, 0), target, target, SMOKE.train)
     assert torch.allclose(shared.drawn, apart.drawn, atol=1e-5)
@@ -136,14 +136,14 @@ def test_several_targets_share_an_appearance(model):
 def test_a_single_head_has_nothing_to_select():
     torch.manual_seed(0)
     config = make_config("single_head", profile="smoke", recipe="matting", **PLAIN)
-    batch = (pictures(4, seed=1), pictures(4, seed=2), pictures(4, seed=2))
+    batch = (images(4, seed=1), images(4, seed=2), images(4, seed=2))
     terms = step_loss(ViewNet(config.model), batch, config.train, None, 0.5, torch.Generator().manual_seed(0))
     assert set(terms) == {"pixels", "masks"}
 
 
 def test_a_segmentation_target_ignores_colour(model):
     config = dataclasses.replace(SMOKE.train, target="mask")
-    target = pictures(4, seed=1)
+    target = images(4, seed=1)
     recoloured = torch.cat([target[:, :3].flip(1), target[:, 3:]], dim=1)
     one, two = (reconstruct(model.eval(), target, wanted, target, config) for wanted in (target, recoloured))
     assert torch.equal(one.errors, two.errors)
@@ -264,7 +264,7 @@ def asked_to_draw(model, monkeypatch, target, **changes):
 
 
 def test_a_mirrored_target_is_drawn_as_it_is_seen(model, monkeypatch):
-    target = pictures(32, seed=1)
+    target = images(32, seed=1)
     appearance, wanted, seen = asked_to_draw(model, monkeypatch, target, mirror=True, jitter=0.0)
     mirrored = (wanted == target.flip(-1)).flatten(1).all(1)
     assert 8 < mirrored.sum() < 24
@@ -273,7 +273,7 @@ def test_a_mirrored_target_is_drawn_as_it_is_seen(model, monkeypatch):
 
 
 def test_only_the_viewpoint_network_sees_other_colours(model, monkeypatch):
-    target = pictures(4, seed=1)
+    target = images(4, seed=1)
     appearance, wanted, seen = asked_to_draw(model, monkeypatch, target, mirror=False, jitter=0.5)
     assert torch.equal(appearance, target) and torch.equal(wanted, target)
     assert torch.equal(seen[:, 3], target[:, 3])
@@ -302,7 +302,7 @@ def test_the_cycle_pulls_the_selected_head_or_the_closest():
 
 def test_the_cycle_teaches_the_viewpoint_network_only(model):
     config = dataclasses.replace(SMOKE.train, cycle=True, cycle_weight=1.0, cycle_start=0.0)
-    batch = (pictures(4, seed=1), pictures(4, seed=2), pictures(4, seed=2))
+    batch = (images(4, seed=1), images(4, seed=2), images(4, seed=2))
     terms = step_loss(model, batch, config, None, 0.5, torch.Generator().manual_seed(0))
     terms["cycle"].backward()
     assert any(p.grad is not None and p.grad.any() for p in model.viewpoint.parameters())
@@ -314,7 +314,7 @@ def test_the_cycle_teaches_the_viewpoint_network_only(model):
 @pytest.mark.parametrize(("progress", "factor"), [(0.0, None), (0.1, None), (0.15, 0.5), (0.2, 1.0), (0.9, 1.0)])
 def test_the_cycle_sets_in_and_is_ramped_up(model, progress, factor):
     config = dataclasses.replace(SMOKE.train, cycle=True, cycle_weight=2.0, cycle_start=0.1)
-    batch = (pictures(4, seed=1), pictures(4, seed=2), pictures(4, seed=2))
+    batch = (images(4, seed=1), images(4, seed=2), images(4, seed=2))
     model.eval()
     late = step_loss(model, batch, config, None, 1.0, torch.Generator().manual_seed(0))["cycle"]
     terms = step_loss(model, batch, config, None, progress, torch.Generator().manual_seed(0))
@@ -332,17 +332,17 @@ def squeezenet():
     return PerceptualLoss("squeezenet", real_data() / "weights" / "squeezenet1_1_features.pth")
 
 
-def test_the_perceptual_loss_is_zero_for_equal_pictures_and_falls_on_the_way_there(squeezenet):
+def test_the_perceptual_loss_is_zero_for_equal_images_and_falls_on_the_way_there(squeezenet):
     one, two = torch.rand(2, 1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
     assert squeezenet(one, one) == 0
     distances = [squeezenet(torch.lerp(one, two, t), two).item() for t in np.linspace(0, 1, 5)]
     assert distances == sorted(distances, reverse=True)
 
 
-def test_the_perceptual_loss_passes_gradients_to_the_picture_only(squeezenet):
-    picture, target = torch.rand(1, 3, 32, 32, requires_grad=True), torch.rand(1, 3, 32, 32, requires_grad=True)
-    squeezenet(picture, target).backward()
-    assert picture.grad.any()
+def test_the_perceptual_loss_passes_gradients_to_the_image_only(squeezenet):
+    image, target = torch.rand(1, 3, 32, 32, requires_grad=True), torch.rand(1, 3, 32, 32, requires_grad=True)
+    squeezenet(image, target).backward()
+    assert image.grad.any()
     assert target.grad is None
     assert not any(p.requires_grad for p in squeezenet.parameters())
 
@@ -353,10 +353,10 @@ def test_features_are_torchvision_s(squeezenet):
     network = torchvision.models.squeezenet1_1(weights=None)
     state = torch.load(real_data() / "weights" / "squeezenet1_1_features.pth", weights_only=True)
     network.load_state_dict({f"features.{k.removeprefix('features.')}": v for k, v in state.items()}, strict=False)
-    picture = torch.rand(1, 3, 48, 48)
+    image = torch.rand(1, 3, 48, 48)
     mean, std = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
-    x = (picture - mean.view(1, 3, 1, 1)) / std.view(1, 3, 1, 1)
-    found = squeezenet.features(picture)
+    x = (image - mean.view(1, 3, 1, 1)) / std.view(1, 3, 1, 1)
+    found = squeezenet.features(image)
     assert len(found) == 4
     assert torch.allclose(found[0], x, atol=1e-6)
     for layers, tap in ((2, found[1]), (5, found[2]), (8, found[3])):
@@ -399,8 +399,8 @@ def test_heads_at_the_viewpoint_to_select_are_all_right_choices():
     assert torch.allclose(_selection(found, best, wanted_view, 0.0), F.cross_entropy(logits, best))
 
 
-def test_other_pictures_of_a_target_learn_what_its_one_drawing_taught():
-    # Drawn from 10 degrees, where the first picture's head 0 is; another picture's closest head is number 2.
+def test_other_images_of_a_target_learn_what_its_one_drawing_taught():
+    # Drawn from 10 degrees, where the first image's head 0 is; another image's closest head is number 2.
     first = Hypotheses(view_vector(torch.tensor([[10.0, 130.0, 250.0]]), torch.zeros(1, 3)), torch.zeros(1, 3))
     azimuth = torch.tensor([[200.0, 100.0, 30.0]], requires_grad=True)
     logits = torch.zeros(1, 3, requires_grad=True)
@@ -438,7 +438,7 @@ def test_the_selection_is_trusted_once_it_has_learned(model, progress, trust):
 
 def test_objects_begin_with_one_shape_and_end_with_their_own():
     torch.manual_seed(0)
-    model, views = ViewNet(SMOKE.model).eval(), pictures(3)
+    model, views = ViewNet(SMOKE.model).eval(), images(3)
     codes = [model.imagine(views, own=own)[0] for own in (0.0, 0.5, 1.0)]
     assert torch.allclose(codes[0], codes[2].mean(0).expand(3, -1), atol=1e-6)
     assert torch.allclose(codes[1], (codes[0] + codes[2]) / 2, atol=1e-6)
@@ -452,6 +452,6 @@ def test_shapes_become_the_objects_own_as_training_goes_on(monkeypatch, progress
     plain = model.imagine
     monkeypatch.setattr(model, "imagine", lambda views, own, behind: asked.append(own) or plain(views, own))
     config = dataclasses.replace(SMOKE.train, shared_shape=0.2)
-    views = pictures(4)
+    views = images(4)
     step_loss(model, (views, views, views), config, None, progress, torch.Generator().manual_seed(0))
     assert asked == [pytest.approx(own)]

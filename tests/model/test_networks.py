@@ -26,7 +26,7 @@ def small(**changes) -> ModelConfig:
 
 
 @pytest.mark.parametrize("size", [8, 32, 64, 128])
-def test_the_encoder_ends_in_a_vector_whatever_the_picture_s_size(size):
+def test_the_encoder_ends_in_a_vector_whatever_the_image_s_size(size):
     encoder = Encoder((4,) * 7, 5, size)
     assert encoder(torch.rand(3, 3, size, size)).shape == (3, 5)
     assert sum(isinstance(m, nn.Conv2d) for m in encoder) == size.bit_length()
@@ -197,18 +197,18 @@ def test_the_prior_is_the_gaussian_of_the_middle():
 
 
 @pytest.mark.parametrize("decoder", ["adain", "encoder_decoder", "hologan"])
-def test_pictures_of_every_decoder(decoder):
+def test_images_of_every_decoder(decoder):
     torch.manual_seed(0)
     model = ViewNet(small(decoder=decoder)).eval()
-    pictures = torch.rand(2, 4, 32, 32)
-    code = model.appearance(model.see(pictures))
-    shape, found = model.shape(code), model.viewpoint(model.see(pictures))
+    images = torch.rand(2, 4, 32, 32)
+    code = model.appearance(model.see(images))
+    shape, found = model.shape(code), model.viewpoint(model.see(images))
     drawn = model.draw(shape, code, found.frames.flatten(0, 1))
     assert drawn.shape == (6, 4, SMALL.render_size, SMALL.render_size)
     assert drawn.min() >= 0
     assert drawn.max() <= 1 + 1e-5
     assert bool((drawn[:, 3] == 1).all()) is (decoder == "hologan")  # which knows no mask
-    # The viewpoint is what changes the picture of one object.
+    # The viewpoint is what changes the image of one object.
     assert not torch.allclose(drawn[0], drawn[1], atol=1e-4)
 
 
@@ -239,19 +239,19 @@ def test_colours_start_from_the_object_s_own():
     with torch.no_grad():
         model.decoder.last.weight.zero_()
         model.decoder.last.bias.zero_()
-    pictures = torch.zeros(2, 4, 32, 32)
-    pictures[0, :, 4:8, 4:8] = torch.tensor([0.9, 0.2, 0.5, 1.0])[:, None, None]
-    _, shape = model.imagine(pictures)
+    images = torch.zeros(2, 4, 32, 32)
+    images[0, :, 4:8, 4:8] = torch.tensor([0.9, 0.2, 0.5, 1.0])[:, None, None]
+    _, shape = model.imagine(images)
     assert torch.allclose(shape[0, :3], torch.tensor([0.9, 0.2, 0.5])[:, None, None, None].expand_as(shape[0, :3]))
     assert torch.allclose(shape[0, 3], model.prior, atol=1e-6)
     assert shape[1].isfinite().all()  # nothing to be seen, so no mean either
 
 
 def test_encoders_see_the_object_over_the_backdrop():
-    picture = torch.zeros(1, 4, 2, 2)
-    picture[0, :, 0, 0] = torch.tensor([0.9, 0.1, 0.2, 1.0])
-    picture[0, :, 0, 1] = torch.tensor([0.2, 0.2, 0.2, 0.5])
-    seen = ViewNet(small(backdrop=0.5)).see(picture)
+    image = torch.zeros(1, 4, 2, 2)
+    image[0, :, 0, 0] = torch.tensor([0.9, 0.1, 0.2, 1.0])
+    image[0, :, 0, 1] = torch.tensor([0.2, 0.2, 0.2, 0.5])
+    seen = ViewNet(small(backdrop=0.5)).see(image)
     assert torch.allclose(seen[0, :, 0, 0], torch.tensor([0.9, 0.1, 0.2]))
     assert torch.allclose(seen[0, :, 0, 1], torch.tensor([0.45, 0.45, 0.45]))
     assert torch.allclose(seen[0, :, 1, 1], torch.tensor([0.5, 0.5, 0.5]))

@@ -78,7 +78,7 @@ def test_views_of_one_volume_add_up_their_gradients():
         )
         for n in range(6)
     ]
-    assert torch.equal(together, torch.cat([picture for picture, _ in apart]))
+    assert torch.equal(together, torch.cat([image for image, _ in apart]))
     for b in range(2):
         alone = sum(grads[0] for _, grads in apart[3 * b : 3 * b + 3])
         assert torch.allclose(found[0][b : b + 1], alone, atol=1e-5)
@@ -124,7 +124,7 @@ def test_equations_3_and_4_spelt_out():
     """Straight on and without perspective every ray runs through the centres of one row of voxels."""
     n = 6
     voxels = random_volume(1, (n, n, n), np.random.default_rng(4))
-    picture = volume.render(voxels, torch.eye(3)[None], torch.tensor(0.0), n)[0]
+    image = volume.render(voxels, torch.eye(3)[None], torch.tensor(0.0), n)[0]
     expected = np.zeros((4, n, n))
     for row in range(n):
         for column in range(n):
@@ -133,9 +133,9 @@ def test_equations_3_and_4_spelt_out():
                 *colour, q = voxels[0, :, z, n - 1 - row, column].tolist()
                 expected[:, row, column] += light * q * np.array([*colour, 1.0])
                 light *= 1 - q
-    assert np.abs(picture.numpy() - expected).max() < 1e-5
+    assert np.abs(image.numpy() - expected).max() < 1e-5
     through = (1 - voxels[0, 3]).prod(0).flip(0)
-    assert torch.allclose(picture[3], 1 - through, atol=1e-5)
+    assert torch.allclose(image[3], 1 - through, atol=1e-5)
 
 
 def test_what_is_in_front_hides_what_is_behind():
@@ -190,13 +190,13 @@ def test_without_perspective_the_distance_does_not_matter():
 
 
 @pytest.mark.parametrize("sparse", [False, True])
-def test_an_empty_volume_is_an_empty_picture(sparse):
+def test_an_empty_volume_is_an_empty_image(sparse):
     voxels = torch.zeros(1, 4, 6, 6, 6)
     voxels[:, :3] = 0.7  # colour alone is not seen
     voxels.requires_grad_()
-    picture = volume.render(voxels, look_at(torch.tensor([[1.0, 1.0, 0.3]])), FOCAL, 8, sparse=sparse)
-    assert not picture.any()
-    picture.sum().backward()
+    image = volume.render(voxels, look_at(torch.tensor([[1.0, 1.0, 0.3]])), FOCAL, 8, sparse=sparse)
+    assert not image.any()
+    image.sum().backward()
     assert voxels.grad.isfinite().all()
     # More occupancy would be seen, so that the volume can grow out of nothing, unless it is promised to be clamped.
     assert bool((voxels.grad[:, 3] > 0).any()) is not sparse
@@ -218,29 +218,29 @@ def vectors_of(viewpoints: np.ndarray) -> torch.Tensor:
     return view_vector(*torch.from_numpy(viewpoints).unbind(1))
 
 
-def mesh_pictures(viewpoints: np.ndarray) -> torch.Tensor:
+def mesh_images(viewpoints: np.ndarray) -> torch.Tensor:
     """(V, 4, 32, 32), RGB times alpha and alpha, of the same boxes as a mesh."""
     rgba = mesh_renderer.render(box_mesh(SYMMETRIC), viewpoints[:, 0], viewpoints[:, 1], 32, 4) / 255.0
     return torch.from_numpy(np.concatenate([rgba[..., :3] * rgba[..., 3:], rgba[..., 3:]], axis=-1)).permute(0, 3, 1, 2)
 
 
-def best_match(pictures: torch.Tensor, candidates: torch.Tensor) -> np.ndarray:
-    """For each picture the candidate that looks most like it."""
-    return (pictures[:, None].float() - candidates[None]).square().mean((2, 3, 4)).argmin(1).numpy()
+def best_match(images: torch.Tensor, candidates: torch.Tensor) -> np.ndarray:
+    """For each image the candidate that looks most like it."""
+    return (images[:, None].float() - candidates[None]).square().mean((2, 3, 4)).argmin(1).numpy()
 
 
 def test_both_renderers_put_the_object_in_the_same_place(grid):
     viewpoints, drawn = grid
-    alpha, mask = mesh_pictures(viewpoints)[:, 3], drawn[:, 3]
+    alpha, mask = mesh_images(viewpoints)[:, 3], drawn[:, 3]
     overlap = torch.minimum(alpha, mask).sum((1, 2)) / torch.maximum(alpha, mask).sum((1, 2))
     assert overlap.min() > 0.85
 
 
 def test_viewpoints_found_by_drawing_a_volume_are_those_of_the_mesh(grid):
-    """Analysis by synthesis without a network: pictures of the mesh are explained by views of the volume."""
+    """Analysis by synthesis without a network: images of the mesh are explained by views of the volume."""
     viewpoints, drawn = grid
     chosen = np.random.default_rng(5).permutation(len(viewpoints))[:40]
-    found = viewpoints[best_match(mesh_pictures(viewpoints[chosen]), drawn)]
+    found = viewpoints[best_match(mesh_images(viewpoints[chosen]), drawn)]
     predicted, truth = vectors_of(found).numpy(), vectors_of(viewpoints[chosen]).numpy()
     turn, _ = orthogonal_procrustes(predicted, truth)  # any orthogonal map, reflections too
     assert np.linalg.det(turn) == pytest.approx(1)
@@ -251,7 +251,7 @@ def test_viewpoints_found_by_drawing_a_volume_are_those_of_the_mesh(grid):
 def test_a_mirrored_renderer_would_be_noticed(grid):
     viewpoints, drawn = grid
     chosen = np.random.default_rng(5).permutation(len(viewpoints))[:40]
-    found = viewpoints[best_match(mesh_pictures(viewpoints[chosen]).flip(3), drawn)]
+    found = viewpoints[best_match(mesh_images(viewpoints[chosen]).flip(3), drawn)]
     predicted, truth = vectors_of(found).numpy(), vectors_of(viewpoints[chosen]).numpy()
     turn, _ = orthogonal_procrustes(predicted, truth)
     assert np.linalg.det(turn) == pytest.approx(-1)  # a reflection explains it all

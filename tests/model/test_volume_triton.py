@@ -63,7 +63,7 @@ def test_the_kernels_compile_for_a_gpu(name, tmp_path, monkeypatch):
     from viewnet.model.kernels import volume_triton
 
     kernel = getattr(volume_triton, name)
-    arrays = {"volume", "voxels", "frames", "focal", "picture", "grad", "grad_voxels", "partial"}
+    arrays = {"volume", "voxels", "frames", "focal", "image", "grad", "grad_voxels", "partial"}
     types = {array: "*fp32" for array in arrays} | {"cells": "*u8"}
     for warps, chunk in volume_gpu.CHOICES.get(name, ((4, 0),)):
         constants = {"BLOCK": 256} if name == "pack" else {"RAYS": 32 * warps, "CHUNK": chunk}
@@ -111,9 +111,9 @@ def test_a_renderer_can_be_forced(wanted, fused, monkeypatch):
     monkeypatch.setattr(volume_cpu, "render", lambda *arguments: called.append(1) or compiled(*arguments))
     monkeypatch.setenv("VIEWNET_RENDERER", wanted)
     (voxels, frames, focal), _ = CASE.inputs()
-    picture = volume.render(voxels, frames, focal, 4)
+    image = volume.render(voxels, frames, focal, 4)
     assert bool(called) is fused
-    assert torch.allclose(picture, volume.render_reference(voxels, frames, focal, 4, 4), atol=1e-4)
+    assert torch.allclose(image, volume.render_reference(voxels, frames, focal, 4, 4), atol=1e-4)
 
 
 def test_a_renderer_that_is_none(monkeypatch):
@@ -153,7 +153,7 @@ def test_the_gpu_draws_the_definition(case):
 @needs_gpu
 @pytest.mark.parametrize("sparse", [False, True])
 def test_a_gpu_and_a_processor_agree_at_full_size(sparse):
-    """Many tiles, long rays, several pictures a volume: 32 pixels, 40 steps, 32 voxels a side."""
+    """Many tiles, long rays, several images a volume: 32 pixels, 40 steps, 32 voxels a side."""
     (voxels, frames, focal), weights = Case((32, 30, 31), 3, 2, 32, 40, 0.3, False, 0).inputs()
     voxels[:, 3] *= torch.rand(voxels[:, 3].shape, generator=torch.Generator().manual_seed(0)) < 0.05
     results = [
@@ -170,7 +170,7 @@ def test_a_gpu_and_a_processor_agree_at_full_size(sparse):
 
 
 @needs_gpu
-def test_a_gpu_repeats_the_bits_of_pictures_and_of_the_gradients_of_frames():
+def test_a_gpu_repeats_the_bits_of_images_and_of_the_gradients_of_frames():
     (voxels, frames, focal), weights = CASE.inputs()
     inputs = [x.cuda() for x in (voxels, frames, focal)]
     one, other = (gradients(lambda v, r, f: volume.render(v, r, f, 8, 9), inputs, weights.cuda()) for _ in range(2))

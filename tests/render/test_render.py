@@ -1,4 +1,4 @@
-"""Pictures: which side shows, where points land, light, edges, textures, and two renderers that must agree."""
+"""Images: which side shows, where points land, light, edges, textures, and two renderers that must agree."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def triangle_mesh(corners: np.ndarray, *materials: Material, uv: np.ndarray | No
 
 
 def colour_at(image: np.ndarray, row: float = 0.5, column: float = 0.5) -> np.ndarray:
-    """Colour in 0..1 at a place in 0..1 of a picture."""
+    """Colour in 0..1 at a place in 0..1 of an image."""
     return image[int(row * len(image)), int(column * len(image)), :3] / 255
 
 
@@ -67,7 +67,7 @@ def test_each_side_is_seen_from_its_own_side(box: Mesh, backend: str, side: str)
     ("azimuth", "left", "right"), [(45, "front", "left"), (135, "left", "back"), (300, "right", "front")]
 )
 def test_handedness(box: Mesh, backend: str, azimuth: float, left: str, right: str) -> None:
-    """From the front left the front is on the picture's left: at 90 degrees the object faces left."""
+    """From the front left the front is on the image's left: at 90 degrees the object faces left."""
     (image,) = render(box, np.array([azimuth]), np.array([0.0]), 64, backend=backend)
     seen = np.flatnonzero(image[32, :, 3] == 255)
     for column, side in ((seen[2], left), (seen[-3], right)):
@@ -76,7 +76,7 @@ def test_handedness(box: Mesh, backend: str, azimuth: float, left: str, right: s
 
 
 def test_higher_is_up(box: Mesh, backend: str) -> None:
-    """From above the top lies behind the front, so it is higher in the picture."""
+    """From above the top lies behind the front, so it is higher in the image."""
     (image,) = render(box, np.array([0.0]), np.array([30.0]), 64, backend=backend)
     seen = np.flatnonzero(image[:, 32, 3] == 255)
     for row, side in ((seen[2], "top"), (seen[-3], "front")):
@@ -90,7 +90,7 @@ angles = st.tuples(st.floats(0, 359.9), st.floats(-85, 85))
 @settings(max_examples=25, deadline=None)
 @given(angles, st.tuples(*[st.floats(-0.25, 0.25)] * 3))
 def test_points_land_where_the_camera_says(view: tuple[float, float], point: tuple[float, float, float]) -> None:
-    """The middle of a small octahedron in the picture, `project`, and the pinhole worked out from geometry.look_at."""
+    """The middle of a small octahedron in the image, `project`, and the pinhole worked out from geometry.look_at."""
     azimuth, elevation = view
     mesh = trimesh.creation.icosphere(subdivisions=1, radius=0.02)
     solid = Mesh(mesh.vertices + point, mesh.faces.astype(np.int32), np.zeros(len(mesh.faces), np.int32), (Material(),))
@@ -165,11 +165,11 @@ def test_shading_follows_the_angle_of_the_light(box: Mesh, backend: str, degrees
 def test_faces_are_lit_from_either_side(backend: str) -> None:
     """A lone face looks the same whichever way it is wound."""
     corners = np.array([[0.0, -0.3, -0.3], [0.0, 0.3, -0.3], [0.0, 0.0, 0.3]])
-    pictures = [
+    images = [
         render(triangle_mesh(c[None]), np.zeros(1), np.zeros(1), 32, backend=backend) for c in (corners, corners[::-1])
     ]
-    assert pictures[0][..., 3].sum() > 0
-    assert np.array_equal(*pictures)
+    assert images[0][..., 3].sum() > 0
+    assert np.array_equal(*images)
 
 
 def test_alpha_is_whole_inside_and_partial_at_edges_only(box: Mesh, backend: str) -> None:
@@ -193,7 +193,7 @@ def test_edges_keep_the_colour_of_the_face(box: Mesh) -> None:
     assert (image[partial][:, 0] > 250).all()
 
 
-def test_supersampling_is_the_mean_of_a_finer_picture(box: Mesh) -> None:
+def test_supersampling_is_the_mean_of_a_finer_image(box: Mesh) -> None:
     fine = render(box, np.array([25.0]), np.array([15.0]), 64, supersample=1)[0, ..., 3].astype(float)
     mean = fine.reshape(32, 2, 32, 2).mean(axis=(1, 3))
     (image,) = render(box, np.array([25.0]), np.array([15.0]), 32, supersample=2)

@@ -8,7 +8,7 @@ import torch
 from helpers.boxes import box_store
 from helpers.drawn_models import untrained_run
 from helpers.evaluation_data import make_index, noisy
-from test_image_grids import inside, pictures
+from test_image_grids import images, inside
 
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
@@ -72,7 +72,7 @@ def store(tmp_path):
 def test_gallery_tells_both_viewpoints(store, tmp_path):
     run = untrained_run(tmp_path / "run")
     figure = failures.gallery(run, lambda run: store, count=3)
-    shown = pictures(figure)
+    shown = images(figure)
     assert all(len(line) == 6 for line in shown)
     (drawer,) = failures.drawers([run], lambda run: store)
     groups = failures.by_cause(drawer.aligned)

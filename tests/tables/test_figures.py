@@ -22,11 +22,11 @@ def runs(tmp_path_factory):
 
 
 def draw(folder, store, rows):
-    """Two heads in the order (1, 0), flat pictures of 10 and 20."""
+    """Two heads in the order (1, 0), flat images of 10 and 20."""
     n = len(rows)
-    pictures = np.stack([np.full((n, 8, 8, 3), 10, np.uint8), np.full((n, 8, 8, 3), 20, np.uint8)], axis=1)
+    images = np.stack([np.full((n, 8, 8, 3), 10, np.uint8), np.full((n, 8, 8, 3), 20, np.uint8)], axis=1)
     heads = np.tile([1, 0], (n, 1))
-    return np.full((n, 8, 8, 3), 200, np.uint8), pictures, np.tile([0.1, 0.2], (n, 1)), heads
+    return np.full((n, 8, 8, 3), 200, np.uint8), images, np.tile([0.1, 0.2], (n, 1)), heads
 
 
 def test_azimuths_are_those_of_the_aligned_selection(runs):

@@ -23,7 +23,7 @@ def runs(tmp_path_factory):
     return [untrained_run(folder / v, v) for v in ("viewnet", "viewnet_cycle", "hologan_decoder")]
 
 
-def pictures(figure) -> list[list[np.ndarray | None]]:
+def images(figure) -> list[list[np.ndarray | None]]:
     """What is shown, line by line; None where nothing is."""
     found: dict[int, list[np.ndarray | None]] = {}
     for axes in figure.axes:
@@ -39,9 +39,9 @@ def inside(figure) -> bool:
     return all(b.x0 >= 0 and b.y0 >= 0 and b.x1 <= room.x1 and b.y1 <= room.y1 for b in boxes)
 
 
-def test_reconstructions_stand_beside_their_picture(runs, store):
+def test_reconstructions_stand_beside_their_image(runs, store):
     figure = image_grids.reconstructions(runs[:2], lambda run: store, count=2)
-    shown = pictures(figure)
+    shown = images(figure)
     assert [len(line) for line in shown] == [3, 3]
     assert [axes.get_title() for axes in figure.axes[:3]] == ["car", "ViewNet", "ViewNet +\ncycle"]
     drawer = run_renderer.Drawer.of(runs[1].folder, store)
@@ -57,10 +57,10 @@ def test_seeds_are_told_apart(runs, store, tmp_path):
 
 def test_photographs_are_reconstructed_too(runs, tmp_path):
     photos = make_photos(tmp_path / "photos", count=12)
-    assert len(pictures(image_grids.reconstructions(runs[:2], lambda run: photos))) == 3
+    assert len(images(image_grids.reconstructions(runs[:2], lambda run: photos))) == 3
 
 
-def test_runs_of_other_views_cannot_share_pictures(runs, store, tmp_path):
+def test_runs_of_other_views_cannot_share_images(runs, store, tmp_path):
     other = box_store(tmp_path / "views", {"val": 3, "test": 3}, views=3, seed=1)
     with pytest.raises(ViewnetError, match="have other views"):
         image_grids.reconstructions(runs[:2], lambda run: store if run is runs[0] else other)
@@ -70,7 +70,7 @@ def test_views_around_have_a_line_a_run_and_a_column_an_azimuth(runs, store):
     figure = image_grids.around(
         [runs[2], runs[0]], lambda run: store, azimuths=(0, 90, 180), elevation=10, object_number=1
     )
-    shown = pictures(figure)
+    shown = images(figure)
     assert [len(line) for line in shown] == [4, 4]
     assert [axes.get_title() for axes in figure.axes[:4]] == ["appearance", "0°", "90°", "180°"]
     assert [axes.get_ylabel() for axes in figure.axes[::4]] == ["HoloGAN-\nDecoder", "ViewNet"]
@@ -82,9 +82,9 @@ def test_views_around_have_a_line_a_run_and_a_column_an_azimuth(runs, store):
         image_grids.around(runs, lambda run: store, object_number=4)
 
 
-def test_volumes_stand_below_their_pictures_from_one_viewpoint(runs, store):
+def test_volumes_stand_below_their_images_from_one_viewpoint(runs, store):
     figure = image_grids.volumes(runs[:1], lambda run: store, count=4, columns=3)
-    shown = pictures(figure)
+    shown = images(figure)
     assert [[p is not None for p in line] for line in shown] == [[True] * 3] * 2 + [[True, False, False]] * 2
     drawer = run_renderer.Drawer.of(runs[0].folder, store)
     assert np.array_equal(shown[2][0], drawer.shown([9])[0])

@@ -40,8 +40,8 @@ def knowing(drawer, degrees: float):
     volume = torch.rot90(volume, -round(degrees / 90), (4, 3))
     drawer.network.focal.data.fill_(PERSPECTIVE)
 
-    def imagine(self, pictures, own=1.0, behind=None):
-        return torch.zeros(len(pictures), 1), volume.expand(len(pictures), -1, -1, -1, -1)
+    def imagine(self, images, own=1.0, behind=None):
+        return torch.zeros(len(images), 1), volume.expand(len(images), -1, -1, -1, -1)
 
     drawer.network.imagine = MethodType(imagine, drawer.network)
     return drawer
@@ -64,7 +64,7 @@ def test_true_viewpoints_are_taken_into_the_own_frame(one_shape):
 def test_copy_shows_the_next_view_of_the_object(store):
     drawer = untrained_drawer(store)
     found = novel_views.fidelity(drawer, copy=True)
-    expected = novel_views.compare(drawer.pictures([1, 2, 0]), drawer.pictures([0, 1, 2]))
+    expected = novel_views.compare(drawer.images([1, 2, 0]), drawer.images([0, 1, 2]))
     assert np.allclose(found[["psnr", "ssim", "iou"]].head(3), expected)
 
 
@@ -99,15 +99,15 @@ def test_consistency_is_how_well_the_drawing_tells_its_viewpoint(store, reads, m
     drawer = untrained_drawer(store)
 
     def draw(self, shape, code, frames, size=None):
-        """Flat pictures whose colour is the view vector."""
+        """Flat images whose colour is the view vector."""
         colours = torch.cat([frames[:, :, 2] / 2 + 0.5, torch.ones(len(frames), 1)], 1)
         return colours[:, :, None, None].expand(-1, -1, 16, 16)
 
-    def viewpoint(pictures):
-        said = 2 * pictures.mean((2, 3)) - 1 if reads else torch.tensor([[1.0, 0, 0]]).expand(len(pictures), 3)
+    def viewpoint(images):
+        said = 2 * images.mean((2, 3)) - 1 if reads else torch.tensor([[1.0, 0, 0]]).expand(len(images), 3)
         wrong = -said * torch.tensor([1.0, 1, 0]) + torch.tensor([0.0, 0, 0.1])
         # The selected head answers; the other one would be wrong.
-        return Hypotheses(torch.stack([wrong, said], 1), torch.tensor([[0.0, 1.0]]).expand(len(pictures), 2))
+        return Hypotheses(torch.stack([wrong, said], 1), torch.tensor([[0.0, 1.0]]).expand(len(images), 2))
 
     drawer.network.draw = MethodType(draw, drawer.network)
     drawer.network.viewpoint.forward = viewpoint

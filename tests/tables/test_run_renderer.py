@@ -69,7 +69,7 @@ def test_turn_is_what_own_azimuths_lack(store):
 def test_answers_are_the_selected_frames(store):
     drawer = untrained_drawer(store)
     rows = [4, 1]
-    found = drawer.network.viewpoint(drawer.network.see(drawer.pictures(rows, 32)))
+    found = drawer.network.viewpoint(drawer.network.see(drawer.images(rows, 32)))
     frames = found.frames[torch.arange(2), found.logits.argmax(1)]
     assert torch.allclose(drawer.answers(rows), frames, atol=1e-4)
 
@@ -96,9 +96,9 @@ def test_photographs_are_drawn_cut_to_their_object(tmp_path):
 
 
 def test_shown_is_before_a_wall():
-    picture = torch.tensor([0.2, 0.0, 0.6, 0.4])[None, :, None, None]
-    assert rendering.shown(picture).tolist() == [[[[204, 153, 255]]]]
-    assert rendering.shown(picture, 0.0).tolist() == [[[[51, 0, 153]]]]
+    image = torch.tensor([0.2, 0.0, 0.6, 0.4])[None, :, None, None]
+    assert rendering.shown(image).tolist() == [[[[204, 153, 255]]]]
+    assert rendering.shown(image, 0.0).tolist() == [[[[51, 0, 153]]]]
 
 
 def test_what_draws_nothing_is_said(store, tmp_path):

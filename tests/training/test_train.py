@@ -268,32 +268,32 @@ def test_views_that_cannot_be_paired(tmp_path):
 # Parts of a step
 
 
-def test_augmented_pictures_stay_close_to_the_originals():
-    pictures = torch.zeros(64, 4, 32, 32)
-    pictures[:, :, 8:24, 8:24] = 1
-    changed = crop_and_rotate(pictures, torch.Generator().manual_seed(0))
-    assert changed.shape == pictures.shape
-    area = changed[:, 3].mean((1, 2)) / pictures[:, 3].mean((1, 2))
+def test_augmented_images_stay_close_to_the_originals():
+    images = torch.zeros(64, 4, 32, 32)
+    images[:, :, 8:24, 8:24] = 1
+    changed = crop_and_rotate(images, torch.Generator().manual_seed(0))
+    assert changed.shape == images.shape
+    area = changed[:, 3].mean((1, 2)) / images[:, 3].mean((1, 2))
     assert area.min() > 0.95  # cut to 80 to 100 % of the area and enlarged: nothing shrinks
     assert area.max() < 1 / 0.8 + 0.05
     assert area.std() > 0.02
-    assert torch.equal(changed, crop_and_rotate(pictures, torch.Generator().manual_seed(0)))
+    assert torch.equal(changed, crop_and_rotate(images, torch.Generator().manual_seed(0)))
 
 
-def test_jittered_pictures_keep_their_masks_and_the_pattern_of_their_colours():
-    pictures = torch.zeros(200, 4, 4, 4)
-    pictures[:, :3, 1:3, 1:] = torch.tensor([0.1, 0.2, 0.3])[:, None, None]
-    pictures[:, :3, 2, 2] = 0.05
-    pictures[:, 3, 1:3, 1:] = 0.9
-    changed = jitter(pictures, 0.5, torch.Generator().manual_seed(0))
-    assert torch.equal(changed[:, 3], pictures[:, 3])
+def test_jittered_images_keep_their_masks_and_the_pattern_of_their_colours():
+    images = torch.zeros(200, 4, 4, 4)
+    images[:, :3, 1:3, 1:] = torch.tensor([0.1, 0.2, 0.3])[:, None, None]
+    images[:, :3, 2, 2] = 0.05
+    images[:, 3, 1:3, 1:] = 0.9
+    changed = jitter(images, 0.5, torch.Generator().manual_seed(0))
+    assert torch.equal(changed[:, 3], images[:, 3])
     assert (changed[:, :3] <= changed[:, 3:]).all()
     assert (changed[:, :3, 2, 2] < changed[:, :3, 1, 1]).all(), "one gain for the whole of a channel"
-    gains = changed[:, :3, 1, 1].log().mean(1) - pictures[:, :3, 1, 1].log().mean(1)
+    gains = changed[:, :3, 1, 1].log().mean(1) - images[:, :3, 1, 1].log().mean(1)
     assert gains.abs().max() <= 1 + 1e-5
     assert gains.std() > 0.2
     assert len({tuple(row.argsort().tolist()) for row in changed[:, :3, 1, 1]}) == 6, "every order of the channels"
-    assert torch.equal(changed, jitter(pictures, 0.5, torch.Generator().manual_seed(0)))
+    assert torch.equal(changed, jitter(images, 0.5, torch.Generator().manual_seed(0)))
 
 
 def test_low_precision_can_be_switched_off():

@@ -1,6 +1,6 @@
 """The two contestants of `viewnet bench`: the package, and the textbook version of the same work, timed in turn.
 
-A contestant is a function without arguments that does the work once. Both get the same volumes, weights, pictures and
+A contestant is a function without arguments that does the work once. Both get the same volumes, weights, images and
 viewpoints; the textbook version is viewnet.bench.textbook.
 """
 
@@ -39,7 +39,7 @@ FORWARD, BOTH, EXACT, STEP = (
     "training step",
 )
 VIEWS = 3
-"""Pictures drawn of each volume: one for each head of the paper's viewpoint network."""
+"""Images drawn of each volume: one for each head of the paper's viewpoint network."""
 FOCAL = 0.4
 
 
@@ -51,8 +51,8 @@ class Work:
     occupancy   object: a car-like blob that fills a quarter of the cube, empty elsewhere;
                 dense: every voxel holds a little, and a fifth of the light passes through all of them;
                 initial (STEP only): what networks that have learned nothing say, the Gaussian S included
-    size        voxels along a side, and pixels of the picture
-    batch       volumes a call; target pictures a call in a STEP
+    size        voxels along a side, and pixels of the image
+    batch       volumes a call; target images a call in a STEP
     profile     STEP only: whose networks
     memory      whether its memory is measured as well
     """
@@ -66,7 +66,7 @@ class Work:
 
     @property
     def images(self) -> int:
-        """Pictures a call."""
+        """Images a call."""
         return self.batch if self.kind == STEP else VIEWS * self.batch
 
 
@@ -99,8 +99,8 @@ def frames(count: int) -> Tensor:
     return look_at(view_vector(360 * azimuth, 60 * elevation - 20))
 
 
-def pictures(count: int, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Three pictures (count, 4, size, size) each of blobs in different colours, as training gets them."""
+def images(count: int, size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Three images (count, 4, size, size) each of blobs in different colours, as training gets them."""
     shapes = volume.squash(logits("object", 16, count), None, None)
     with torch.no_grad():
         drawn = volume.render_reference(shapes, frames(3 * count), torch.tensor(FOCAL), size, 16)
@@ -151,9 +151,9 @@ def _renderer(work: Work, contestant: str, device: torch.device) -> Callable[[],
     def call() -> None:
         # Leaves of their own each time: what is remembered of the volume drawn last helps no second call.
         leaves = [x.detach().requires_grad_(work.kind != FORWARD) for x in (shape, cameras, focal)]
-        picture = draw(*leaves)
+        image = draw(*leaves)
         if work.kind != FORWARD:
-            picture.backward(weights)
+            image.backward(weights)
 
     return call
 
@@ -163,7 +163,7 @@ def _step(work: Work, contestant: str, device: torch.device) -> Callable[[], Non
     settings = config.train
     torch.manual_seed(0)
     model = ViewNet(config.model)
-    appearance, target, seen = (part.to(device) for part in pictures(work.batch, config.model.input_size))
+    appearance, target, seen = (part.to(device) for part in images(work.batch, config.model.input_size))
     batch = appearance, target, seen
     if work.occupancy == "object":
         # In the place of S, so that untrained networks have volumes like trained ones'.

@@ -51,8 +51,8 @@ Row = dict[str, Any]
 class Settings:
     """What is measured. Raises ViewnetError for what cannot be.
 
-    sizes       voxels along a side, and pixels of the picture, of the renderer's rows
-    batch       target pictures of a training step; the renderer's rows draw a quarter as many volumes, two at least
+    sizes       voxels along a side, and pixels of the image, of the renderer's rows
+    batch       target images of a training step; the renderer's rows draw a quarter as many volumes, two at least
     repeat      measurements of each contestant
     quick       everything small: a check that it works, and no measurement
     threads     of the processor
@@ -198,7 +198,7 @@ def _row(work: Work, settings: Settings, rates: Rates, device: torch.device) -> 
 def need(work: Work, device: torch.device) -> Need:
     """What a work cannot do without: layers, and ray samples where there is something that light reaches.
 
-    A training step draws each head's picture forward and the best one's backward.
+    A training step draws each head's image forward and the best one's backward.
     """
     module, size = textbook, work.size
     occupancy = "dense" if work.occupancy == "initial" else work.occupancy

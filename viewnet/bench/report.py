@@ -80,7 +80,7 @@ def notes(result: dict[str, Any]) -> list[str]:
     found = [
         f"{machine['gpu'] or machine['processor']}, processor threads: {machine['threads']}; "
         f"PyTorch {result['versions']['torch']}; commit {commit}",
-        f"renderer: {settings['volumes']} volumes, {settings['views']} pictures of each; training step: "
+        f"renderer: {settings['volumes']} volumes, {settings['views']} images of each; training step: "
         f"{settings['batch']} targets, pixel loss; medians of {settings['repeat']} measurements in turn",
         "memory: the most held at once, beside weights and data; growth: over the row of half the size, time / memory; "
         "expected of voxels and of points on rays, while pixels grow by 4",
@@ -173,8 +173,8 @@ def figure(result: dict[str, Any]) -> Figure:
     rows = [row for row in result["rows"] if row["speedup"] is not None]
     shown = [row for row in rows if row["memory_ratio"] is not None or row["size"] == _largest(rows, row)]
     with matplotlib.rc_context(figures.STYLE):
-        picture = Figure(figsize=(2.4 * figures.COLUMN, max(2.6, 0.33 * len(shown) + 0.7)), layout="constrained")
-        left, middle, right = picture.subplots(1, 3, width_ratios=(1.3, 1, 1))
+        image = Figure(figsize=(2.4 * figures.COLUMN, max(2.6, 0.33 * len(shown) + 0.7)), layout="constrained")
+        left, middle, right = image.subplots(1, 3, width_ratios=(1.3, 1, 1))
         _bars(left, shown)
         grown = [row for row in rows if row["work"] == BOTH and row["volume"] == "object"]
         _curves(middle, grown, "s", 1.0, "seconds")
@@ -188,7 +188,7 @@ def figure(result: dict[str, Any]) -> Figure:
             axes.set_title(title, fontsize=7)
         for axes in (middle, right):
             axes.set_xlabel("voxels along a side")
-    return picture
+    return image
 
 
 def _largest(rows: list[Row], row: Row) -> int:

@@ -119,7 +119,7 @@ def step_need(module: Any, config: ModelConfig, batch: int) -> Need:
 
 
 def drawing_need(samples: float, voxels: int, pixels: int, backward: bool) -> Need:
-    """Drawing with so many ray samples: volumes are read once and pictures written; backward, gradients as well."""
+    """Drawing with so many ray samples: volumes are read once and images written; backward, gradients as well."""
     values = 4 * (voxels + pixels)
     return Need(samples=(3 if backward else 1) * SAMPLE * samples, values=values + (values + 4 * voxels) * backward)
 

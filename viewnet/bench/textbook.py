@@ -30,7 +30,7 @@ def rotate(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int)
 
 
 def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
-    """Pictures (N, 4, size, size), RGB times mask and mask, of volumes (B, 4, Z, Y, X), each from N / B viewpoints."""
+    """Images (N, 4, size, size), RGB times mask and mask, of volumes (B, 4, Z, Y, X), each from N / B viewpoints."""
     volume = volume.repeat_interleave(len(frames) // len(volume), dim=0)
     rotated = rotate(volume, frames, focal, size, steps)
     light = torch.ones_like(rotated[:, :1, 0])
@@ -125,14 +125,14 @@ class TextbookViewNet(nn.Module):
         """The weights of a viewnet.model.viewnet.ViewNet of the same configuration."""
         self.load_state_dict({name: state[name] for name in self.state_dict()})
 
-    def shape(self, pictures: Tensor) -> Tensor:
-        """Volumes (N, 4, n, n, n) of the objects in pictures (N, 3, S, S)."""
-        values = torch.sigmoid(self.decoder(self.appearance(pictures)))
+    def shape(self, images: Tensor) -> Tensor:
+        """Volumes (N, 4, n, n, n) of the objects in images (N, 3, S, S)."""
+        values = torch.sigmoid(self.decoder(self.appearance(images)))
         return torch.cat([values[:, :3], Clamp.apply(2 * values[:, 3:] - 1 + self.prior)], 1)
 
-    def viewpoints(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+    def viewpoints(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """View vectors (N, M, 3) and selection logits (N, M)."""
-        out = self.viewpoint["encoder"](pictures)
+        out = self.viewpoint["encoder"](images)
         return F.normalize(out[:, self.config.heads :].unflatten(1, (-1, 3)), dim=-1), out[:, : self.config.heads]
 
 
@@ -157,10 +157,10 @@ def camera_frames(vectors: Tensor) -> Tensor:
     return torch.stack([right, torch.linalg.cross(vectors, right), vectors], -1)
 
 
-def pixel_loss(picture: Tensor, target: Tensor) -> Tensor:
-    """L1 + MSE / 2 at the pictures' own and half their resolution, averaged."""
-    halves = F.avg_pool2d(picture, 2), F.avg_pool2d(target, 2)
-    return sum(F.l1_loss(a, b) + 0.5 * F.mse_loss(a, b) for a, b in ((picture, target), halves)) / 2
+def pixel_loss(image: Tensor, target: Tensor) -> Tensor:
+    """L1 + MSE / 2 at the images' own and half their resolution, averaged."""
+    halves = F.avg_pool2d(image, 2), F.avg_pool2d(target, 2)
+    return sum(F.l1_loss(a, b) + 0.5 * F.mse_loss(a, b) for a, b in ((image, target), halves)) / 2
 
 
 def step_loss(
@@ -178,15 +178,15 @@ def step_loss(
     drawn = render(volume, camera_frames(vectors).flatten(0, 1), model.focal, size, size).unflatten(0, (-1, heads))
     errors = (drawn[:, :, :3] - wanted[:, None, :3]).square().mean((2, 3, 4))  # equation 2
     best = errors.argmin(1)
-    picture = drawn[torch.arange(len(best), device=best.device), best][:, :3]
+    image = drawn[torch.arange(len(best), device=best.device), best][:, :3]
     loss = config.selection_weight * F.cross_entropy(logits, best)
     if config.pixel_weight:
         filled = target[:, 3].mean().clamp(min=0.01)
-        loss = loss + config.pixel_weight * pixel_loss(picture, wanted[:, :3]) / filled
+        loss = loss + config.pixel_weight * pixel_loss(image, wanted[:, :3]) / filled
     if perceptual is not None:
         total = sum(weight for _, weight in perceptual.taps)
         for feature, (_, weight) in zip(
-            perceptual.features(torch.cat([picture, wanted[:, :3]])), perceptual.taps, strict=True
+            perceptual.features(torch.cat([image, wanted[:, :3]])), perceptual.taps, strict=True
         ):
             found, true = feature.chunk(2)
             loss = loss + weight / total * 0.5 * (F.mse_loss(found, true) + F.l1_loss(found, true))

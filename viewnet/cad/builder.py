@@ -1,7 +1,7 @@
 """Assembles one CAD model from coloured or textured parts.
 
 Everything is in the object frame (z up, +x front, +y left) and in any unit: the writer centres and scales. Parts are
-made of few triangles on purpose, since ray casting time depends on their number and the pictures are small.
+made of few triangles on purpose, since ray casting time depends on their number and the images are small.
 """
 
 from __future__ import annotations

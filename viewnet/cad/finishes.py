@@ -205,7 +205,7 @@ class Finishes:
         return self._make(color, weave_texture(color), float(self._rng.uniform(4, 9)))
 
     def texture(self, texture: np.ndarray, scale: float = 1.0) -> Finish:
-        """A given picture, HxWx3 uint8."""
+        """A given image, HxWx3 uint8."""
         mean = texture.reshape(-1, 3).mean(0) / 255
         return self._make((float(mean[0]), float(mean[1]), float(mean[2])), texture, scale)
 
@@ -215,7 +215,7 @@ def _to_bytes(values: np.ndarray) -> np.ndarray:
 
 
 def _even(half: np.ndarray) -> np.ndarray:
-    # Even about u = 0 and periodic: a part that is mirror-symmetric in y gets a symmetric picture.
+    # Even about u = 0 and periodic: a part that is mirror-symmetric in y gets a symmetric image.
     return np.concatenate([half, half[:, ::-1]], axis=1)
 
 

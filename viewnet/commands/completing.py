@@ -20,7 +20,7 @@ viewnet completion tcsh > ~/.viewnet.tcsh                       with source ~/.v
 SHELLS = ("bash", "zsh", "tcsh")
 VALUES = {"categories": CATEGORIES, "variant": VARIANTS, "profile": PROFILES, "recipe": RECIPES}
 """Arguments whose values are few; which of them are allowed is checked by what uses them."""
-FILES, FOLDERS = ("FILE", "PICTURE", "WHERE"), ("FOLDER",)
+FILES, FOLDERS = ("FILE", "IMAGE", "WHERE"), ("FOLDER",)
 """What arguments that take files and folders are called in the help."""
 
 

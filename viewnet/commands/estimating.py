@@ -1,4 +1,4 @@
-"""For people's own pictures: viewnet predict and viewnet turntable; viewnet save for other people's."""
+"""For people's own images: viewnet predict and viewnet turntable; viewnet save for other people's."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from viewnet.commands import shared
 
 PREDICTING = """
-viewnet predict car.jpg --model 0123456789ab                    all of the picture is the object
+viewnet predict car.jpg --model 0123456789ab                    all of the image is the object
 viewnet predict car.jpg --model 0123456789ab --box 40 60 380 250
 viewnet predict a.jpg b.jpg --masks a_mask.png b_mask.png --model runs/viewnet/0123456789ab
 viewnet predict car.jpg --model car --all                       every hypothesis, the most probable first
@@ -32,32 +32,32 @@ def add(commands: Any) -> None:
     predict = shared.add(
         commands,
         "predict",
-        "tell from where pictures were taken",
-        "The viewpoint of each picture: azimuth (0 shows the object's front, 90 its left side), elevation, "
-        "and how sure\nthe network is. The object's mask or box decides what of a picture is seen; its transparency is "
+        "tell from where images were taken",
+        "The viewpoint of each image: azimuth (0 shows the object's front, 90 its left side), elevation, "
+        "and how sure\nthe network is. The object's mask or box decides what of an image is seen; its transparency is "
         "a mask.",
         PREDICTING,
     )
-    predict.add_argument("pictures", nargs="+", type=Path, metavar="PICTURE")
-    predict.add_argument("--masks", nargs="+", type=Path, metavar="FILE", help="one a picture, in their order")
+    predict.add_argument("pictures", nargs="+", type=Path, metavar="IMAGE")
+    predict.add_argument("--masks", nargs="+", type=Path, metavar="FILE", help="one an image, in their order")
     predict.add_argument("--box", nargs=4, type=float, action="append", dest="boxes", metavar=("X0", "Y0", "X1", "Y1"),
-                         help="the object's edges in pixels; once for all pictures, or once for each")  # fmt: skip
+                         help="the object's edges in pixels; once for all images, or once for each")  # fmt: skip
     predict.add_argument("--all", action="store_true", help="every hypothesis, and not only the most probable")
     shared.add_json(predict, "every hypothesis, as JSON")
     predict.set_defaults(run=_predict)
     turntable = shared.add(
         commands,
         "turntable",
-        "show a picture's object from all around",
-        "A picture and what the network makes of its object, turning once from the predicted viewpoint.",
+        "show an image's object from all around",
+        "An image and what the network makes of its object, turning once from the predicted viewpoint.",
         TURNING,
     )
-    turntable.add_argument("picture", type=Path, metavar="PICTURE")
+    turntable.add_argument("picture", type=Path, metavar="IMAGE")
     turntable.add_argument("--mask", type=Path, metavar="FILE")
     turntable.add_argument("--box", nargs=4, type=float, metavar=("X0", "Y0", "X1", "Y1"))
     turntable.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="ends in .gif or .mp4")
-    turntable.add_argument("--size", type=int, default=192, help="pixels along a side of a picture (default: 192)")
-    turntable.add_argument("--steps", type=int, default=48, help="pictures of the turn (default: 48)")
+    turntable.add_argument("--size", type=int, default=192, help="pixels along a side of an image (default: 192)")
+    turntable.add_argument("--steps", type=int, default=48, help="images of the turn (default: 48)")
     turntable.set_defaults(run=_turntable)
     for command in (predict, turntable):
         shared.add_model(command)
@@ -82,7 +82,7 @@ def add(commands: Any) -> None:
 
 
 def _predict(options: argparse.Namespace) -> None:
-    """A line a picture, or JSON: {"frame": "annotated" or "own", "pictures": [...]}."""
+    """A line an image, or JSON: {"frame": "annotated" or "own", "pictures": [...]}."""
     from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 
     boxes = options.boxes

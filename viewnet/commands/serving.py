@@ -11,7 +11,7 @@ from viewnet.errors import ViewnetError
 
 LARGEST_FILE = "20mb"
 DESCRIPTION = """\
-Open a page where a picture is dropped, its object marked, and the answer seen: the viewpoint on a compass, every
+Open a page where an image is dropped, its object marked, and the answer seen: the viewpoint on a compass, every
 hypothesis, the object drawn from there and from anywhere else, and as a 3-D model. Nothing is fetched from the network
 and nothing sent to it; files that visitors send are deleted after an hour, and when the page ends."""
 EXAMPLES = """

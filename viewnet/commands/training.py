@@ -112,7 +112,7 @@ def _render(options: argparse.Namespace) -> None:
                         str(split): {"models": int(rows["model_id"].nunique()), "views": len(rows)}
                         for split, rows in index.groupby("split", sort=False)
                     },
-                    "backgrounds": 0 if scenery is None else len(scenery.pictures),
+                    "backgrounds": 0 if scenery is None else len(scenery.images),
                     "rejected": shared.records(store.rejected),
                 }
             )

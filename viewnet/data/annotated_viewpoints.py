@@ -1,4 +1,4 @@
-"""Lists of annotated viewpoints, without pictures: what constants, biases and printed numbers are checked against."""
+"""Lists of annotated viewpoints, without images: what constants, biases and printed numbers are checked against."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """What tells a photograph from a view of a CAD model, given to views in training: something behind the object, a box
 that is a little off, things before it, exposure, blur and noise (section 4.3).
 
-Scenery is pictures (K, 3, B, B) uint8, B twice the side of what is seen (viewnet.data.backgrounds). Only what the
+Scenery is images (K, 3, B, B) uint8, B twice the side of what is seen (viewnet.data.backgrounds). Only what the
 networks see is changed, never the target: the model reconstructs the object alone. Every random number comes from the
 generator given.
 """
@@ -18,16 +18,16 @@ from viewnet.data.pairs import CROP_MARGIN
 from viewnet.runtime.random import Chance, rand, randint, randn
 
 COUNT = 1000
-"""Pictures at most; many windows are seen of each."""
+"""Images at most; many windows are seen of each."""
 
 
 def load(config: DataConfig, size: int, device: torch.device) -> Tensor | None:
     """The backgrounds that a configuration asks for, for inputs of `size` pixels a side, or None where it wants none.
 
-    (K, 3, 2 size, 2 size) uint8: windows of a quarter of a picture are seen.
+    (K, 3, 2 size, 2 size) uint8: windows of a quarter of an image are seen.
     """
     found = wanted(config, size, progress=False)
-    return None if found is None else torch.from_numpy(found.pictures).to(device)
+    return None if found is None else torch.from_numpy(found.images).to(device)
 
 
 def wanted(config: DataConfig, size: int, progress: bool = True) -> backgrounds.Backgrounds | None:
@@ -44,19 +44,19 @@ def behind(scenery: Tensor, count: int, size: int, generator: Chance, device: to
     places = randint(room, count, 2, generator=generator).tolist()
     windows = [scenery[k, :, y : y + size, x : x + size] for k, (y, x) in zip(chosen, places, strict=True)]
     mirrored = (rand(count, 1, 1, 1, generator=generator) < 0.5).to(device)
-    pictures = torch.stack(windows).to(device).float() / 255
-    return torch.where(mirrored, pictures.flip(-1), pictures)
+    images = torch.stack(windows).to(device).float() / 255
+    return torch.where(mirrored, images.flip(-1), images)
 
 
-def over(pictures: Tensor, scene: Tensor) -> Tensor:
-    """Pictures (N, 4, S, S), RGB times alpha and alpha, before scenes (N, 3, S, S): the same, without transparency."""
-    alpha = pictures[:, 3:]
-    return torch.cat([pictures[:, :3] + scene * (1 - alpha), torch.ones_like(alpha)], 1)
+def over(images: Tensor, scene: Tensor) -> Tensor:
+    """Images (N, 4, S, S), RGB times alpha and alpha, before scenes (N, 3, S, S): the same, without transparency."""
+    alpha = images[:, 3:]
+    return torch.cat([images[:, :3] + scene * (1 - alpha), torch.ones_like(alpha)], 1)
 
 
-def crop_and_rotate(pictures: Tensor, generator: Chance) -> Tensor:
-    """Random crops of 80 to 100 % of the area and rotations within 3 degrees of pictures (N, C, S, S)."""
-    count = len(pictures)
+def crop_and_rotate(images: Tensor, generator: Chance) -> Tensor:
+    """Random crops of 80 to 100 % of the area and rotations within 3 degrees of images (N, C, S, S)."""
+    count = len(images)
     scale = (0.8 + 0.2 * rand(count, generator=generator)).sqrt()
     shift = (2 * rand(count, 2, generator=generator) - 1) * (1 - scale)[:, None]
     angle = torch.deg2rad(6 * rand(count, generator=generator) - 3)
@@ -64,21 +64,21 @@ def crop_and_rotate(pictures: Tensor, generator: Chance) -> Tensor:
         torch.stack([scale * angle.cos(), -scale * angle.sin(), shift[:, 0]], 1),
         torch.stack([scale * angle.sin(), scale * angle.cos(), shift[:, 1]], 1),
     ]
-    grid = F.affine_grid(torch.stack(rows, 1).to(pictures), list(pictures.shape), align_corners=False)
-    return F.grid_sample(pictures, grid, align_corners=False)
+    grid = F.affine_grid(torch.stack(rows, 1).to(images), list(images.shape), align_corners=False)
+    return F.grid_sample(images, grid, align_corners=False)
 
 
-def jitter(pictures: Tensor, strength: float, generator: Chance) -> Tensor:
-    """Pictures (N, 4, S, S), RGB times alpha and alpha, in other colours: what a viewpoint hardly depends on.
+def jitter(images: Tensor, strength: float, generator: Chance) -> Tensor:
+    """Images (N, 4, S, S), RGB times alpha and alpha, in other colours: what a viewpoint hardly depends on.
 
     Red, green and blue change places; then each, and all together, are multiplied by up to exp(strength) or its
     reciprocal, and what exceeds 1 is cut off.
     """
-    count, alpha = len(pictures), pictures[:, 3:]
-    order = rand(count, 3, generator=generator).argsort(1).to(pictures.device)
+    count, alpha = len(images), images[:, 3:]
+    order = rand(count, 3, generator=generator).argsort(1).to(images.device)
     chance = 2 * rand(count, 4, generator=generator) - 1
-    gain = torch.exp(strength * (chance[:, :3] + chance[:, 3:])).to(pictures)[:, :, None, None]
-    colours = pictures.gather(1, order[:, :, None, None].expand(-1, -1, *alpha.shape[2:]))
+    gain = torch.exp(strength * (chance[:, :3] + chance[:, 3:])).to(images)[:, :, None, None]
+    colours = images.gather(1, order[:, :, None, None].expand(-1, -1, *alpha.shape[2:]))
     return torch.cat([torch.minimum(gain * colours, alpha), alpha], 1)
 
 
@@ -87,34 +87,34 @@ def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: C
 
     Crops have CROP_MARGIN about the object, photographs' boxes none. In this order: the box is off by up to `box_error`
     of its sides and tilted by up to `tilt` degrees; something is behind the object, and (`occlude`) in some of the
-    pictures before it; light, contrast, blur and noise vary as `exposure` says.
+    images before it; light, contrast, blur and noise vary as `exposure` says.
     """
     count, size, device = len(crops), crops.shape[-1], crops.device
     crops = _shifted(crops, config, generator)
-    pictures = over(crops, behind(scenery, count, size, generator, device))[:, :3]
+    images = over(crops, behind(scenery, count, size, generator, device))[:, :3]
     if config.occlude:
         before = _patch(count, size, config.occlude, generator).to(device)
-        pictures = torch.where(before, behind(scenery, count, size, generator, device), pictures)
+        images = torch.where(before, behind(scenery, count, size, generator, device), images)
     if config.exposure:
-        pictures = expose(pictures, config.exposure, generator)
-    return torch.cat([pictures, torch.ones_like(crops[:, 3:])], 1)
+        images = expose(images, config.exposure, generator)
+    return torch.cat([images, torch.ones_like(crops[:, 3:])], 1)
 
 
-def expose(pictures: Tensor, strength: float, generator: Chance) -> Tensor:
-    """Pictures (N, 3, S, S) in [0, 1] in another light, contrast and gamma, some grey, blurred and noisy."""
-    count, device = len(pictures), pictures.device
+def expose(images: Tensor, strength: float, generator: Chance) -> Tensor:
+    """Images (N, 3, S, S) in [0, 1] in another light, contrast and gamma, some grey, blurred and noisy."""
+    count, device = len(images), images.device
     each = (count, 1, 1, 1)
     contrast, gamma = (torch.exp(strength * _uniform(-0.4, 0.4, each, generator)).to(device) for _ in range(2))
     light = (strength * _uniform(-0.15, 0.15, each, generator)).to(device)
-    mean = pictures.mean((1, 2, 3), keepdim=True)
-    pictures = ((pictures - mean) * contrast + mean + light).clamp(0, 1) ** gamma
+    mean = images.mean((1, 2, 3), keepdim=True)
+    images = ((images - mean) * contrast + mean + light).clamp(0, 1) ** gamma
     grey = (rand(*each, generator=generator) < 0.15 * strength).to(device)
-    pictures = torch.where(grey, pictures.mean(1, keepdim=True), pictures)
-    blurred = F.avg_pool2d(F.pad(pictures, (1, 1, 1, 1), mode="replicate"), 3, 1)
-    pictures = torch.lerp(pictures, blurred, _uniform(0, min(1.0, strength), each, generator).to(device))
+    images = torch.where(grey, images.mean(1, keepdim=True), images)
+    blurred = F.avg_pool2d(F.pad(images, (1, 1, 1, 1), mode="replicate"), 3, 1)
+    images = torch.lerp(images, blurred, _uniform(0, min(1.0, strength), each, generator).to(device))
     deviation = (strength * _uniform(0, 0.05, each, generator)).to(device)
-    noise = randn(*pictures.shape, generator=generator).to(device)
-    return (pictures + deviation * noise).clamp(0, 1)
+    noise = randn(*images.shape, generator=generator).to(device)
+    return (images + deviation * noise).clamp(0, 1)
 
 
 def _shifted(crops: Tensor, config: TrainConfig, generator: Chance) -> Tensor:
@@ -132,7 +132,7 @@ def _shifted(crops: Tensor, config: TrainConfig, generator: Chance) -> Tensor:
 
 
 def _patch(count: int, size: int, share: float, generator: Chance) -> Tensor:
-    """A rectangle of 10 to 40 % of the side somewhere in a `share` of the pictures: (count, 1, size, size) bool."""
+    """A rectangle of 10 to 40 % of the side somewhere in a `share` of the images: (count, 1, size, size) bool."""
     half = size * _uniform(0.05, 0.2, (2, count, 1), generator, dim=1)
     centre = size * rand(2, count, 1, generator=generator, dim=1)
     there = rand(count, generator=generator) < share

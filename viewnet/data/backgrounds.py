@@ -1,6 +1,6 @@
-"""Pictures to stand behind objects: SUN397, any folder of pictures, or drawn ones; cut to squares of one size.
+"""Images to stand behind objects: SUN397, any folder of images, or drawn ones; cut to squares of one size.
 
-Made once and kept under `<paths.data()>/backgrounds/<identity>`: pictures.npy, classes.npy and rejected.csv.
+Made once and kept under `<paths.data()>/backgrounds/<identity>`: images.npy, classes.npy and rejected.csv.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from viewnet.data.store import identity_of
 from viewnet.data.synthetic import scenes
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import filling, load_array, locked
-from viewnet.runtime.images import opened
+from viewnet.runtime.image_files import opened
 from viewnet.runtime.progress import bar
 
 DRAWN = "drawn"
-"""The source that needs no pictures."""
+"""The source that needs no images."""
 SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".ppm", ".tif", ".tiff")
 VERSION = 1
-"""Raise it when a change alters how pictures are chosen or cut."""
+"""Raise it when a change alters how images are chosen or cut."""
 LARGEST = 1024
 """Pixels along a side."""
 
@@ -38,32 +38,32 @@ CLASSES = "ClassName.txt"
 
 @dataclass(frozen=True, eq=False)
 class Backgrounds:
-    """Square pictures and what decided them.
+    """Square images and what decided them.
 
-    pictures    (K, 3, size, size) uint8
+    images    (K, 3, size, size) uint8
     classes     (K,) int64: SUN397's class, from 0, as its list counts them; 0 for all others
-    identity    16 hex digits of what decided the pictures, the same wherever a folder lies
+    identity    16 hex digits of what decided the images, the same wherever a folder lies
     rejected    path and reason of what could not be used
     """
 
-    pictures: np.ndarray
+    images: np.ndarray
     classes: np.ndarray
     identity: str
     rejected: list[tuple[str, str]]
 
     def __len__(self) -> int:
-        return len(self.pictures)
+        return len(self.images)
 
 
 def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: bool = True) -> Backgrounds:
-    """`count` pictures of size x size pixels from `source`, or all of its usable ones where it has fewer.
+    """`count` images of size x size pixels from `source`, or all of its usable ones where it has fewer.
 
     `source` is "drawn" (viewnet.data.synthetic.scenes), the folder of SUN397 (a `ClassName.txt` that lists class folders such as
-    /a/abbey) or any folder of pictures, which is read with all folders in it. Of more than `count` pictures classes
-    have as many each as can be. Every picture is cut to a square at a place drawn by `seed` and its path. Pictures
+    /a/abbey) or any folder of images, which is read with all folders in it. Of more than `count` images classes
+    have as many each as can be. Every image is cut to a square at a place drawn by `seed` and its path. Images
     that cannot be used are in `rejected`, and others take their place.
 
-    Raises ViewnetError for values out of range, and a folder that does not exist or holds no usable picture.
+    Raises ViewnetError for values out of range, and a folder that does not exist or holds no usable image.
     """
     if not 1 <= size <= LARGEST:
         raise ViewnetError(f"backgrounds: size {size}: expected 1 to {LARGEST} pixels")
@@ -75,7 +75,7 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
         described["drawn"] = scenes.VERSION
         classed: list[tuple[str, int]] = []
     else:
-        classed, missing = list_pictures(Path(source))
+        classed, missing = list_images(Path(source))
         described["pictures"] = _digest(Path(source), classed, missing)
     identity = identity_of(described)
     folder = paths.data() / "backgrounds" / identity
@@ -84,22 +84,22 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
     with locked(folder):
         if not folder.exists():
             if source == DRAWN:
-                pictures, classes, rejected = _draw(size, count, seed, progress), np.zeros(count, np.int64), missing
+                images, classes, rejected = _draw(size, count, seed, progress), np.zeros(count, np.int64), missing
             else:
-                pictures, classes, rejected = _cut_all(Path(source), classed, size, count, seed, progress)
+                images, classes, rejected = _cut_all(Path(source), classed, size, count, seed, progress)
                 rejected = missing + rejected
-            _write(folder, pictures, classes, rejected)
+            _write(folder, images, classes, rejected)
     return _read(folder, identity, size)
 
 
-def list_pictures(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, str]]]:
-    """The pictures of a folder, (path from `root`, class) sorted by path, and what its list of classes lacks.
+def list_images(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, str]]]:
+    """The images of a folder, (path from `root`, class) sorted by path, and what its list of classes lacks.
 
-    Raises ViewnetError where there is no such folder or no picture in it, and for a line of the list that is no folder.
+    Raises ViewnetError where there is no such folder or no image in it, and for a line of the list that is no folder.
     """
     if not root.is_dir():
         raise ViewnetError(
-            f"{root}: no such folder: give one of pictures, SUN397's, or {DRAWN!r} for backgrounds that are drawn"
+            f"{root}: no such folder: give one of images, SUN397's, or {DRAWN!r} for backgrounds that are drawn"
         )
     found: dict[str, int] = {}
     missing: list[tuple[str, str]] = []
@@ -115,20 +115,20 @@ def list_pictures(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, st
             if not (root / inside).is_dir():
                 missing.append((name, "no such class folder"))
                 continue
-            # A class may lie within another's folder; its pictures are its own.
+            # A class may lie within another's folder; its images are its own.
             for entry in os.scandir(root / inside):
-                if _is_picture(entry.name) and entry.is_file():
+                if _is_image(entry.name) and entry.is_file():
                     found[(inside / entry.name).as_posix()] = number
     else:
         found = {path.relative_to(root).as_posix(): 0 for path in _walk(root, {root.resolve()})}
     if not found:
         told = f", and {len(missing)} of the folders in {CLASSES} are missing" if missing else ""
-        raise ViewnetError(f"{root}: no pictures in it ({', '.join(SUFFIXES)}){told}: name a folder that has some")
+        raise ViewnetError(f"{root}: no images in it ({', '.join(SUFFIXES)}){told}: name a folder that has some")
     return sorted(found.items()), missing
 
 
 def _walk(folder: Path, seen: set[Path]) -> Iterator[Path]:
-    """The pictures below a folder. Linked folders are followed, but none is entered twice."""
+    """The images below a folder. Linked folders are followed, but none is entered twice."""
     for entry in os.scandir(folder):
         if entry.name.startswith("."):
             continue
@@ -137,16 +137,16 @@ def _walk(folder: Path, seen: set[Path]) -> Iterator[Path]:
             if real not in seen:
                 seen.add(real)
                 yield from _walk(Path(entry.path), seen)
-        elif _is_picture(entry.name) and entry.is_file():
+        elif _is_image(entry.name) and entry.is_file():
             yield Path(entry.path)
 
 
-def _is_picture(name: str) -> bool:
+def _is_image(name: str) -> bool:
     return name.lower().endswith(SUFFIXES) and not name.startswith(".")
 
 
 def _digest(root: Path, classed: Iterable[tuple[str, int]], missing: list[tuple[str, str]]) -> str:
-    """What pictures depend on: paths within the folder, classes and, as a cheap sign of a changed file, sizes."""
+    """What images depend on: paths within the folder, classes and, as a cheap sign of a changed file, sizes."""
     hashed = hashlib.sha256(json.dumps(missing).encode())
     for path, number in classed:
         hashed.update(json.dumps([path, number, (root / path).stat().st_size]).encode())
@@ -154,33 +154,33 @@ def _digest(root: Path, classed: Iterable[tuple[str, int]], missing: list[tuple[
 
 
 def _draw(size: int, count: int, seed: int, progress: bool) -> np.ndarray:
-    pictures = np.empty((count, 3, size, size), np.uint8)
-    for number in bar(progress, iterable=range(count), desc="backgrounds", unit="picture"):
-        pictures[number] = scenes.draw(np.random.default_rng([seed, number]), size, size).transpose(2, 0, 1)
-    return pictures
+    images = np.empty((count, 3, size, size), np.uint8)
+    for number in bar(progress, iterable=range(count), desc="backgrounds", unit="image"):
+        images[number] = scenes.draw(np.random.default_rng([seed, number]), size, size).transpose(2, 0, 1)
+    return images
 
 
 def _cut_all(
     root: Path, classed: list[tuple[str, int]], size: int, count: int, seed: int, progress: bool
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[str, str]]]:
-    pictures: list[np.ndarray] = []
+    images: list[np.ndarray] = []
     classes: list[int] = []
     rejected: list[tuple[str, str]] = []
-    with bar(progress, total=min(count, len(classed)), desc="backgrounds", unit="picture") as shown:
+    with bar(progress, total=min(count, len(classed)), desc="backgrounds", unit="image") as shown:
         for path, number in _evenly(classed, seed):
-            if len(pictures) == count:
+            if len(images) == count:
                 break
             try:
-                pictures.append(_cut(root / path, size, _generator(seed, path)).transpose(2, 0, 1))
+                images.append(_cut(root / path, size, _generator(seed, path)).transpose(2, 0, 1))
             except ViewnetError as error:
                 rejected.append((path, str(error)))
             else:
                 classes.append(number)
                 shown.update()
-    if not pictures:
-        raise ViewnetError(f"{root}: none of its {len(classed)} pictures can be used ({': '.join(rejected[0])})")
+    if not images:
+        raise ViewnetError(f"{root}: none of its {len(classed)} images can be used ({': '.join(rejected[0])})")
     order = np.argsort(classes, kind="stable")
-    return np.stack(pictures)[order], np.array(classes, np.int64)[order], rejected
+    return np.stack(images)[order], np.array(classes, np.int64)[order], rejected
 
 
 def _evenly(classed: list[tuple[str, int]], seed: int) -> list[tuple[str, int]]:
@@ -200,21 +200,21 @@ def _generator(seed: int, path: str) -> np.random.Generator:
 
 
 def _cut(path: Path, size: int, rng: np.random.Generator) -> np.ndarray:
-    """A square of a picture, 0.7 to 1 of its shorter side wide, somewhere in it: (size, size, 3)."""
-    with opened(path) as picture:
+    """A square of an image, 0.7 to 1 of its shorter side wide, somewhere in it: (size, size, 3)."""
+    with opened(path) as image:
         # A JPEG is read at a fraction of its size where that is large enough: much sooner.
-        picture.draft("RGB", (3 * size, 3 * size))
-        whole = picture.convert("RGB")
+        image.draft("RGB", (3 * size, 3 * size))
+        whole = image.convert("RGB")
     side = min(whole.size) * rng.uniform(0.7, 1)
     left, upper = rng.random(2) * (np.array(whole.size) - side)
     box = (left, upper, left + side, upper + side)
     return np.asarray(whole.resize((size, size), Image.Resampling.LANCZOS, box=box, reducing_gap=3))
 
 
-def _write(folder: Path, pictures: np.ndarray, classes: np.ndarray, rejected: list[tuple[str, str]]) -> None:
+def _write(folder: Path, images: np.ndarray, classes: np.ndarray, rejected: list[tuple[str, str]]) -> None:
     """The folder appears when it is whole."""
     with filling(folder) as temporary:
-        np.save(temporary / "pictures.npy", pictures)
+        np.save(temporary / "images.npy", images)
         np.save(temporary / "classes.npy", classes)
         with (temporary / "rejected.csv").open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows([("path", "reason"), *rejected])
@@ -222,14 +222,14 @@ def _write(folder: Path, pictures: np.ndarray, classes: np.ndarray, rejected: li
 
 def _read(folder: Path, identity: str, size: int) -> Backgrounds:
     again = "remove the folder, and it is made again"
-    pictures, classes = (load_array(folder / f"{name}.npy", again) for name in ("pictures", "classes"))
+    images, classes = (load_array(folder / f"{name}.npy", again) for name in ("pictures", "classes"))
     try:
         with (folder / "rejected.csv").open(newline="", encoding="utf-8") as file:
             rejected = [(path, reason) for path, reason in csv.reader(file)][1:]
     except (OSError, ValueError, csv.Error) as error:
         raise ViewnetError(f"{folder / 'rejected.csv'}: damaged ({error}): {again}") from None
-    if pictures.dtype != np.uint8 or pictures.shape[1:] != (3, size, size) or not pictures.size:
-        raise ViewnetError(f"{folder}: damaged ({pictures.dtype} {pictures.shape} pictures): {again}")
-    if classes.dtype != np.int64 or classes.shape != pictures.shape[:1]:
+    if images.dtype != np.uint8 or images.shape[1:] != (3, size, size) or not images.size:
+        raise ViewnetError(f"{folder}: damaged ({images.dtype} {images.shape} images): {again}")
+    if classes.dtype != np.int64 or classes.shape != images.shape[:1]:
         raise ViewnetError(f"{folder}: damaged ({classes.dtype} {classes.shape} classes): {again}")
-    return Backgrounds(pictures, classes, identity, rejected)
+    return Backgrounds(images, classes, identity, rejected)

@@ -126,7 +126,7 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
     object is a model of its own, with one view. `photos.summary` says what is used and what is left out.
 
     Stores lie in `<paths.data()>/views/photos-<category>-<key>`, the key a hash of everything that decides the views;
-    looking for one reads annotations, but no picture. Raises ViewnetError for a root that is neither PASCAL3D+ nor a
+    looking for one reads annotations, but no image. Raises ViewnetError for a root that is neither PASCAL3D+ nor a
     folder with a list (photos.read_folder), settings that do not apply to it, a split without usable photographs, and
     one photograph in both.
     """
@@ -207,7 +207,7 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     and what is left out.
 
     Stores lie in `<paths.data()>/views/videos-<category>-<key>`, the key a hash of everything that decides the views;
-    looking for one lists the frames' files, and reads annotations and pictures' headers. Raises ViewnetError for a root
+    looking for one lists the frames' files, and reads annotations and images' headers. Raises ViewnetError for a root
     that cannot be read, missing weights of a network for masks, and where no clip to train on is left.
     """
     known(config.category, CATEGORIES, "category")
@@ -328,14 +328,14 @@ def _stand_in(config: PhotoConfig) -> dict[str, Any]:
 
 
 def _pascal3d_digest(root: Path, category: str, subset: str) -> str:
-    """What photographs depend on: lists, annotations and, as a cheap sign of a changed picture, its size."""
+    """What photographs depend on: lists, annotations and, as a cheap sign of a changed image, its size."""
     hashed = hashlib.sha256()
     for part in pascal3d.parts(subset):
         for split in pascal3d.SPLITS:
             for image in pascal3d.listed(root, category, part, split):
                 record = pascal3d.annotation_file(root, category, part, image)
-                picture = pascal3d.picture_file(root, category, part, image)
+                image_path = pascal3d.image_file(root, category, part, image)
                 content = hashlib.sha256(record.read_bytes()).hexdigest() if record.is_file() else ""
-                size = picture.stat().st_size if picture.is_file() else -1
-                hashed.update(json.dumps([part, split, image, content, picture.name, size]).encode())
+                size = image_path.stat().st_size if image_path.is_file() else -1
+                hashed.update(json.dumps([part, split, image, content, image_path.name, size]).encode())
     return hashed.hexdigest()

@@ -91,7 +91,7 @@ DATA_SETS = {
             "photographs to score on: Tables 3 and 4, DVA, the study of alignments",
             "-p data_root FOLDER",
             "Annotations/, Images/, Image_sets/ and, for the subset pascal, PASCAL/VOCdevkit/",
-            "its pictures are ImageNet's and PASCAL VOC's: see https://cvgl.stanford.edu/projects/pascal3d.html",
+            "its images are ImageNet's and PASCAL VOC's: see https://cvgl.stanford.edu/projects/pascal3d.html",
             "ftp://cs.stanford.edu/cs/cvgl/PASCAL3D+_release1.1.zip",
         ),
         DataSet(
@@ -118,16 +118,16 @@ DATA_SETS = {
             "Objectron",
             "videos to train on: bicycles, bottles and chairs",
             "-p video_root FOLDER (notebook objectron)",
-            "annotations/<class>/batch-N/M.pbdata and videos/<class>/batch-N/M/video.MOV, or its frames as pictures",
+            "annotations/<class>/batch-N/M.pbdata and videos/<class>/batch-N/M/video.MOV, or its frames as images",
             "C-UDA 1.0: https://github.com/google-research-datasets/Objectron",
             "https://storage.googleapis.com/objectron (videos/ and annotations/; v1/index/ has the lists)",
         ),
         DataSet(
             "backgrounds",
-            "SUN397, or any folder of pictures",
+            "SUN397, or any folder of images",
             "behind what is trained on for photographs",
             "-p backgrounds FOLDER",
-            "pictures in folders; SUN397's ClassName.txt if it is there",
+            "images in folders; SUN397's ClassName.txt if it is there",
             "see https://vision.princeton.edu/projects/2010/SUN/",
             "http://vision.princeton.edu/projects/2010/SUN/SUN397.tar.gz",
         ),
@@ -277,10 +277,10 @@ def _pascal3d(root: Path, contents: Contents) -> None:
 def _photographs(root: Path, contents: Contents) -> None:
     # The list does not say of what: it is read as any category.
     listed = photo_store.read_folder(root, CATEGORIES[0])
-    there = [entry for entry in listed if entry.picture.is_file()]
+    there = [entry for entry in listed if entry.image_path.is_file()]
     uses = {"val": "calibrate", "test": "score"}
     contents.add(
-        "", [f"objects to {uses[entry.split]}" for entry in there], ["no such picture"] * (len(listed) - len(there))
+        "", [f"objects to {uses[entry.split]}" for entry in there], ["no such image"] * (len(listed) - len(there))
     )
     contents.problems += [
         f"{photo_store.LIST}: no row of split {split}" for split in uses if split not in {e.split for e in there}
@@ -306,9 +306,9 @@ def _objectron(root: Path, contents: Contents) -> None:
 
 
 def _backgrounds(root: Path, contents: Contents) -> None:
-    pictures, missing = backgrounds.list_pictures(root)
-    classes = {number for _, number in pictures}
-    contents.add("", ["pictures"] * len(pictures) + ["classes"] * len(classes), [reason for _, reason in missing])
+    images, missing = backgrounds.list_images(root)
+    classes = {number for _, number in images}
+    contents.add("", ["pictures"] * len(images) + ["classes"] * len(classes), [reason for _, reason in missing])
 
 
 _CHECKS: dict[str, Callable[[Path, Contents], None]] = {

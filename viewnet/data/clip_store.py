@@ -92,7 +92,7 @@ def clip_store(
 
     The object is what its mask covers (within the frame's box where there is one), and is cut out to the square around
     it. By the `scale` "clip" it is then made as high in all views of its clip; by "view" it fills every square, so that
-    a car grows as it turns its front. Without `masks` it is what its box, or else the picture, shows, fills the square,
+    a car grows as it turns its front. Without `masks` it is what its box, or else the image, shows, fills the square,
     and nothing is transparent. Frames that do not decode, have no usable mask, or are beyond `limits`, and clips of
     which fewer than two frames are left, join `rejected` with their reason. `workers` threads read files; a network
     sees one clip after the other.
@@ -199,12 +199,12 @@ def _views(
     try:
         mine = {frame.number: frame for frame in clip.frames or map(Frame, range(frames.count(clip.source)))}
         follow = masks.follow(clip) if masks else None
-        for number, name, picture in frames.stills(clip.source, mine):
+        for number, name, image in frames.stills(clip.source, mine):
             try:
-                if isinstance(picture, ViewnetError):
-                    raise picture
-                mask = follow(number, name, picture) if follow else None
-                found.append(_view(mine[number], name, picture, mask, crop, limits))
+                if isinstance(image, ViewnetError):
+                    raise image
+                mask = follow(number, name, image) if follow else None
+                found.append(_view(mine[number], name, image, mask, crop, limits))
             except ViewnetError as error:
                 lost.append((f"{clip.id}/{name}", where, str(error)))
     except (ViewnetError, OSError) as error:
@@ -230,7 +230,7 @@ def _levelled(views: Sequence[_View]) -> list[_View]:
     return [replace(view, pixels=shrunk(view.pixels, share)) for view, share in zip(views, shares, strict=True)]
 
 
-def _view(frame: Frame, name: str, picture: Image.Image, mask: np.ndarray | None, crop: Crop, limits: Limits) -> _View:
+def _view(frame: Frame, name: str, image: Image.Image, mask: np.ndarray | None, crop: Crop, limits: Limits) -> _View:
     if math.isnan(frame.azimuth) != math.isnan(frame.elevation):
         raise ViewnetError("half of the viewpoint is missing: expected azimuth and elevation, or neither")
     box = frame.box
@@ -238,20 +238,20 @@ def _view(frame: Frame, name: str, picture: Image.Image, mask: np.ndarray | None
         if box is not None:
             mask = inside(mask, box)
         box = bounds(mask)
-    x0, y0, x1, y1 = box or (0, 0, *picture.size)
+    x0, y0, x1, y1 = box or (0, 0, *image.size)
     if min(x1 - x0, y1 - y0) < limits.side:
         raise ViewnetError(f"object is too small ({x1 - x0:.0f} x {y1 - y0:.0f} pixels)")
-    pixels = cut(picture, box, crop, mask)
+    pixels = cut(image, box, crop, mask)
     if mask is not None and not (pixels[..., 3] > 127).any():
         raise ViewnetError("mask is empty (at the size of the views)")
-    sharp = sharpness(cut(picture, box, Crop(SHARPNESS), mask)) if limits.blur else math.nan
+    sharp = sharpness(cut(image, box, Crop(SHARPNESS), mask)) if limits.blur else math.nan
     return _View(frame, name, pixels, sharp)
 
 
 def sharpness(view: np.ndarray) -> float:
-    """The Laplacian's variance over the picture's own, within the object of a view (S, S, 4) uint8."""
+    """The Laplacian's variance over the image's own, within the object of a view (S, S, 4) uint8."""
     grey = view[..., :3].mean(axis=2)
-    # Its outline is sharp in any picture.
+    # Its outline is sharp in any image.
     inner = ndimage.binary_erosion(view[..., 3] > 127, iterations=3, border_value=1)
     if not inner.any():
         return 0.0

@@ -1,4 +1,4 @@
-"""Cutting a picture to the object in it: a box, made square, in one size."""
+"""Cutting an image to the object in it: a box, made square, in one size."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from PIL import Image
 from viewnet.errors import ViewnetError
 
 Box = tuple[float, float, float, float]
-"""Left, upper, right and lower edge in pixels from the picture's left upper corner."""
+"""Left, upper, right and lower edge in pixels from the image's left upper corner."""
 LARGEST = 1024
 """Pixels along a side of a crop."""
 MOST_PIXELS = 2**28
-"""Of what is cut before it is made small: 1 GB. A picture of some kB can be very long, and the square about it huge."""
+"""Of what is cut before it is made small: 1 GB. An image of some kB can be very long, and the square about it huge."""
 AROUND = 0.1
 """Of a mask only what lies in its object's box counts, and so much of the box's sides around it."""
 
@@ -46,18 +46,18 @@ class Crop:
             raise ViewnetError(f"crop: colour {self.colour}: expected three numbers from 0 to 255")
 
 
-def cut(picture: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None = None) -> np.ndarray:
-    """The part of a picture in `box` (pixels from its left upper corner; None: all of it), (size, size, 4) uint8.
+def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None = None) -> np.ndarray:
+    """The part of an image in `box` (pixels from its left upper corner; None: all of it), (size, size, 4) uint8.
 
-    With a `mask` (H, W) uint8 of the picture's size that is its alpha, and what lies beyond the picture's edges is
+    With a `mask` (H, W) uint8 of the image's size that is its alpha, and what lies beyond the image's edges is
     transparent; colours stay straight, and black where alpha is 0. Raises ViewnetError for a box that has no part in
-    the picture, and where more than MOST_PIXELS would be cut.
+    the image, and where more than MOST_PIXELS would be cut.
     """
-    width, height = picture.size
+    width, height = image.size
     x0, y0, x1, y1 = box or (0.0, 0.0, float(width), float(height))
     x0, y0, x1, y1 = max(x0, 0.0), max(y0, 0.0), min(x1, float(width)), min(y1, float(height))
     if x1 - x0 < 1 or y1 - y0 < 1:
-        raise ViewnetError(f"box has no part in the picture ({width} x {height})")
+        raise ViewnetError(f"box has no part in the image ({width} x {height})")
     half_x, half_y = (x1 - x0) / 2, (y1 - y0) / 2
     beyond = 2 * crop.margin * max(half_x, half_y)
     half_x, half_y = half_x + beyond, half_y + beyond
@@ -65,13 +65,13 @@ def cut(picture: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | No
         half_x = half_y = max(half_x, half_y)
     centre_x, centre_y = (x0 + x1) / 2, (y0 + y1) / 2
     seen = (centre_x - half_x, centre_y - half_y, centre_x + half_x, centre_y + half_y)
-    # Whole pixels around it, the picture's own or the colour's; the exact edges are cut when it is resized.
+    # Whole pixels around it, the image's own or the colour's; the exact edges are cut when it is resized.
     left, upper = int(np.floor(seen[0])), int(np.floor(seen[1]))
     right, lower = int(np.ceil(seen[2])), int(np.ceil(seen[3]))
     if (right - left) * (lower - upper) > MOST_PIXELS:
         raise ViewnetError(f"box is too large to be cut ({right - left} x {lower - upper} pixels with its margin)")
     part = (max(left, 0), max(upper, 0), min(right, width), min(lower, height))
-    inside, place = rgb(picture.crop(part)), (part[0] - left, part[1] - upper)
+    inside, place = rgb(image.crop(part)), (part[0] - left, part[1] - upper)
     exact = (seen[0] - left, seen[1] - upper, seen[2] - left, seen[3] - upper)
     if mask is not None:
         inside.putalpha(Image.fromarray(mask).crop(part))
@@ -117,9 +117,9 @@ def inside(mask: np.ndarray, box: Box) -> np.ndarray:
 
 
 def coverage(mask: Image.Image) -> np.ndarray:
-    """The alpha (H, W) uint8 that a mask's picture stands for.
+    """The alpha (H, W) uint8 that a mask's image stands for.
 
-    Pixels are shares of coverage up to the deepest white, or numbers of classes: in pictures of a palette, and where no
+    Pixels are shares of coverage up to the deepest white, or numbers of classes: in images of a palette, and where no
     value is above 1, all but 0 is the object.
     """
     if mask.mode == "P":
@@ -132,8 +132,8 @@ def coverage(mask: Image.Image) -> np.ndarray:
     return (values * 255 if values.max(initial=0) <= 1 else values).clip(0, 255).astype(np.uint8)
 
 
-def rgb(picture: Image.Image) -> Image.Image:
+def rgb(image: Image.Image) -> Image.Image:
     """In three channels; grey of 16 bits is brought to 8, which `convert` would cut off."""
-    if picture.mode.startswith("I;16") or picture.mode == "I":
-        picture = Image.fromarray((np.asarray(picture).astype(np.int64) // 257).clip(0, 255).astype(np.uint8))
-    return picture.convert("RGB")
+    if image.mode.startswith("I;16") or image.mode == "I":
+        image = Image.fromarray((np.asarray(image).astype(np.int64) // 257).clip(0, 255).astype(np.uint8))
+    return image.convert("RGB")

@@ -1,4 +1,4 @@
-"""The pictures of a clip: a video file's frames or a folder's pictures, in the order of time."""
+"""The images of a clip: a video file's frames or a folder's images, in the order of time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from PIL import Image, ImageOps
 
 from viewnet.data.backgrounds import SUFFIXES
 from viewnet.errors import ViewnetError
-from viewnet.runtime.images import MOST_PIXELS, opened
+from viewnet.runtime.image_files import MOST_PIXELS, opened
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp")
 """How names of video files end."""
@@ -26,7 +26,7 @@ PICKS = ("random", "evenly")
 
 Pick = Literal["random", "evenly"]
 Still = tuple[int, str, Image.Image | ViewnetError]
-"""Number from 0, name without a suffix, and the picture or why there is none."""
+"""Number from 0, name without a suffix, and the image or why there is none."""
 
 
 def is_video(path: Path) -> bool:
@@ -34,19 +34,19 @@ def is_video(path: Path) -> bool:
     return path.suffix.lower() in VIDEOS and not path.name.startswith(".") and path.is_file()
 
 
-def pictures(folder: Path) -> list[Path]:
-    """The pictures that lie in a folder, by name; numbers within names count as numbers: 2.png comes before 10.png."""
+def images(folder: Path) -> list[Path]:
+    """The images that lie in a folder, by name; numbers within names count as numbers: 2.png comes before 10.png."""
     found = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()]
     return sorted(found, key=lambda path: (natural(path.name), path.name))
 
 
 def count(source: Path) -> int:
-    """How many frames a source has: the pictures of a folder, or the packets of a video, which are not decoded.
+    """How many frames a source has: the images of a folder, or the packets of a video, which are not decoded.
 
     Raises ViewnetError for a video that cannot be read, and a source without frames.
     """
     if source.is_dir():
-        total = len(pictures(source))
+        total = len(images(source))
     else:
         with _opened(source) as container:
             try:
@@ -80,7 +80,7 @@ def pick(total: int, wanted: int | None, how: Pick, name: str, seed: int = 0) ->
 def stills(source: Path, numbers: Collection[int]) -> Iterator[Still]:
     """The frames with these numbers, ascending, upright as their camera says; a video is decoded up to the last one.
 
-    A picture that does not decode, or a frame that a video turns out not to have, comes as a ViewnetError. Raises
+    An image that does not decode, or a frame that a video turns out not to have, comes as a ViewnetError. Raises
     ViewnetError for a video that cannot be opened.
     """
     wanted = sorted(set(numbers))
@@ -88,7 +88,7 @@ def stills(source: Path, numbers: Collection[int]) -> Iterator[Still]:
 
 
 def _of_folder(folder: Path, wanted: list[int]) -> Iterator[Still]:
-    files = pictures(folder)
+    files = images(folder)
     for number in wanted:
         if number >= len(files):
             yield number, f"{number:06d}", ViewnetError("no such frame")
@@ -96,10 +96,10 @@ def _of_folder(folder: Path, wanted: list[int]) -> Iterator[Still]:
         try:
             with opened(files[number]) as still:
                 still.load()
-                picture: Image.Image | ViewnetError = ImageOps.exif_transpose(still)
+                image: Image.Image | ViewnetError = ImageOps.exif_transpose(still)
         except ViewnetError as error:
-            picture = error
-        yield number, files[number].stem, picture
+            image = error
+        yield number, files[number].stem, image
 
 
 def _of_video(file: Path, wanted: list[int]) -> Iterator[Still]:
@@ -108,14 +108,14 @@ def _of_video(file: Path, wanted: list[int]) -> Iterator[Still]:
         for number, frame in enumerate(_decoded(container)):
             if number in left:
                 left.remove(number)
-                yield number, f"{number:06d}", _picture(frame)
+                yield number, f"{number:06d}", _image(frame)
             if not left:
                 return
     for number in sorted(left):
         yield number, f"{number:06d}", ViewnetError("frame does not decode")
 
 
-def _picture(frame: av.VideoFrame) -> Image.Image | ViewnetError:
+def _image(frame: av.VideoFrame) -> Image.Image | ViewnetError:
     try:
         return upright(frame.to_image(), frame.rotation)
     except (av.FFmpegError, ValueError, MemoryError) as error:  # of a form or size that cannot be converted
@@ -138,7 +138,7 @@ def _decoded(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
             continue
 
 
-def upright(picture: Image.Image, rotation: float) -> Image.Image:
+def upright(image: Image.Image, rotation: float) -> Image.Image:
     """A frame turned as a video's display matrix says: `rotation` degrees counter-clockwise, by quarter turns."""
     turns = {
         90: Image.Transpose.ROTATE_90,
@@ -146,7 +146,7 @@ def upright(picture: Image.Image, rotation: float) -> Image.Image:
         270: Image.Transpose.ROTATE_270,
     }
     quarter = round(rotation / 90) * 90 % 360
-    return picture.transpose(turns[quarter]) if quarter else picture
+    return image.transpose(turns[quarter]) if quarter else image
 
 
 def _opened(file: Path) -> av.container.InputContainer:
@@ -156,7 +156,7 @@ def _opened(file: Path) -> av.container.InputContainer:
         raise ViewnetError(f"video cannot be read ({type(error).__name__})") from None
     if not container.streams.video:
         container.close()
-        raise ViewnetError("video cannot be read (no pictures in it)")
+        raise ViewnetError("video cannot be read (no images in it)")
     return container
 
 

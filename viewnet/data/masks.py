@@ -1,4 +1,4 @@
-"""Masks of the object in every frame of a clip: read from files, taken from the pictures' alpha, or predicted.
+"""Masks of the object in every frame of a clip: read from files, taken from the images' alpha, or predicted.
 
 A mask source is asked for a follower per clip, which is shown the clip's frames in the order of time. What cannot be
 had is a ViewnetError that begins with "mask", the reason why its frame is not used.
@@ -25,7 +25,7 @@ from viewnet.data.clips import Clip
 from viewnet.data.crop import coverage
 from viewnet.errors import ViewnetError
 from viewnet.runtime import torchvision_weights
-from viewnet.runtime.images import opened
+from viewnet.runtime.image_files import opened
 
 VERSION = 1
 """Raise it when a change alters masks: it is part of every store's identity."""
@@ -50,9 +50,9 @@ SIDE = 520
 """Pixels along the shorter side of what DeepLabV3 sees, as in its training."""
 
 Follower = Callable[[int, str, Image.Image], np.ndarray]
-"""A frame's number, name and picture -> alpha (H, W) uint8. Raises ViewnetError where there is no usable mask."""
+"""A frame's number, name and image -> alpha (H, W) uint8. Raises ViewnetError where there is no usable mask."""
 Segmenter = Callable[[Image.Image], np.ndarray]
-"""A picture -> masks (K, H, W) bool of the K objects of a class in it."""
+"""An image -> masks (K, H, W) bool of the K objects of a class in it."""
 
 
 class MaskSource(Protocol):
@@ -75,7 +75,7 @@ class MaskSource(Protocol):
 
 @dataclass(frozen=True)
 class FromFiles:
-    """PNG files in each clip's folder of masks, named like its pictures, or 000000.png by the frame's number.
+    """PNG files in each clip's folder of masks, named like its images, or 000000.png by the frame's number.
 
     Pixels are shares of coverage up to the deepest white, or numbers of classes: in files of a palette, and where no
     value is above 1, all but 0 is the object.
@@ -91,20 +91,20 @@ class FromFiles:
     def follow(self, clip: Clip) -> Follower:
         """Reads the file of each frame. The follower raises ViewnetError where there is none."""
 
-        def read(number: int, name: str, picture: Image.Image) -> np.ndarray:
+        def read(number: int, name: str, image: Image.Image) -> np.ndarray:
             folder = clip.masks
             files = [] if folder is None else [folder / f"{name}.png", folder / f"{number:06d}.png"]
             file = next((path for path in files if path.is_file()), None)
             if file is None:
                 raise ViewnetError("mask is missing")
-            return _read(file, picture.width, picture.height)
+            return _read(file, image.width, image.height)
 
         return read
 
 
 @dataclass(frozen=True)
 class FromAlpha:
-    """The alpha of the pictures themselves."""
+    """The alpha of the images themselves."""
 
     parallel: bool = field(default=True, init=False)
 
@@ -114,12 +114,12 @@ class FromAlpha:
         return {"masks": "alpha", "version": VERSION}
 
     def follow(self, clip: Clip) -> Follower:
-        """Takes the alpha of each frame. The follower raises ViewnetError for a picture without."""
+        """Takes the alpha of each frame. The follower raises ViewnetError for an image without."""
 
-        def read(number: int, name: str, picture: Image.Image) -> np.ndarray:
-            if not picture.has_transparency_data:
-                raise ViewnetError("mask is missing (the picture has no alpha)")
-            return np.array(picture.convert("RGBA").getchannel("A"))
+        def read(number: int, name: str, image: Image.Image) -> np.ndarray:
+            if not image.has_transparency_data:
+                raise ViewnetError("mask is missing (the image has no alpha)")
+            return np.array(image.convert("RGBA").getchannel("A"))
 
         return read
 
@@ -136,9 +136,9 @@ class Predicted:
         """Keeps to one object from frame to frame. The follower raises ViewnetError where none is seen."""
         last: np.ndarray | None = None
 
-        def find(number: int, name: str, picture: Image.Image) -> np.ndarray:
+        def find(number: int, name: str, image: Image.Image) -> np.ndarray:
             nonlocal last
-            found = self.segment(picture.convert("RGB"))
+            found = self.segment(image.convert("RGB"))
             if not len(found) or not found.any():
                 raise ViewnetError("mask is missing (nothing of the class is seen)")
             last = found[chosen(found, last)]
@@ -170,7 +170,7 @@ def predicted(network: str, category: str, weights: Path | None = None) -> Predi
     if not path.is_file():
         raise ViewnetError(
             f"no {network} weights at {path}: download {weights_url(full)} to that place, name another file by "
-            f"{torchvision_weights.variable(full)}, or use masks from files or from the pictures' alpha"
+            f"{torchvision_weights.variable(full)}, or use masks from files or from the images' alpha"
         )
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     segment = (_maskrcnn if network == "maskrcnn" else _deeplab)(category, path, device)
@@ -199,8 +199,8 @@ def _maskrcnn(category: str, path: Path, device: torch.device) -> Segmenter:
     label = names.index(COCO.get(category, category))
 
     @torch.no_grad()
-    def segment(picture: Image.Image) -> np.ndarray:
-        (result,) = network([_tensor(picture).to(device)])
+    def segment(image: Image.Image) -> np.ndarray:
+        (result,) = network([_tensor(image).to(device)])
         mine = (result["labels"] == label) & (result["scores"] >= SURE)
         return (result["masks"][mine, 0] >= SURE).cpu().numpy()
 
@@ -221,11 +221,11 @@ def _deeplab(category: str, path: Path, device: torch.device) -> Segmenter:
     )
 
     @torch.no_grad()
-    def segment(picture: Image.Image) -> np.ndarray:
-        scale = SIDE / min(picture.size)
-        small = picture.resize((round(picture.width * scale), round(picture.height * scale)), Image.Resampling.BILINEAR)
+    def segment(image: Image.Image) -> np.ndarray:
+        scale = SIDE / min(image.size)
+        small = image.resize((round(image.width * scale), round(image.height * scale)), Image.Resampling.BILINEAR)
         scores = network(((_tensor(small) - mean) / deviation)[None].to(device))["out"]
-        full = F.interpolate(scores, (picture.height, picture.width), mode="bilinear", align_corners=False)
+        full = F.interpolate(scores, (image.height, image.width), mode="bilinear", align_corners=False)
         return regions((full[0].argmax(0) == label).cpu().numpy())
 
     return segment
@@ -261,15 +261,15 @@ def weights_url(full: str) -> str:
     return str(next(iter(models.get_model_weights(full))).url)
 
 
-def _tensor(picture: Image.Image) -> torch.Tensor:
+def _tensor(image: Image.Image) -> torch.Tensor:
     """(3, H, W) in [0, 1]."""
-    return torch.from_numpy(np.array(picture)).permute(2, 0, 1).float() / 255
+    return torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255
 
 
 def _read(file: Path, width: int, height: int) -> np.ndarray:
     """Alpha (H, W) uint8 of a mask's file, which must be of that size."""
-    with opened(file, "mask") as picture:
-        if picture.size != (width, height):
-            raise ViewnetError(f"mask has another size than its picture ({picture.width} x {picture.height})")
-        picture.load()
-        return coverage(picture)
+    with opened(file, "mask") as image:
+        if image.size != (width, height):
+            raise ViewnetError(f"mask has another size than its image ({image.width} x {image.height})")
+        image.load()
+        return coverage(image)

@@ -28,10 +28,10 @@ class Views:
     first: Tensor  # (O,) the first view of each object
     count: Tensor  # (O,) how many views each object has
 
-    def pictures(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
+    def images(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
         """RGB times alpha, and alpha, in [0, 1]: (n, 4, size, size)."""
-        pictures = self.pixels[rows].to(device).float().div_(255)
-        return pictures if pictures.shape[-1] == size else resize(pictures, size)
+        images = self.pixels[rows].to(device).float().div_(255)
+        return images if images.shape[-1] == size else resize(images, size)
 
     @property
     def opaque(self) -> bool:
@@ -46,25 +46,25 @@ class Views:
     def seen(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
         """What the viewpoint network sees: the crops where there are any, the views themselves otherwise."""
         if self.crops is None:
-            return self.pictures(rows, size, device)
+            return self.images(rows, size, device)
         return self.crops[rows].to(device).float().div_(255)
 
 
-def resize(pictures: Tensor, size: int) -> Tensor:
-    """Pictures (N, C, H, H) at another size, by averaging areas."""
-    return F.interpolate(pictures, (size, size), mode="area")
+def resize(images: Tensor, size: int) -> Tensor:
+    """Images (N, C, H, H) at another size, by averaging areas."""
+    return F.interpolate(images, (size, size), mode="area")
 
 
-def tight_crop(pictures: Tensor, size: int, stretch: bool = False, margin: float = CROP_MARGIN) -> Tensor:
-    """Pictures (N, 4, H, H), RGB times alpha and alpha in [0, 1], cut to their alpha's square box: (N, 4, size, size).
+def tight_crop(images: Tensor, size: int, stretch: bool = False, margin: float = CROP_MARGIN) -> Tensor:
+    """Images (N, 4, H, H), RGB times alpha and alpha in [0, 1], cut to their alpha's square box: (N, 4, size, size).
 
     The box is a square around the longer side, centred, so that things keep their shape; with `stretch` it is their
-    own, and what is in it is stretched. It has a `margin` of its sides all around; what it needs beyond the picture is
-    empty. A picture without an object, or without anything else, is left whole.
+    own, and what is in it is stretched. It has a `margin` of its sides all around; what it needs beyond the image is
+    empty. An image without an object, or without anything else, is left whole.
     """
-    full = pictures.shape[-1]
-    covered = pictures[:, 3] > 0.5
-    edges = torch.arange(full, device=pictures.device)
+    full = images.shape[-1]
+    covered = images[:, 3] > 0.5
+    edges = torch.arange(full, device=images.device)
     low, high = [], []
     for axis in (2, 1):  # columns, then rows
         occupied = covered.any(3 - axis)
@@ -79,10 +79,10 @@ def tight_crop(pictures: Tensor, size: int, stretch: bool = False, margin: float
     centre = (start + end) / 2
     matrix = torch.diag_embed(half / (full / 2))
     shift = (centre / (full / 2) - 1)[:, :, None]
-    # More samples than pixels, averaged: an enlarged crop stays smooth and a whole picture is not aliased.
+    # More samples than pixels, averaged: an enlarged crop stays smooth and a whole image is not aliased.
     fine = size * max(1, -(-full // size))
-    grid = F.affine_grid(torch.cat([matrix, shift], 2), [len(pictures), 4, fine, fine], align_corners=False)
-    return resize(F.grid_sample(pictures, grid, align_corners=False), size)
+    grid = F.affine_grid(torch.cat([matrix, shift], 2), [len(images), 4, fine, fine], align_corners=False)
+    return resize(F.grid_sample(images, grid, align_corners=False), size)
 
 
 def load_views(store: ViewStore, split: str, size: int, crop: int | None = None, stretch: bool = False) -> Views:

@@ -26,7 +26,7 @@ from viewnet.data.readers.pascal3d import tally
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import read_csv
-from viewnet.runtime.images import opened
+from viewnet.runtime.image_files import opened
 from viewnet.runtime.parallel import processors
 from viewnet.runtime.progress import bar
 
@@ -56,12 +56,12 @@ class Photograph(Protocol):
         """Which part of the data set: "val" to calibrate, "test" to score, or as the data set calls it."""
 
     @property
-    def picture(self) -> Path:
+    def image_path(self) -> Path:
         """Its file."""
 
     @property
     def box(self) -> Box | None:
-        """The object's edges in pixels; None for the whole picture."""
+        """The object's edges in pixels; None for the whole image."""
 
     @property
     def azimuth(self) -> float:
@@ -79,7 +79,7 @@ class Listed:
     id: str
     category: str
     split: str
-    picture: Path
+    image_path: Path
     box: Box | None
     azimuth: float
     elevation: float
@@ -100,9 +100,9 @@ def photo_store(
     """Cut photographs of the data set at `root` into a view store, one view each, and open it.
 
     `made_by` describes where they come from (JSON values). `splits` renames splits, say {"train": "val", "val":
-    "test"}: what another data set trains on is what viewpoints are calibrated on here. With `upright`, pictures are
-    turned as their camera says before they are cut. Pictures that cannot be decoded, boxes outside of them, and
-    pictures to calibrate on whose very bytes are scored on too join `rejected` with their reason.
+    "test"}: what another data set trains on is what viewpoints are calibrated on here. With `upright`, images are
+    turned as their camera says before they are cut. Images that cannot be decoded, boxes outside of them, and
+    images to calibrate on whose very bytes are scored on too join `rejected` with their reason.
 
     Raises ViewnetError where one file is in both splits, or a split has no usable photograph.
     """
@@ -124,17 +124,17 @@ def photo_store(
                 iterable=pool.map(attempt, photographs),
                 total=len(photographs),
                 desc="photographs",
-                unit="picture",
+                unit="image",
             )
         )
     scored = {r[1] for r, split in zip(results, renamed, strict=True) if split == "test" and isinstance(r, tuple)}
     kept: list[tuple[Photograph, str, np.ndarray]] = []
     for photograph, split, result in zip(photographs, renamed, results, strict=True):
         if isinstance(result, ViewnetError):
-            refused.append((photograph.id, _within(photograph.picture, root), str(result)))
+            refused.append((photograph.id, _within(photograph.image_path, root), str(result)))
         elif split == "val" and result[1] in scored:
-            reason = "picture to calibrate on that is scored on under another name"
-            refused.append((photograph.id, _within(photograph.picture, root), reason))
+            reason = "image to calibrate on that is scored on under another name"
+            refused.append((photograph.id, _within(photograph.image_path, root), reason))
         else:
             kept.append((photograph, split, result[0]))
     for name in SPLITS:
@@ -150,7 +150,7 @@ def photo_store(
             "view": np.zeros(len(kept), dtype=np.int64),
             "azimuth": [photograph.azimuth % 360 % 360 for photograph, _, _ in kept],
             "elevation": [float(photograph.elevation) for photograph, _, _ in kept],
-            "source": [_within(photograph.picture, root) for photograph, _, _ in kept],
+            "source": [_within(photograph.image_path, root) for photograph, _, _ in kept],
         }
     )
     return write_store(folder, _batches([pixels for _, _, pixels in kept]), index, made_by, refused)
@@ -159,7 +159,7 @@ def photo_store(
 def summary(store: ViewStore) -> str:
     """What a store of photographs holds and what it leaves out, in a line for under a table.
 
-    For example "car: 308 calibrate, 605 scored; left out: 12 only coarsely annotated, 1 picture does not decode".
+    For example "car: 308 calibrate, 605 scored; left out: 12 only coarsely annotated, 1 image does not decode".
     """
     counts = store.index["split"].value_counts()
     told = f"{store.index['category'].iloc[0]}: {counts.get('val', 0)} calibrate, {counts.get('test', 0)} scored"
@@ -176,7 +176,7 @@ def read_folder(root: Path, category: str) -> list[Listed]:
     """The photographs in `<root>/images` that `<root>/viewpoints.csv` lists, one object a row.
 
     Columns: file, azimuth_deg, elevation_deg, split (val: viewpoints are calibrated on it; test: scored), and x0, y0,
-    x1, y1, the edges of the object's box in pixels from the upright picture's left upper corner, unless a picture
+    x1, y1, the edges of the object's box in pixels from the upright image's left upper corner, unless an image
     shows just the object. All other columns are ignored. A file may have several rows, one for each object.
 
     Raises ViewnetError for a missing list, column or value, naming the row (the first after the header is 1).
@@ -196,7 +196,7 @@ def read_folder(root: Path, category: str) -> list[Listed]:
         where = f"{path}: row {number}"
         file, split = str(row["file"]), row["split"]
         if not isinstance(row["file"], str) or PurePath(file).is_absolute() or ".." in PurePath(file).parts:
-            raise ViewnetError(f"{where}: file {row['file']!r}: expected the name of a picture in images/")
+            raise ViewnetError(f"{where}: file {row['file']!r}: expected the name of an image in images/")
         if split not in SPLITS:
             raise ViewnetError(f"{where}: split {split!r}: expected val (calibrated on) or test (scored)")
         azimuth, elevation = (_value(row, name, where) for name in ("azimuth_deg", "elevation_deg"))
@@ -213,7 +213,7 @@ def read_folder(root: Path, category: str) -> list[Listed]:
 
 
 def folder_digest(root: Path) -> str:
-    """What a folder's photographs depend on: its list, and as a cheap sign of a changed picture, its size."""
+    """What a folder's photographs depend on: its list, and as a cheap sign of a changed image, its size."""
     hashed = hashlib.sha256((Path(root) / LIST).read_bytes())
     for path in sorted((Path(root) / "images").rglob("*")):
         if path.is_file():
@@ -240,24 +240,24 @@ def _check_apart(photographs: Sequence[Photograph], splits: Sequence[str]) -> No
     """Raise where a file is in both splits."""
     seen: dict[Path, str] = {}
     for photograph, split in zip(photographs, splits, strict=True):
-        if seen.setdefault(photograph.picture, split) != split:
+        if seen.setdefault(photograph.image_path, split) != split:
             raise ViewnetError(
-                f"{photograph.picture}: is both calibrated on and scored: list it in one split, as the score would be"
-                " of a picture that has been seen"
+                f"{photograph.image_path}: is both calibrated on and scored: list it in one split, as the score would be"
+                " of an image that has been seen"
             )
 
 
 def _decoded(photograph: Photograph, crop: Crop, upright: bool) -> tuple[np.ndarray, bytes]:
-    """The crop, and a digest of the picture's bytes."""
+    """The crop, and a digest of the image's bytes."""
     try:
-        content = photograph.picture.read_bytes()
+        content = photograph.image_path.read_bytes()
     except FileNotFoundError:
-        raise ViewnetError("no such picture") from None
+        raise ViewnetError("no such image") from None
     except (OSError, ValueError) as error:
-        raise ViewnetError(f"picture cannot be read ({type(error).__name__})") from None
-    with opened(io.BytesIO(content)) as picture:
-        picture.load()
-        turned = ImageOps.exif_transpose(picture) if upright else picture.copy()
+        raise ViewnetError(f"image cannot be read ({type(error).__name__})") from None
+    with opened(io.BytesIO(content)) as image:
+        image.load()
+        turned = ImageOps.exif_transpose(image) if upright else image.copy()
     return cut(turned, photograph.box, crop), hashlib.sha256(content).digest()
 
 

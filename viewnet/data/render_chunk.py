@@ -29,7 +29,7 @@ class Chunk:
 
 
 def draw_chunk(chunk: Chunk) -> int:
-    """Write the chunk's pictures (usable models * V, S, S, 4) and the reasons of its unusable models; their number."""
+    """Write the chunk's images (usable models * V, S, S, 4) and the reasons of its unusable models; their number."""
     views = chunk.frames.shape[1]
     images = np.zeros((len(chunk.models), views, chunk.size, chunk.size, 4), np.uint8)
     rejected: dict[str, str] = {}
@@ -51,12 +51,12 @@ def draw_chunk(chunk: Chunk) -> int:
 
 
 def read_chunk(file: Path) -> tuple[np.ndarray, dict[str, str]]:
-    """Pictures and rejected models (id -> reason) of a chunk's file. ViewnetError where it is damaged."""
+    """Images and rejected models (id -> reason) of a chunk's file. ViewnetError where it is damaged."""
     try:
         with np.load(file, allow_pickle=False) as stored:
             images, rejected = stored["images"], json.loads(str(stored["rejected"]))
         if images.dtype != np.uint8 or images.ndim != 4 or not isinstance(rejected, dict):
-            raise ValueError(f"{images.dtype} {images.shape} pictures")
+            raise ValueError(f"{images.dtype} {images.shape} images")
         return images, {str(name): str(reason) for name, reason in rejected.items()}
     except Exception as error:  # a damaged archive raises whatever is stumbled over
         problem = (str(error).splitlines() or [type(error).__name__])[0][:200]

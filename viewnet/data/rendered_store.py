@@ -110,7 +110,7 @@ def describe(
     seed: int,
     backend: Backend,
 ) -> dict[str, Any]:
-    """All but the models that decides the pictures, as JSON values; `backend` is one that `choose_backend` gave."""
+    """All but the models that decides the images, as JSON values; `backend` is one that `choose_backend` gave."""
     return {
         "renderer": {"name": backend, "version": VERSION, "supersample": supersample},
         "camera": {"distance": DISTANCE, "focal": FOCAL, "image_size": image_size},
@@ -124,7 +124,7 @@ def describe(
 
 
 def digest(models: Sequence[ModelFile]) -> dict[str, Any]:
-    """What the pictures depend on of the models: names, splits and, as a cheap sign of a changed file, sizes."""
+    """What the images depend on of the models: names, splits and, as a cheap sign of a changed file, sizes."""
     hashed = hashlib.sha256()
     for model in sorted(models, key=lambda model: (model.category, model.id)):
         size = model.path.stat().st_size if model.path.is_file() else -1

@@ -1,4 +1,4 @@
-"""People's own pictures with masks and boxes, read whatever they come as."""
+"""People's own images with masks and boxes, read whatever they come as."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from torch import Tensor
 
 from viewnet.data.crop import Box, bounds, coverage, inside
 from viewnet.errors import ViewnetError
-from viewnet.runtime import images
+from viewnet.runtime import image_files
 
-Picture = Image.Image | str | os.PathLike | np.ndarray | Tensor
-Pictures = Picture | Sequence[Picture]
+ImageLike = Image.Image | str | os.PathLike | np.ndarray | Tensor
+ImagesLike = ImageLike | Sequence[ImageLike]
 
 
 @dataclass(frozen=True)
 class Given:
-    """A picture as it was given: upright, with its object's mask (H, W) uint8 and box as far as they are known.
+    """An image as it was given: upright, with its object's mask (H, W) uint8 and box as far as they are known.
 
-    Without a box the picture is framed as it is to be: a mask is then its alpha.
+    Without a box the image is framed as it is to be: a mask is then its alpha.
     """
 
-    picture: Image.Image
+    image: Image.Image
     mask: np.ndarray | None = None
     box: Box | None = None
 
 
-def listed(images: Pictures) -> list[Picture]:
-    """Pictures one by one, of one or several. ViewnetError for none and for what is no picture."""
+def listed(images: ImagesLike) -> list[ImageLike]:
+    """ImagesLike one by one, of one or several. ViewnetError for none and for what is no image."""
     if isinstance(images, (np.ndarray, Tensor)):
         found: list[Any] = list(images) if images.ndim == 4 else [images]
     elif isinstance(images, (Image.Image, str, os.PathLike)):
@@ -44,15 +44,15 @@ def listed(images: Pictures) -> list[Picture]:
             found = list(images)
         except TypeError:
             raise ViewnetError(
-                f"pictures: got {type(images).__name__}: expected a picture, a path, an array or a list of such"
+                f"images: got {type(images).__name__}: expected an image, a path, an array or a list of such"
             ) from None
     if not found:
-        raise ViewnetError("pictures: none were given")
+        raise ViewnetError("images: none were given")
     return found
 
 
 def masks_of(masks: Any, count: int) -> list[Any]:
-    """A mask, or None, for each of `count` pictures. ViewnetError for another number."""
+    """A mask, or None, for each of `count` images. ViewnetError for another number."""
     if masks is None:
         return [None] * count
     single = isinstance(masks, (Image.Image, str, os.PathLike)) or (
@@ -62,7 +62,7 @@ def masks_of(masks: Any, count: int) -> list[Any]:
 
 
 def boxes_of(boxes: Any, count: int) -> list[Box | None]:
-    """A box (x0, y0, x1, y1), or None, for each of `count` pictures. ViewnetError for what is none."""
+    """A box (x0, y0, x1, y1), or None, for each of `count` images. ViewnetError for what is none."""
     if boxes is None:
         return [None] * count
     found = [value.tolist() if isinstance(value, (np.ndarray, Tensor)) else value for value in list(boxes)]
@@ -73,7 +73,7 @@ def boxes_of(boxes: Any, count: int) -> list[Box | None]:
 
 def _as_many(values: list[Any], count: int, what: str) -> list[Any]:
     if len(values) != count:
-        raise ViewnetError(f"{what}: {len(values)} for {count} pictures: give one each, or None where there is none")
+        raise ViewnetError(f"{what}: {len(values)} for {count} images: give one each, or None where there is none")
     return values
 
 
@@ -87,45 +87,47 @@ def _box(values: Any) -> Box:
     return x0, y0, x1, y1
 
 
-def opened(image: Picture, mask: Any = None, box: Box | None = None) -> Given:
-    """A picture read and turned upright as its camera says; without a mask its alpha is one, if it has any.
+def opened(image: ImageLike, mask: Any = None, box: Box | None = None) -> Given:
+    """An image read and turned upright as its camera says; without a mask its alpha is one, if it has any.
 
     Raises ViewnetError for what cannot be read, values out of range, a mask of another size, and one that is empty.
     """
-    picture = _picture(image)
+    opened_image = _image(image)
     if mask is not None:
         alpha = _mask(mask)
-        if alpha.shape != (picture.height, picture.width):
+        if alpha.shape != (opened_image.height, opened_image.width):
             size = f"{alpha.shape[1]} x {alpha.shape[0]}"
-            raise ViewnetError(f"mask is {size}, its picture {picture.width} x {picture.height}: expected the same")
+            raise ViewnetError(
+                f"mask is {size}, its image {opened_image.width} x {opened_image.height}: expected the same"
+            )
         alpha = alpha if box is None else inside(alpha, box)
-        return Given(picture, alpha, bounds(alpha))
-    if not picture.has_transparency_data:
-        return Given(picture, None, box)
-    picture = picture.convert("RGBA")
-    alpha = np.array(picture.getchannel("A"))
+        return Given(opened_image, alpha, bounds(alpha))
+    if not opened_image.has_transparency_data:
+        return Given(opened_image, None, box)
+    opened_image = opened_image.convert("RGBA")
+    alpha = np.array(opened_image.getchannel("A"))
     if alpha.min() == 255:
-        return Given(picture, None, box)
+        return Given(opened_image, None, box)
     if box is None:
         bounds(alpha)
-        return Given(picture, alpha)
+        return Given(opened_image, alpha)
     alpha = inside(alpha, box)
-    return Given(picture, alpha, bounds(alpha))
+    return Given(opened_image, alpha, bounds(alpha))
 
 
-def _picture(image: Picture) -> Image.Image:
+def _image(image: ImageLike) -> Image.Image:
     if isinstance(image, (np.ndarray, Tensor)):
         return Image.fromarray(_pixels(image))
     if isinstance(image, (str, os.PathLike)):
-        with images.opened(Path(image)) as file:
+        with image_files.opened(Path(image)) as file:
             file.load()
             return ImageOps.exif_transpose(file)
     if isinstance(image, Image.Image):
         try:
             return ImageOps.exif_transpose(image)
-        except (OSError, ValueError, SyntaxError) as error:  # of a picture that PIL has not decoded yet
-            raise ViewnetError(f"picture does not decode ({type(error).__name__})") from None
-    raise ViewnetError(f"got {type(image).__name__}: expected a PIL picture, a path, a numpy array or a torch tensor")
+        except (OSError, ValueError, SyntaxError) as error:  # of an image that PIL has not decoded yet
+            raise ViewnetError(f"image does not decode ({type(error).__name__})") from None
+    raise ViewnetError(f"got {type(image).__name__}: expected a PIL image, a path, a numpy array or a torch tensor")
 
 
 def _pixels(image: np.ndarray | Tensor) -> np.ndarray:
@@ -139,7 +141,7 @@ def _pixels(image: np.ndarray | Tensor) -> np.ndarray:
     if image.ndim == 3 and image.shape[-1] == 1:
         image = image[..., 0]
     if not (image.ndim == 2 or (image.ndim == 3 and image.shape[-1] in (3, 4))) or 0 in shape:
-        raise ViewnetError(f"picture is {shape}: expected {wanted}")
+        raise ViewnetError(f"image is {shape}: expected {wanted}")
     return np.ascontiguousarray(_eight_bits(image))
 
 
@@ -147,16 +149,16 @@ def _eight_bits(image: np.ndarray) -> np.ndarray:
     if image.dtype == np.uint8:
         return image
     if not np.issubdtype(image.dtype, np.floating):
-        raise ViewnetError(f"picture is of {image.dtype}: expected uint8, or floating point in [0, 1]")
+        raise ViewnetError(f"image is of {image.dtype}: expected uint8, or floating point in [0, 1]")
     if not (image.min() >= 0 and image.max() <= 1):  # not for NaN
-        raise ViewnetError(f"picture has values from {image.min():g} to {image.max():g}: expected 0 to 1, or uint8")
+        raise ViewnetError(f"image has values from {image.min():g} to {image.max():g}: expected 0 to 1, or uint8")
     return (image * 255).round().astype(np.uint8)
 
 
 def _mask(mask: Any) -> np.ndarray:
     """(H, W) uint8, see viewnet.data.crop.coverage."""
     if isinstance(mask, (str, os.PathLike)):
-        with images.opened(Path(mask), f"mask {mask}") as file:
+        with image_files.opened(Path(mask), f"mask {mask}") as file:
             file.load()
             return coverage(file)
     if isinstance(mask, Image.Image):

@@ -32,7 +32,7 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
         "",
         f"# ViewNet: the viewpoint of a {config.category}",
         "",
-        f"From which direction a picture shows a {config.category}, learned without viewpoints from pairs of pictures "
+        f"From which direction an image shows a {config.category}, learned without viewpoints from pairs of images "
         f"of the same object ([ViewNet, ICCV 2021]({URL})). Trained with `viewnet`, a replication.",
         "",
         "| | |",
@@ -55,13 +55,13 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
         "from viewnet.estimator.viewpoint_estimator import ViewpointEstimator",
         "",
         'estimator = ViewpointEstimator.from_pretrained("FOLDER OR NAME/MODEL")',
-        'print(estimator.predict("picture.jpg", boxes=(40, 60, 380, 250)))',
+        'print(estimator.predict("image.jpg", boxes=(40, 60, 380, 250)))',
         "```",
         "",
         "Azimuth 0 shows the object's front and 90 its left side; elevation is the height above the horizon; degrees."
         if aligned
         else "Azimuth 0 and the up of its own frame are arbitrary: only differences between viewpoints tell something.",
-        "It knows this category alone, and answers for any picture.",
+        "It knows this category alone, and answers for any image.",
     ]
     return "\n".join([*lines, ""])
 
@@ -121,8 +121,8 @@ def _elsewhere(found: dict[str, Any]) -> list[str]:
     columns = found["alignments"]
     scores = next(iter(columns.values()))
     fitted = scores["alignment"]["images"]
-    told = f"On {found['on']}: {scores['images']} pictures of {scores['objects']} objects, after each of these "
-    told += f"alignments, fitted on {fitted} other annotated pictures"
+    told = f"On {found['on']}: {scores['images']} images of {scores['objects']} objects, after each of these "
+    told += f"alignments, fitted on {fitted} other annotated images"
     told += (
         "; but for `own`, the rotation of the model as it is, which has seen none of them." if "own" in columns else "."
     )

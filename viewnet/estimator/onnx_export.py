@@ -29,17 +29,17 @@ class _Plain(nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, pictures: Tensor) -> tuple[Tensor, ...]:
-        found = self.network(pictures)
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        found = self.network(images)
         return (found.vectors, found.logits, *(() if found.ups is None else (found.ups,)))
 
 
 def export(estimator: ViewpointEstimator, path: Path) -> Path:
-    """Write what takes `pictures` (N, 3, S, S) in [0, 1], cut, to `vectors` (N, M, 3) and `logits` (N, M); any N.
+    """Write what takes `images` (N, 3, S, S) in [0, 1], cut, to `vectors` (N, M, 3) and `logits` (N, M); any N.
 
     Vectors are unit view vectors in the network's own frame; the file's metadata has the `rotation` (nine numbers, row
     by row) to the annotated one, where there is one, and the `category`. `ups` (N, M, 3) follow where in-plane rotation
-    was learned. What a picture is cut to is said in viewnet.estimator.preprocess. Returns `path`. ViewnetError for another suffix
+    was learned. What an image is cut to is said in viewnet.estimator.preprocess. Returns `path`. ViewnetError for another suffix
     than .onnx, and without the packages of the extra onnx.
     """
     if path.suffix != ".onnx":
@@ -52,7 +52,7 @@ def export(estimator: ViewpointEstimator, path: Path) -> Path:
     size, device = estimator.framing.size, estimator.device
     plain = _Plain(estimator.network.viewpoint).eval()
     names = OUTPUTS if estimator.network.config.in_plane else OUTPUTS[:2]
-    # Two pictures: the size of a dimension of one would be taken for a constant.
+    # Two images: the size of a dimension of one would be taken for a constant.
     example = torch.rand(2, 3, size, size, generator=torch.Generator().manual_seed(0)).to(device)
     logging.getLogger("onnxscript").setLevel(logging.WARNING)
     with warnings.catch_warnings(), torch.no_grad():

@@ -1,4 +1,4 @@
-"""What the networks of a configuration see of a picture: as much, cut and scaled as in training and evaluation."""
+"""What the networks of a configuration see of an image: as much, cut and scaled as in training and evaluation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from viewnet.config import RunConfig
 from viewnet.data.crop import Crop, bounds, cut
 from viewnet.data.pairs import resize, tight_crop
 from viewnet.errors import ViewnetError
-from viewnet.estimator.inputs import Given, Picture, Pictures, boxes_of, listed, masks_of, opened
+from viewnet.estimator.inputs import Given, ImageLike, ImagesLike, boxes_of, listed, masks_of, opened
 from viewnet.runtime.parallel import processors
 
 log = logging.getLogger(__name__)
@@ -30,23 +30,23 @@ MARGIN = 0.2
 """So much of an object's longer side is beyond it, on either side, where it is cut out as the rendering camera sees
 objects: a built-in car's longer side is 0.71 of its view's on average."""
 HIDDEN = (128, 128, 128)
-"""What stands where a picture is transparent, for networks that have always seen something behind the object."""
+"""What stands where an image is transparent, for networks that have always seen something behind the object."""
 BRIGHT = 0.1
-"""A picture is not black along its edges where they are brighter than this on average."""
+"""An image is not black along its edges where they are brighter than this on average."""
 
 
 @dataclass(frozen=True)
 class Framing:
-    """How the networks of a configuration are shown pictures.
+    """How the networks of a configuration are shown images.
 
     size        pixels along a side of what they see
     crop        ModelConfig.crop: whether the viewpoint network sees the object alone, enlarged
     cutout      whether they know objects cut out, over `backdrop`: then what a mask leaves out is not seen. Networks
-                trained before backgrounds, or on videos without masks, see a picture as it is, and a mask only says
+                trained before backgrounds, or on videos without masks, see an image as it is, and a mask only says
                 where the object is
     rendered    whether they see whole views as a rendering camera frames them
-    view        how an object is cut out: about as large in the picture as in training
-    whole       how a picture is cut that is not cut out: to the object's box, as photographs are that are scored
+    view        how an object is cut out: about as large in the image as in training
+    whole       how an image is cut that is not cut out: to the object's box, as photographs are that are scored
     """
 
     size: int
@@ -64,7 +64,7 @@ class Framing:
         masked = video is None or video.masks != "none"
         view = Crop(video.size, video.margin, video.square) if video else Crop(data.image_size, MARGIN)
         # Scored photographs are twice as large as what is seen of them (viewnet.evaluation.features.SIZE). Of networks that see
-        # objects enlarged the box is the edge; others know how large objects are in a picture.
+        # objects enlarged the box is the edge; others know how large objects are in an image.
         margin = 0.0 if masked and model.crop != "none" else view.margin
         whole = Crop(2 * model.input_size, margin, model.crop != "stretched")
         cutout, rendered = masked and data.backgrounds is None, video is None and model.crop == "none"
@@ -73,7 +73,7 @@ class Framing:
 
 @dataclass(frozen=True)
 class View:
-    """A picture cut to its object: (S, S, 4) uint8, straight alpha, and what of it the object covers (S, S) uint8."""
+    """An image cut to its object: (S, S, 4) uint8, straight alpha, and what of it the object covers (S, S) uint8."""
 
     pixels: np.ndarray
     cover: np.ndarray | None
@@ -82,7 +82,7 @@ class View:
 
 @dataclass(frozen=True)
 class Shown:
-    """N pictures as networks are shown them, in [0, 1].
+    """N images as networks are shown them, in [0, 1].
 
     seen       (N, 4, S, S) RGB times alpha and alpha: by the viewpoint network
     object     (N, 4, S, S) the same of the object whose appearance is taken
@@ -96,36 +96,36 @@ class Shown:
     cutout: np.ndarray
 
     @property
-    def pictures(self) -> Tensor:
+    def images(self) -> Tensor:
         """(N, 4, S, S) for people: as the appearance network sees them, objects cut out left transparent."""
         cutout = torch.from_numpy(self.cutout).to(self.seen.device)[:, None, None, None]
         return torch.where(cutout, self.object, torch.cat([self.behind, torch.ones_like(self.behind[:, :1])], 1))
 
 
 def viewed(given: Given, framing: Framing) -> View:
-    """A picture cut as the networks of `framing` see it. ViewnetError for a box that has no part in it."""
-    picture, mask, box = given.picture, given.mask, given.box
+    """An image cut as the networks of `framing` see it. ViewnetError for a box that has no part in it."""
+    image, mask, box = given.image, given.mask, given.box
     if mask is None:
-        # A picture of just the size is one that has been cut already.
-        ready = box is None and picture.size == (framing.size, framing.size)
+        # An image of just the size is one that has been cut already.
+        ready = box is None and image.size == (framing.size, framing.size)
         margin = 0.0 if box is None else framing.whole.margin
         crop = replace(framing.whole, size=framing.size if ready else framing.whole.size, margin=margin)
-        return View(cut(picture, box, crop), None, False)
+        return View(cut(image, box, crop), None, False)
     if framing.cutout:
         if box is None:
-            # As it is: a view such as those of training. A small object in a large picture is first seen from nearer.
-            ready = framing.crop == "none" or picture.size == (framing.view.size, framing.view.size)
+            # As it is: a view such as those of training. A small object in a large image is first seen from nearer.
+            ready = framing.crop == "none" or image.size == (framing.view.size, framing.view.size)
             box = None if ready else bounds(mask)
         crop = framing.view if box else replace(framing.view, margin=0.0)
-        return View(cut(picture, box, crop, mask), None, True)
+        return View(cut(image, box, crop, mask), None, True)
     if box is None:
-        ground = Image.new("RGBA", picture.size, (*HIDDEN, 255))
-        picture, box = Image.alpha_composite(ground, picture), bounds(mask)
-    return View(cut(picture, box, framing.whole), cut(picture, box, framing.whole, mask)[..., 3], False)
+        ground = Image.new("RGBA", image.size, (*HIDDEN, 255))
+        image, box = Image.alpha_composite(ground, image), bounds(mask)
+    return View(cut(image, box, framing.whole), cut(image, box, framing.whole, mask)[..., 3], False)
 
 
 def shown(views: Sequence[View], framing: Framing, device: torch.device) -> Shown:
-    """Cut pictures as the networks of `framing` are shown them."""
+    """Cut images as the networks of `framing` are shown them."""
     count, size = len(views), framing.size
     seen, whole = torch.empty(count, 4, size, size), torch.empty(count, 4, size, size)
     covered = torch.ones(count, 1, size, size)
@@ -148,17 +148,17 @@ def shown(views: Sequence[View], framing: Framing, device: torch.device) -> Show
 
 
 def batches(
-    images: Pictures, masks: Any, boxes: Any, framing: Framing, device: torch.device, batch_size: int
+    images: ImagesLike, masks: Any, boxes: Any, framing: Framing, device: torch.device, batch_size: int
 ) -> Iterator[Shown]:
-    """Pictures with their masks and boxes as the networks of `framing` are shown them, batch by batch.
+    """ImagesLike with their masks and boxes as the networks of `framing` are shown them, batch by batch.
 
-    Warns of the first that is unlike those of training. ViewnetError names the picture that is at fault.
+    Warns of the first that is unlike those of training. ViewnetError names the image that is at fault.
     """
     each, warned = listed(images), False
     alphas, places = masks_of(masks, len(each)), boxes_of(boxes, len(each))
     if framing.rendered and not (masks is None and boxes is None):
         log.warning(
-            "the network knows whole views as a rendering camera frames them: of pictures that are cut its answers are "
+            "the network knows whole views as a rendering camera frames them: of images that are cut its answers are "
             "worth little: train one with the recipe photos"
         )
 
@@ -170,7 +170,7 @@ def batches(
 
     for start in range(0, len(each), _count(batch_size)):
         rows = range(start, min(start + batch_size, len(each)))
-        # Pictures are decoded and resized outside of the interpreter, so threads help.
+        # ImagesLike are decoded and resized outside of the interpreter, so threads help.
         with ThreadPoolExecutor(min(processors(), len(rows))) as pool:
             found = shown(list(pool.map(view, rows)), framing, device)
         if not warned:
@@ -180,7 +180,7 @@ def batches(
 
 
 def ready_batches(images: Tensor, framing: Framing, device: torch.device, batch_size: int) -> Iterator[Tensor]:
-    """Of pictures that `ready` gives, in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does.
+    """Of images that `ready` gives, in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does.
 
     A batch is overwritten by the next one: fresh memory would take several times as long as to fill it.
     """
@@ -193,12 +193,12 @@ def ready_batches(images: Tensor, framing: Framing, device: torch.device, batch_
         else:
             seen = _in_unit(part)
         if start == 0:
-            _warn(framing, _bright(seen), [_name(picture, row) for row, picture in enumerate(seen)])
+            _warn(framing, _bright(seen), [_name(image, row) for row, image in enumerate(seen)])
         yield seen
 
 
-def ready(images: Pictures, framing: Framing) -> Tensor | None:
-    """(N, 3, S, S), for `ready_batches`, of an array of pictures that need no cutting; None of all else."""
+def ready(images: ImagesLike, framing: Framing) -> Tensor | None:
+    """(N, 3, S, S), for `ready_batches`, of an array of images that need no cutting; None of all else."""
     if isinstance(images, Tensor):
         found = images
     elif isinstance(images, np.ndarray) and images.ndim == 4 and images.dtype in READY:
@@ -210,32 +210,32 @@ def ready(images: Pictures, framing: Framing) -> Tensor | None:
 
 
 def _in_unit(images: Tensor) -> Tensor:
-    """Pictures of floating point in [0, 1], as float32. ViewnetError for other values."""
+    """ImagesLike of floating point in [0, 1], as float32. ViewnetError for other values."""
     if not images.is_floating_point():
-        raise ViewnetError(f"pictures are of {images.dtype}: expected uint8, or floating point in [0, 1]")
+        raise ViewnetError(f"images are of {images.dtype}: expected uint8, or floating point in [0, 1]")
     low, high = (float(value) for value in images.detach().aminmax())
     if not (low >= 0 and high <= 1):  # not for NaN
-        raise ViewnetError(f"pictures have values from {low:g} to {high:g}: expected 0 to 1, or uint8")
+        raise ViewnetError(f"images have values from {low:g} to {high:g}: expected 0 to 1, or uint8")
     return images.detach().float()
 
 
 def _bright(seen: Tensor) -> Tensor:
-    """(N,) bool: which pictures (N, 3, S, S) are not black along their edges."""
+    """(N,) bool: which images (N, 3, S, S) are not black along their edges."""
     edges = torch.cat([seen[:, :, [0, -1]].flatten(2), seen[:, :, :, [0, -1]].flatten(2)], 2)
     return edges.mean((1, 2)) > BRIGHT
 
 
 def _warn(framing: Framing, bright: Tensor, names: Sequence[str]) -> bool:
-    """Say which picture is unlike those of training; whether there is one."""
+    """Say which image is unlike those of training; whether there is one."""
     if not (framing.cutout and bright.any()):
         return False
     name = names[int(bright.int().argmax())]
-    log.warning("%s is not black around its object, as all pictures in training were: give a mask", name)
+    log.warning("%s is not black around its object, as all images in training were: give a mask", name)
     return True
 
 
-def _name(image: Picture, row: int) -> str:
-    return os.fspath(image) if isinstance(image, (str, os.PathLike)) else f"picture {row}"
+def _name(image: ImageLike, row: int) -> str:
+    return os.fspath(image) if isinstance(image, (str, os.PathLike)) else f"image {row}"
 
 
 def _count(batch_size: int) -> int:

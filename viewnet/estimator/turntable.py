@@ -1,4 +1,4 @@
-"""A picture's object on a turntable, from the viewpoint that was predicted for the picture all the way round to it."""
+"""An image's object on a turntable, from the viewpoint that was predicted for the image all the way round to it."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
 
 MARK = (213, 94, 0)  # of the predicted viewpoint
 INK = (40, 40, 40)
-STRIP = 48  # pixels: the height of the line below the pictures
+STRIP = 48  # pixels: the height of the line below the images
 EDGE = 4
 SUFFIXES = (".gif", ".mp4")
 
 
 def turntable(drawer: Drawer, row: int, steps: int = 48, hold: int = 12, size: int = 192) -> list[np.ndarray]:
-    """`revolve` of a test picture and what the network makes of it. ViewnetError for a row that is not there."""
+    """`revolve` of a test image and what the network makes of it. ViewnetError for a row that is not there."""
     if not 0 <= row < len(drawer):
-        raise ViewnetError(f"picture {row}: there are {len(drawer)} test pictures: choose one from 0 on")
-    picture, answer, told = drawer.shown([row])[0], drawer.answers([row])[0], drawer.aligned.selected[row]
-    return revolve(drawer, picture, drawer.imagine([row]), answer, told, steps, hold, size)
+        raise ViewnetError(f"image {row}: there are {len(drawer)} test images: choose one from 0 on")
+    image, answer, told = drawer.shown([row])[0], drawer.answers([row])[0], drawer.aligned.selected[row]
+    return revolve(drawer, image, drawer.imagine([row]), answer, told, steps, hold, size)
 
 
 def revolve(
     painter: Painter,
-    picture: np.ndarray,
+    image: np.ndarray,
     imagined: Imagined,
     answer: Tensor,
     told: np.ndarray,
@@ -44,12 +44,12 @@ def revolve(
     hold: int = 12,
     size: int = 192,
 ) -> list[np.ndarray]:
-    """Frames (H, W, 3) uint8: a `picture` (S, S, 3) uint8 on the left, the one object `imagined` turning on the right.
+    """Frames (H, W, 3) uint8: a `image` (S, S, 3) uint8 on the left, the one object `imagined` turning on the right.
 
     The first `hold` frames stand at the predicted viewpoint, framed and named: the camera frame `answer` (3, 3) in the
     network's own frame, and the view vector `told` (3,) that is said of it. Then `steps` frames go once round at its
     elevation. The dial is seen from above, the object's front pointing down to the reader; azimuths are those of
-    `told`. `size` is the side of a picture in pixels. ViewnetError unless it is an even number of 64 or more, and for
+    `told`. `size` is the side of an image in pixels. ViewnetError unless it is an even number of 64 or more, and for
     no steps.
     """
     if size < 64 or size % 2:
@@ -61,7 +61,7 @@ def revolve(
     frames = geometry.look_at(geometry.view_vector(turned, elevation.expand(steps)))
     frames[0] = answer
     drawn = painter.painted(painter.draw(imagined, frames, 2 * painter.network.config.render_size))
-    left = _scaled(picture, size)
+    left = _scaled(image, size)
     azimuth, height = (float(a) for a in geometry.azimuth_elevation(torch.from_numpy(np.array(told))))
     found = []
     for number in [*[0] * hold, *range(steps)]:
@@ -87,10 +87,10 @@ def save(frames: Sequence[np.ndarray], path: Path, rate: int = 16) -> Path:
         raise ViewnetError(f"{path}: no frames to write")
     check(path)
     if path.suffix == ".gif":
-        pictures = [Image.fromarray(frame) for frame in frames]
+        images = [Image.fromarray(frame) for frame in frames]
         with replacing(path) as temporary:
             duration = round(1000 / rate)
-            pictures[0].save(temporary, save_all=True, append_images=pictures[1:], duration=duration, loop=0)
+            images[0].save(temporary, save_all=True, append_images=images[1:], duration=duration, loop=0)
     else:
         _save_mp4(frames, path, rate)
     return path
@@ -111,16 +111,16 @@ def _save_mp4(frames: Sequence[np.ndarray], path: Path, rate: int) -> None:
         container.mux(stream.encode())
 
 
-def _scaled(picture: np.ndarray, size: int) -> Image.Image:
-    return Image.fromarray(picture).resize((size, size), Image.Resampling.BICUBIC)
+def _scaled(image: np.ndarray, size: int) -> Image.Image:
+    return Image.fromarray(image).resize((size, size), Image.Resampling.BICUBIC)
 
 
 def _composed(
-    picture: Image.Image, drawing: Image.Image, text: str, angle: float, predicted: float, marked: bool
+    image: Image.Image, drawing: Image.Image, text: str, angle: float, predicted: float, marked: bool
 ) -> np.ndarray:
-    size = picture.width
+    size = image.width
     frame = Image.new("RGB", (2 * size + 3 * EDGE + EDGE % 2, size + 2 * EDGE + STRIP), "white")
-    frame.paste(picture, (EDGE, EDGE))
+    frame.paste(image, (EDGE, EDGE))
     frame.paste(drawing, (size + 2 * EDGE, EDGE))
     pen = ImageDraw.Draw(frame)
     if marked:

@@ -1,4 +1,4 @@
-"""A trained ViewNet for people's own pictures: where they were taken from, and what their object is like elsewhere.
+"""A trained ViewNet for people's own images: where they were taken from, and what their object is like elsewhere.
 
 `ViewpointEstimator.from_pretrained` gives one of a finished run. Here is one that has learned nothing yet:
 
@@ -31,7 +31,7 @@ from viewnet.config import RunConfig
 from viewnet.data.pairs import tight_crop
 from viewnet.errors import ViewnetError
 from viewnet.estimator import inputs, preprocess
-from viewnet.estimator.inputs import Picture, Pictures
+from viewnet.estimator.inputs import ImageLike, ImagesLike
 from viewnet.estimator.preprocess import Framing, Shown
 from viewnet.estimator.viewpoints import Viewpoints
 from viewnet.geometry import look_at, view_vector
@@ -46,26 +46,26 @@ BATCH = 256
 
 @dataclass(frozen=True, repr=False, eq=False)
 class ViewpointEstimator(Painter):
-    """A trained network, ready for pictures from anywhere.
+    """A trained network, ready for images from anywhere.
 
     Answers are in the annotated frame where the network's own was aligned to it on annotated validation views, as a
     finished run's is (`aligned`). A network that was trained on videos without viewpoints has no alignment: its answers
     are in its own frame, whose azimuth 0 and whose up are arbitrary.
 
-    Pictures are PIL pictures, paths, numpy arrays (H, W), (H, W, 3) or (H, W, 4), torch tensors (1, H, W), (3, H, W) or
+    ImagesLike are PIL images, paths, numpy arrays (H, W), (H, W, 3) or (H, W, 4), torch tensors (1, H, W), (3, H, W) or
     (4, H, W), uint8 or floating point in [0, 1], of any size; several come as a list or as an array of one more
-    dimension. Files are turned upright as their camera says. What is known of the object in a picture decides what of
+    dimension. Files are turned upright as their camera says. What is known of the object in an image decides what of
     it the networks see:
 
     - with a mask, (H, W) with the object above 0, or with transparency, which is a mask: the object. A network trained
       on objects over black sees nothing else; one trained before backgrounds (recipe photos), or on videos without
-      masks, sees the picture around the mask, and grey where it is transparent.
+      masks, sees the image around the mask, and grey where it is transparent.
     - with a box x0, y0, x1, y1 in pixels: what is in the box.
-    - with neither: all of the picture, which then should show the object from edge to edge.
+    - with neither: all of the image, which then should show the object from edge to edge.
 
-    A network that sees whole views (crop "none", recipe matting) knows from them how large objects are in the pictures
-    of a rendering camera. A transparent picture without a box is then taken for such a view and not cut; in any other
-    picture its answers are little worth. For photographs take the recipes photos or paper_photos.
+    A network that sees whole views (crop "none", recipe matting) knows from them how large objects are in the images
+    of a rendering camera. A transparent image without a box is then taken for such a view and not cut; in any other
+    image its answers are little worth. For photographs take the recipes photos or paper_photos.
 
     `about` says where the network comes from, as plain JSON types: a run's key, metrics and so on.
     """
@@ -115,13 +115,13 @@ class ViewpointEstimator(Painter):
 
     @cached_property
     def framing(self) -> Framing:
-        """What the networks see of a picture."""
+        """What the networks see of an image."""
         return Framing.of(self.config)
 
-    def predict(self, images: Pictures, masks: Any = None, boxes: Any = None, batch_size: int = BATCH) -> Viewpoints:
-        """The viewpoints of one or several pictures, in their order.
+    def predict(self, images: ImagesLike, masks: Any = None, boxes: Any = None, batch_size: int = BATCH) -> Viewpoints:
+        """The viewpoints of one or several images, in their order.
 
-        `masks` and `boxes` are one or as many, None for pictures without. Raises ViewnetError that names the picture
+        `masks` and `boxes` are one or as many, None for images without. Raises ViewnetError that names the image
         for what cannot be read, and for masks and boxes that do not fit.
         """
         vectors, logits, ups = [], [], []
@@ -133,8 +133,8 @@ class ViewpointEstimator(Painter):
                 ups.append(found.ups.double().cpu().numpy())
         return self._told(np.concatenate(vectors), np.concatenate(logits), np.concatenate(ups) if ups else None)
 
-    def volume(self, image: Picture, mask: Any = None, box: Any = None) -> Tensor:
-        """What one picture's object looks like to the network: (4, Z, Y, X), colour and occupancy, on the CPU.
+    def volume(self, image: ImageLike, mask: Any = None, box: Any = None) -> Tensor:
+        """What one image's object looks like to the network: (4, Z, Y, X), colour and occupancy, on the CPU.
 
         Values are in [0, 1], the frame is the network's own, which `rotation` takes to that of the answers. Raises
         ViewnetError for the HoloGAN decoder, whose features are no volume of colours.
@@ -145,7 +145,7 @@ class ViewpointEstimator(Painter):
             )
         return self._imagine(self._one(image, mask, box)).shape[0].cpu()
 
-    def mesh(self, image: Picture, mask: Any = None, box: Any = None, level: float = 0.5) -> trimesh.Trimesh:
+    def mesh(self, image: ImageLike, mask: Any = None, box: Any = None, level: float = 0.5) -> trimesh.Trimesh:
         """The surface of `volume` where occupancy passes `level`, in the frame of the answers.
 
         viewnet.estimator.volume_mesh.write makes a file of it. Raises ViewnetError as `volume` does, and for an empty volume.
@@ -155,11 +155,11 @@ class ViewpointEstimator(Painter):
         return volume_mesh.surface(self.volume(image, mask, box), self.rotation, level)
 
     def reconstruct(
-        self, images: Pictures, masks: Any = None, boxes: Any = None, size: int | None = None
+        self, images: ImagesLike, masks: Any = None, boxes: Any = None, size: int | None = None
     ) -> np.ndarray:
-        """Pictures (N, S, S, 3) uint8 of the objects before white, each drawn from the viewpoint predicted for it.
+        """ImagesLike (N, S, S, 3) uint8 of the objects before white, each drawn from the viewpoint predicted for it.
 
-        Of pictures that were cut to their object, the drawing is too. `size` is S, in pixels (default: as learned).
+        Of images that were cut to their object, the drawing is too. `size` is S, in pixels (default: as learned).
         """
         drawn = []
         for shown in self._shown(images, masks, boxes):
@@ -170,17 +170,17 @@ class ViewpointEstimator(Painter):
 
     def novel_view(
         self,
-        images: Pictures,
+        images: ImagesLike,
         azimuth: ArrayLike,
         elevation: ArrayLike,
         masks: Any = None,
         boxes: Any = None,
         size: int | None = None,
     ) -> np.ndarray:
-        """Pictures (N, S, S, 3) uint8 of the objects before white, from another viewpoint in degrees: one, or (N,).
+        """ImagesLike (N, S, S, 3) uint8 of the objects before white, from another viewpoint in degrees: one, or (N,).
 
         The viewpoint is in the frame of the answers. `size` is S, in pixels (default: as learned). Raises ViewnetError
-        for angles that are no finite numbers, or not as many as pictures.
+        for angles that are no finite numbers, or not as many as images.
         """
         count = len(inputs.listed(images))
         angles = []
@@ -198,7 +198,7 @@ class ViewpointEstimator(Painter):
 
     def turntable(
         self,
-        image: Picture,
+        image: ImageLike,
         path: str | os.PathLike[str] | None = None,
         mask: Any = None,
         box: Any = None,
@@ -208,7 +208,7 @@ class ViewpointEstimator(Painter):
         size: int = 192,
         rate: int = 16,
     ) -> list[np.ndarray]:
-        """Frames (H, W, 3) uint8: one picture, and its object turning once; see viewnet.estimator.turntable.revolve.
+        """Frames (H, W, 3) uint8: one image, and its object turning once; see viewnet.estimator.turntable.revolve.
 
         With a `path` that ends in .gif or .mp4 they are written there too, `rate` a second.
         """
@@ -220,8 +220,8 @@ class ViewpointEstimator(Painter):
         shown = self._one(image, mask, box)
         found, answer = self._look(self.network.see(shown.seen)), self._answers(shown)[0]
         told = self._told(*(_array(values) for values in (found.vectors, found.logits, found.ups)))
-        picture = rendering.shown(shown.pictures)[0]
-        frames = turntable.revolve(self, picture, self._imagine(shown), answer, told.vector[0], steps, hold, size)
+        given = rendering.shown(shown.images)[0]
+        frames = turntable.revolve(self, given, self._imagine(shown), answer, told.vector[0], steps, hold, size)
         if path is not None:
             turntable.save(frames, Path(path), rate)
         return frames
@@ -285,19 +285,19 @@ class ViewpointEstimator(Painter):
             vectors, ups = vectors @ self.turned.T, None if ups is None else ups @ self.turned.T
         return Viewpoints.of(vectors, logits, ups, self.aligned)
 
-    def _seen(self, images: Pictures, masks: Any, boxes: Any, batch_size: int) -> Iterator[Tensor]:
-        """What the encoder takes of the pictures (n, 3, S, S), batch by batch."""
+    def _seen(self, images: ImagesLike, masks: Any, boxes: Any, batch_size: int) -> Iterator[Tensor]:
+        """What the encoder takes of the images (n, 3, S, S), batch by batch."""
         if masks is None and boxes is None and (ready := preprocess.ready(images, self.framing)) is not None:
             return preprocess.ready_batches(ready, self.framing, self.device, batch_size)
         return (self.network.see(shown.seen) for shown in self._shown(images, masks, boxes, batch_size))
 
-    def _shown(self, images: Pictures, masks: Any, boxes: Any, batch_size: int = BATCH) -> Iterator[Shown]:
-        """The pictures as the networks see them, batch by batch."""
+    def _shown(self, images: ImagesLike, masks: Any, boxes: Any, batch_size: int = BATCH) -> Iterator[Shown]:
+        """The images as the networks see them, batch by batch."""
         return preprocess.batches(images, masks, boxes, self.framing, self.device, batch_size)
 
-    def _one(self, image: Picture, mask: Any, box: Any) -> Shown:
+    def _one(self, image: ImageLike, mask: Any, box: Any) -> Shown:
         if len(each := inputs.listed(image)) != 1:
-            raise ViewnetError(f"{len(each)} pictures: expected one")
+            raise ViewnetError(f"{len(each)} images: expected one")
         masks, boxes = (None if value is None else [value] for value in (mask, box))
         return next(self._shown(each, masks, boxes, 1))
 

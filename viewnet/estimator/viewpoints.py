@@ -1,4 +1,4 @@
-"""What an estimator says of pictures: viewpoints, and how sure it is."""
+"""What an estimator says of images: viewpoints, and how sure it is."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 LINES = 12
-"""Pictures that a summary names."""
+"""Images that a summary names."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """The viewpoint of one picture: a row of `Viewpoints`, whose fields say what these are."""
+    """The viewpoint of one image: a row of `Viewpoints`, whose fields say what these are."""
 
     azimuth: float
     elevation: float
@@ -63,7 +63,7 @@ class Viewpoint:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Viewpoints:
-    """The viewpoints of N pictures, M hypotheses each, all in one frame (see viewnet.geometry).
+    """The viewpoints of N images, M hypotheses each, all in one frame (see viewnet.geometry).
 
     azimuth        (N,) degrees in [0, 360): 0 shows the object's front, 90 its left side
     elevation      (N,) degrees in [-90, 90]
@@ -124,7 +124,7 @@ class Viewpoints:
     def __getitem__(self, rows: slice | ArrayLike) -> Viewpoints: ...
 
     def __getitem__(self, rows: Any) -> Viewpoint | Viewpoints:
-        """The viewpoint of one picture, or those that a slice, a mask (N,) or a list of positions names."""
+        """The viewpoint of one image, or those that a slice, a mask (N,) or a list of positions names."""
         arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "aligned"}
         if not isinstance(rows, (int, np.integer)):
             rows = rows if isinstance(rows, slice) else np.asarray(rows)
@@ -137,7 +137,7 @@ class Viewpoints:
         return (self[row] for row in range(len(self)))
 
     def to_frame(self) -> pd.DataFrame:
-        """A row a picture: azimuth, elevation, confidence, choice; azimuth_m, elevation_m, probability_m of all m."""
+        """A row an image: azimuth, elevation, confidence, choice; azimuth_m, elevation_m, probability_m of all m."""
         import pandas as pd
 
         columns: dict[str, Any] = {

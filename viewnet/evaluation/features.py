@@ -1,4 +1,4 @@
-"""What a picture looks like, in numbers: the convolution features that a linear regression of viewpoints starts from.
+"""What an image looks like, in numbers: the convolution features that a linear regression of viewpoints starts from.
 
 A backbone is a network of viewnet.runtime.torchvision_weights, or "pixels": grey levels and directions of edges, which need no weights.
 "auto" is the first of AUTO that is at hand.
@@ -54,7 +54,7 @@ def describe(backbone: str, size: int = SIZE) -> str:
 def extract(store: ViewStore, backbone: str = "auto", size: int = SIZE) -> Features:
     """Features (N, D) of every view of a store, in its order, over black where alpha is 0.
 
-    Pictures are brought to `size` pixels a side and, for networks, normalised as ImageNet's are; the map of the last
+    Images are brought to `size` pixels a side and, for networks, normalised as ImageNet's are; the map of the last
     convolutions is flattened, so that it keeps what is where. Kept in `<paths.data()>/features` once computed. Raises
     ViewnetError as `choose` does.
     """
@@ -66,13 +66,13 @@ def extract(store: ViewStore, backbone: str = "auto", size: int = SIZE) -> Featu
     if kept.is_file():
         return _read(kept, len(store))
     compute = _pixels if backbone == "pixels" else _Network(backbone)
-    found = np.concatenate([compute(pictures(store, part, size)) for part in _parts(len(store))])
+    found = np.concatenate([compute(images(store, part, size)) for part in _parts(len(store))])
     with replacing(kept) as temporary:
         np.save(temporary, found)
     return found
 
 
-def pictures(store: ViewStore, rows: NDArray[np.intp], size: int) -> Tensor:
+def images(store: ViewStore, rows: NDArray[np.intp], size: int) -> Tensor:
     """Some views (n, 3, size, size), RGB in [0, 1], over black."""
     straight = torch.from_numpy(np.array(store.images[rows])).movedim(-1, 1).float().div_(255)
     shown = straight[:, :3] * straight[:, 3:]
@@ -82,7 +82,7 @@ def pictures(store: ViewStore, rows: NDArray[np.intp], size: int) -> Tensor:
 
 
 class _Network:
-    """Flattened convolution features of pictures."""
+    """Flattened convolution features of images."""
 
     def __init__(self, backbone: str):
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -99,9 +99,9 @@ class _Network:
 
 
 def _pixels(shown: Tensor) -> Features:
-    """Of pictures (n, 3, S, S): grey levels at 16x16, and how strong edges of 8 directions are in each of 8x8 cells.
+    """Of images (n, 3, S, S): grey levels at 16x16, and how strong edges of 8 directions are in each of 8x8 cells.
 
-    Both come centred or normalised a picture: neither brightness nor contrast counts.
+    Both come centred or normalised an image: neither brightness nor contrast counts.
     """
     grey = shown.mean(dim=1, keepdim=True)
     small = F.adaptive_avg_pool2d(grey, GREY).flatten(1)
@@ -127,5 +127,5 @@ def _parts(count: int) -> list[NDArray[np.intp]]:
 def _read(path: Path, count: int) -> Features:
     found = load_array(path, "delete it and it is made again")
     if found.ndim != 2 or len(found) != count or found.dtype != np.float32 or not np.isfinite(found).all():
-        raise ViewnetError(f"{path}: {found.dtype} {found.shape} for {count} pictures: delete it and it is made again")
+        raise ViewnetError(f"{path}: {found.dtype} {found.shape} for {count} images: delete it and it is made again")
     return found

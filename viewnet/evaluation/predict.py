@@ -1,4 +1,4 @@
-"""From a checkpoint to predictions: one row a picture."""
+"""From a checkpoint to predictions: one row an image."""
 
 from __future__ import annotations
 
@@ -115,8 +115,8 @@ def candidates(folder: Path, store: ViewStore, rows: list[int], split: str = "te
         behind = augment.behind(scenery, len(others), small, chance, device)
     found = reconstruct(
         network,
-        views.pictures(others, small, device),
-        views.pictures(index, small, device),
+        views.images(others, small, device),
+        views.images(index, small, device),
         seen,
         config.train,
         behind=behind,
@@ -125,14 +125,14 @@ def candidates(folder: Path, store: ViewStore, rows: list[int], split: str = "te
     drawn = _on_white(network.draw(found.shape, found.appearance, found.hypotheses.frames.flatten(0, 1)))
     ranked = found.errors.argsort(1)
     return (
-        _on_white(views.pictures(index, size, device)),
+        _on_white(views.images(index, size, device)),
         drawn.reshape(-1, heads, *drawn.shape[1:])[np.arange(len(rows))[:, None], ranked.cpu().numpy()],
         found.errors.gather(1, ranked).cpu().numpy(),
         ranked.cpu().numpy(),
     )
 
 
-def _on_white(pictures: Tensor) -> np.ndarray:
-    """Pictures (N, 4, H, W), RGB times mask and mask in [0, 1] -> (N, H, W, 3) uint8."""
-    colours = composite(pictures, torch.ones(len(pictures), 3, device=pictures.device))
+def _on_white(images: Tensor) -> np.ndarray:
+    """Images (N, 4, H, W), RGB times mask and mask in [0, 1] -> (N, H, W, 3) uint8."""
+    colours = composite(images, torch.ones(len(images), 3, device=images.device))
     return (colours.clamp(0, 1) * 255).round().to(torch.uint8).movedim(1, -1).cpu().numpy()

@@ -1,6 +1,6 @@
 """What printed numbers of constant predictors can and cannot be, by each definition of the error in print.
 
-A constant says the same viewpoint of every picture, so its scores depend on nothing but the test set's viewpoints. With
+A constant says the same viewpoint of every image, so its scores depend on nothing but the test set's viewpoints. With
 a list of those, a printed score can be held against each definition (viewnet.evaluation.metrics) and each test set: against the
 constants that the paper may have meant, and against all constants there are.
 """

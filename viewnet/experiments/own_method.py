@@ -6,7 +6,7 @@
     asked = experiment("table3_pascal3d", categories="car")
     table = with_methods(asked, asked.run(), [Submission("Mine", Mine())])
 
-A method is given pictures, and to fit on, where it has `fit`, the true viewpoints of calibration images. Where an
+A method is given images, and to fit on, where it has `fit`, the true viewpoints of calibration images. Where an
 image comes from, and the viewpoint of an image that is scored, stay here. What it says goes through the same alignment,
 scores and bootstrap intervals as every other row. Instead of a method there may be a file that another program wrote
 (viewnet.evaluation.submitted_predictions).
@@ -246,7 +246,7 @@ def _said(submission: Submission, images: HeldOut, category: str, calibration: i
     if hasattr(method, "fit"):
         rows = np.flatnonzero(baselines.calibrating(images.ids, calibration)[: len(images.stores["val"][1])])
         method.fit(images.images("val", rows), true_vectors(images.ids.iloc[rows]))
-    # Neighbours in a store show the same object, and its order may tell more than a picture does.
+    # Neighbours in a store show the same object, and its order may tell more than an image does.
     chance = np.random.default_rng(0)
     found = []
     for split, (_, mine) in images.stores.items():

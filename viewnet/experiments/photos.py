@@ -216,7 +216,7 @@ def photo_experiment(
     cad_root     a ShapeNetCore folder to train on; "": the built-in models
     splits       a folder of <synset>_{train,val,test}.txt lists for it
     extra_cad    a second ShapeNetCore folder, all of whose models join training
-    backgrounds  a folder of pictures (SUN397) to stand behind what is trained on; "": drawn ones
+    backgrounds  a folder of images (SUN397) to stand behind what is trained on; "": drawn ones
     subset       of PASCAL3D+: imagenet, pascal or both
     keep         all, easy (neither difficult, truncated nor occluded) or first (one object an image)
     margin       so much of a box's longer side is seen beyond it, 0 to 2

@@ -100,7 +100,7 @@ class Experiment:
 
     @property
     def figures(self) -> Path:
-        """Where pictures go that are no part of a table; told apart as in `folder`."""
+        """Where images go that are no part of a table; told apart as in `folder`."""
         return self.output / "figures" / self.label
 
     @property

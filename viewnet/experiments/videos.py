@@ -174,7 +174,7 @@ def video_experiment(
     start        "": random weights, as in print; shapenet: ViewNet trained on CAD models first; else the key or folder
                  of a run
     cad_root     a ShapeNetCore folder for start=shapenet; "": the built-in models
-    backgrounds  a folder of pictures (SUN397) to stand behind what is trained on; "": drawn ones
+    backgrounds  a folder of images (SUN397) to stand behind what is trained on; "": drawn ones
 
     Raises ViewnetError naming the parameter and its valid values.
     """

@@ -13,7 +13,7 @@ from viewnet.model.viewnet import Hypotheses
 from viewnet.runtime.torchvision_weights import IMAGENET_MEAN, IMAGENET_STD, convolutions
 
 FEATURE_NETWORKS = {
-    # Indices of torchvision's `features` whose *input* is compared, and their weights; 0 is the picture itself.
+    # Indices of torchvision's `features` whose *input* is compared, and their weights; 0 is the image itself.
     # VGG16: pixels, then conv1_2, conv2_2 and conv3_3 before their ReLU, as in the released code.
     "vgg16": ((0, 10.0), (3, 1.0), (8, 1.0), (15, 1.0)),
     # SqueezeNet 1.1: pixels, then after the first convolution's ReLU, the second and the fourth fire module.
@@ -21,16 +21,16 @@ FEATURE_NETWORKS = {
 }
 
 
-def composite(picture: Tensor, colour: Tensor) -> Tensor:
-    """Pictures (N, 4, H, W), RGB times mask and mask, over colours (N, 3): (N, 3, H, W)."""
-    return picture[:, :3] + colour[:, :, None, None] * (1 - picture[:, 3:])
+def composite(image: Tensor, colour: Tensor) -> Tensor:
+    """Images (N, 4, H, W), RGB times mask and mask, over colours (N, 3): (N, 3, H, W)."""
+    return image[:, :3] + colour[:, :, None, None] * (1 - image[:, 3:])
 
 
-def pixel_loss(picture: Tensor, target: Tensor) -> Tensor:
-    """L1 + MSE / 2 of pictures (N, C, H, W) at their own and half their resolution, averaged."""
-    total = picture.new_zeros(())
+def pixel_loss(image: Tensor, target: Tensor) -> Tensor:
+    """L1 + MSE / 2 of images (N, C, H, W) at their own and half their resolution, averaged."""
+    total = image.new_zeros(())
     for factor in (1, 2):
-        difference = F.avg_pool2d(picture - target, factor) if factor > 1 else picture - target
+        difference = F.avg_pool2d(image - target, factor) if factor > 1 else image - target
         total = total + difference.abs().mean() + 0.5 * difference.square().mean()
     return total / 2
 
@@ -56,9 +56,9 @@ class PerceptualLoss(nn.Module):
         self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(1, 3, 1, 1))
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(1, 3, 1, 1))
 
-    def features(self, picture: Tensor) -> list[Tensor]:
-        """The taps of pictures (N, 3, H, W) in [0, 1]."""
-        x = (picture - self.mean) / self.std
+    def features(self, image: Tensor) -> list[Tensor]:
+        """The taps of images (N, 3, H, W) in [0, 1]."""
+        x = (image - self.mean) / self.std
         wanted = {index for index, _ in self.taps}
         found = [x] if 0 in wanted else []
         for index, layer in enumerate(self.layers, start=1):
@@ -67,23 +67,23 @@ class PerceptualLoss(nn.Module):
                 found.append(x)
         return found
 
-    def forward(self, picture: Tensor, target: Tensor) -> Tensor:
-        """The distance, a scalar, of pictures (N, 3, H, W) in [0, 1] from their targets (N, 3, H, W)."""
+    def forward(self, image: Tensor, target: Tensor) -> Tensor:
+        """The distance, a scalar, of images (N, 3, H, W) in [0, 1] from their targets (N, 3, H, W)."""
         with torch.no_grad():
             wanted = self.features(target)
-        total = picture.new_zeros(())
-        for found, want, (_, weight) in zip(self.features(picture), wanted, self.taps, strict=True):
+        total = image.new_zeros(())
+        for found, want, (_, weight) in zip(self.features(image), wanted, self.taps, strict=True):
             total = total + weight * 0.5 * (F.mse_loss(found, want) + F.l1_loss(found, want))
         return total / sum(weight for _, weight in self.taps)
 
 
-def head_errors(pictures: Tensor, target: Tensor) -> Tensor:
-    """Mean squared error (N, M) of pictures (N, M, C, H, W) against targets (N, C, H, W): the norm of equation 2."""
-    return (pictures - target[:, None]).square().mean(dim=(2, 3, 4))
+def head_errors(images: Tensor, target: Tensor) -> Tensor:
+    """Mean squared error (N, M) of images (N, M, C, H, W) against targets (N, C, H, W): the norm of equation 2."""
+    return (images - target[:, None]).square().mean(dim=(2, 3, 4))
 
 
 def cycle_loss(found: Hypotheses, truth: Tensor, config: TrainConfig) -> Tensor:
-    """Section 3.4: how far the viewpoint network is from the viewpoints `truth` (N, 3) of generated pictures.
+    """Section 3.4: how far the viewpoint network is from the viewpoints `truth` (N, 3) of generated images.
 
     The head that the network selects is pulled (the released code), or the closest one; either way the selection is
     taught which was the closest.

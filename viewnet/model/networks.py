@@ -58,9 +58,9 @@ class Encoder(nn.Sequential):
         super().__init__(*layers)
         self.to(memory_format=torch.channels_last)
 
-    def forward(self, pictures: Tensor) -> Tensor:
-        """Features (N, outputs) of pictures (N, 3, S, S)."""
-        x = pictures.contiguous(memory_format=torch.channels_last)
+    def forward(self, images: Tensor) -> Tensor:
+        """Features (N, outputs) of images (N, 3, S, S)."""
+        x = images.contiguous(memory_format=torch.channels_last)
         for layer in self:
             if isinstance(layer, _BatchNorm):
                 x = _normalised(layer, x)
@@ -220,10 +220,10 @@ class Generator(nn.Module):
 
 
 class HoloGANDecoder(nn.Module):
-    """Appearance (N, A) and camera frames -> pictures with learned layers after the rotation (Table 2, last row).
+    """Appearance (N, A) and camera frames -> images with learned layers after the rotation (Table 2, last row).
 
-    Features at a quarter of the picture's size are rotated rigidly, their depth is folded into channels, and 2-D
-    transposed convolutions paint the picture: nothing ties one view's pixels to another's.
+    Features at a quarter of the image's size are rotated rigidly, their depth is folded into channels, and 2-D
+    transposed convolutions paint the image: nothing ties one view's pixels to another's.
     """
 
     def __init__(self, config: ModelConfig):
@@ -255,7 +255,7 @@ class HoloGANDecoder(nn.Module):
         return x
 
     def draw(self, features: Tensor, appearance: Tensor, frames: Tensor) -> Tensor:
-        """Pictures (N, 3, S, S) in [0, 1]; N a multiple of the number of feature volumes, as in viewnet.model.volume."""
+        """Images (N, 3, S, S) in [0, 1]; N a multiple of the number of feature volumes, as in viewnet.model.volume."""
         share = len(frames) // len(features)
         points = ray_points(self.size, self.size, frames.new_zeros(()))
         # A volume's views are sampled as one grid, one behind the other, which spares a copy of the volume for each.

@@ -1,4 +1,4 @@
-"""A trained network as what draws objects: from any viewpoint, in any size, as pictures for people."""
+"""A trained network as what draws objects: from any viewpoint, in any size, as images for people."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SILHOUETTE = 0.35
 
 @dataclass(frozen=True)
 class Imagined:
-    """What appearance pictures became: codes (B, A) and volumes (B, 4, n, n, n), as ViewNet.imagine gives them."""
+    """What appearance images became: codes (B, A) and volumes (B, 4, n, n, n), as ViewNet.imagine gives them."""
 
     code: Tensor
     shape: Tensor
@@ -38,7 +38,7 @@ class Painter:
 
     @property
     def hologan(self) -> bool:
-        """Whether the decoder paints whole pictures: it has neither a mask nor a volume of colours."""
+        """Whether the decoder paints whole images: it has neither a mask nor a volume of colours."""
         return self.network.config.decoder == "hologan"
 
     @property
@@ -48,7 +48,7 @@ class Painter:
 
     @torch.no_grad()
     def draw(self, imagined: Imagined, frames: Tensor, size: int | None = None) -> Tensor:
-        """Pictures (N, 4, S, S), RGB times mask and mask, from camera frames (N, 3, 3) in the network's own frame.
+        """Images (N, 4, S, S), RGB times mask and mask, from camera frames (N, 3, 3) in the network's own frame.
 
         N is a multiple of B, as in ViewNet.draw. A `size` above the configuration's shows volumes larger, with as many
         steps along a ray as they were learned with; the HoloGAN decoder has one size only.
@@ -69,9 +69,9 @@ class Painter:
         return self.rotation.T @ frames.float()
 
 
-def shown(pictures: Tensor, grey: float = 1.0) -> np.ndarray:
-    """Pictures (N, 4, H, W), RGB times mask and mask, before a grey wall: (N, H, W, 3) uint8."""
-    wall = torch.full((len(pictures), 3), grey, device=pictures.device)
-    colours = composite(pictures, wall).clamp(0, 1) * 255
+def shown(images: Tensor, grey: float = 1.0) -> np.ndarray:
+    """Images (N, 4, H, W), RGB times mask and mask, before a grey wall: (N, H, W, 3) uint8."""
+    wall = torch.full((len(images), 3), grey, device=images.device)
+    colours = composite(images, wall).clamp(0, 1) * 255
     array: np.ndarray = colours.round().to(torch.uint8).movedim(1, -1).cpu().numpy()
     return array

@@ -1,4 +1,4 @@
-"""ViewNet: appearance from one picture, viewpoints from another, and the second one drawn again (figure 2)."""
+"""ViewNet: appearance from one image, viewpoints from another, and the second one drawn again (figure 2)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from viewnet.runtime import distributed
 
 @dataclass
 class Hypotheses:
-    """What the viewpoint network says of N pictures: M viewpoints and how likely each is the best."""
+    """What the viewpoint network says of N images: M viewpoints and how likely each is the best."""
 
     vectors: Tensor  # (N, M, 3), unit length
     logits: Tensor  # (N, M)
@@ -30,7 +30,7 @@ class Hypotheses:
         return look_at(self.vectors, self.ups)
 
     def part(self, rows: slice) -> Hypotheses:
-        """Those of some of the pictures."""
+        """Those of some of the images."""
         return Hypotheses(self.vectors[rows], self.logits[rows], None if self.ups is None else self.ups[rows])
 
     def pick(self, index: Tensor) -> Tensor:
@@ -39,7 +39,7 @@ class Hypotheses:
 
 
 class ViewpointNetwork(nn.Module):
-    """f^v: pictures (N, 3, S, S) -> Hypotheses. One trunk; its last layer gives logits and vectors (section 3.1).
+    """f^v: images (N, 3, S, S) -> Hypotheses. One trunk; its last layer gives logits and vectors (section 3.1).
 
     `shares` (12, bands) is kept by training: how often the viewpoints drawn from lay in each part of the sphere.
     """
@@ -57,9 +57,9 @@ class ViewpointNetwork(nn.Module):
         bands = config.balance_bands
         self.register_buffer("shares", torch.full((12, bands), 1 / (12 * bands)))
 
-    def forward(self, pictures: Tensor) -> Hypotheses:
-        """The hypotheses for pictures (N, 3, S, S), as `see` gives them."""
-        out = self.encoder(pictures).float()
+    def forward(self, images: Tensor) -> Hypotheses:
+        """The hypotheses for images (N, 3, S, S), as `see` gives them."""
+        out = self.encoder(images).float()
         logits, rest = out[:, : self.heads], out[:, self.heads :].unflatten(1, (-1, self.heads, 3))
         vectors = self._on_sphere(rest[:, 0] + self.offset)
         # A learned up starts near the world's: the network only has to say how far it is tilted.
@@ -78,7 +78,7 @@ class ViewpointNetwork(nn.Module):
 class ViewNet(nn.Module):
     """f^v, f^a and f^d of the paper.
 
-    `draw` gives pictures (N, 4, S, S): RGB times mask, and mask. The HoloGAN ablation has no mask, so its fourth
+    `draw` gives images (N, 4, S, S): RGB times mask, and mask. The HoloGAN ablation has no mask, so its fourth
     channel is 1 everywhere.
     """
 
@@ -96,25 +96,25 @@ class ViewNet(nn.Module):
         prior = gaussian_prior(config.volume_size) if config.shape_prior else torch.empty(0)
         self.register_buffer("prior", prior, persistent=False)
 
-    def see(self, pictures: Tensor, behind: Tensor | None = None) -> Tensor:
-        """Pictures (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S).
+    def see(self, images: Tensor, behind: Tensor | None = None) -> Tensor:
+        """Images (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S).
 
         On the backdrop, or with the scenes `behind` (N, 3, S, S) behind them.
         """
-        return pictures[:, :3] + (self.config.backdrop if behind is None else behind) * (1 - pictures[:, 3:])
+        return images[:, :3] + (self.config.backdrop if behind is None else behind) * (1 - images[:, 3:])
 
-    def imagine(self, pictures: Tensor, own: float = 1.0, behind: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Appearance codes (N, A) and volumes, as `shape` gives them, of the objects in pictures (N, 4, S, S).
+    def imagine(self, images: Tensor, own: float = 1.0, behind: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Appearance codes (N, A) and volumes, as `shape` gives them, of the objects in images (N, 4, S, S).
 
         With `own` below 1 codes are drawn towards the mean of all, which they are at 0: one shape in many colours.
         `behind` as in `see`.
         """
-        code = self.appearance(self.see(pictures, behind))
+        code = self.appearance(self.see(images, behind))
         if own < 1:
             code = torch.lerp(distributed.mean(code.mean(0, keepdim=True)), code, own)
         colour = None
         if self.config.colour_prior:
-            colour = pictures[:, :3].sum((2, 3)) / pictures[:, 3].sum((1, 2))[:, None].clamp(min=1)
+            colour = images[:, :3].sum((2, 3)) / images[:, 3].sum((1, 2))[:, None].clamp(min=1)
         return code, self.shape(code, colour)
 
     def shape(self, appearance: Tensor, colour: Tensor | None = None) -> Tensor:
@@ -127,15 +127,15 @@ class ViewNet(nn.Module):
         """
         if isinstance(self.decoder, HoloGANDecoder):
             return self.decoder.features(appearance)
-        # Both orders of squashing and sampling are in use; squashing first keeps the volume itself a picture's worth.
+        # Both orders of squashing and sampling are in use; squashing first keeps the volume itself an image's worth.
         blocks = self.decoder.blocks(appearance)
         logit = None if colour is None else colour.clamp(0.03, 0.97).logit()
         return volume.squash(blocks, logit, self.prior if self.config.shape_prior else None)
 
     def draw(self, shape: Tensor, appearance: Tensor, frames: Tensor, size: int | None = None) -> Tensor:
-        """Pictures (N, 4, size, size) of `shape` (B, ...) from camera frames (N, 3, 3), N a multiple of B."""
+        """Images (N, 4, size, size) of `shape` (B, ...) from camera frames (N, 3, 3), N a multiple of B."""
         size = self.config.render_size if size is None else size
         if isinstance(self.decoder, HoloGANDecoder):
-            picture = self.decoder.draw(shape, appearance, frames).float()
-            return torch.cat([picture, torch.ones_like(picture[:, :1])], dim=1)
+            image = self.decoder.draw(shape, appearance, frames).float()
+            return torch.cat([image, torch.ones_like(image[:, :1])], dim=1)
         return volume.render(shape, frames, self.focal, size, sparse=True)

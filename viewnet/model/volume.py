@@ -6,12 +6,12 @@ camera) the ray through pixel (x, y) visits the points
 
     p(z) = (x (1 - f z), y (1 - f z), z)        z from near +1 to far -1 in equal steps
 
-which is an exact pinhole at distance 1 / f from the centre: the rays converge towards the camera and the picture's edge
+which is an exact pinhole at distance 1 / f from the centre: the rays converge towards the camera and the image's edge
 is the cube's edge at z = 0. f = 0 is orthographic. A ray stops at step k with probability Q_k prod_{l<k} (1 - Q_l)
 (equation 3), and the pixel is the sum of the colours it stops at (equation 4). The sum of the probabilities is the
 object's mask.
 
-`render_reference` is the definition, in plain PyTorch. `render` gives the same picture and gradients by the fastest way
+`render_reference` is the definition, in plain PyTorch. `render` gives the same image and gradients by the fastest way
 the tensors' device has: viewnet.model.kernels.volume_cpu on processors, viewnet.model.kernels.volume_gpu on GPUs, and the definition where these
 cannot be used, after a warning that says why. The environment variable VIEWNET_RENDERER forces a way: `fused` is the
 device's own or an error, `reference` the definition, `auto` (or nothing) the choice described.
@@ -35,7 +35,7 @@ FUSED = {"cpu": volume_cpu, "cuda": volume_gpu}
 
 
 def ray_points(size: int, steps: int, focal: Tensor) -> Tensor:
-    """Sampling points (steps, size, size, 3) in camera coordinates, nearest first, picture rows from the top.
+    """Sampling points (steps, size, size, 3) in camera coordinates, nearest first, image rows from the top.
 
     >>> ray_points(2, 4, torch.tensor(0.5))[0, 0, 0]  # the nearest of the upper left pixel: rays converge to the camera
     tensor([-0.3125,  0.3125,  0.7500])
@@ -94,9 +94,9 @@ class _Clamp(torch.autograd.Function):
 
 
 def render_reference(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
-    """Pictures (N, 4, size, size) of volumes (B, 4, Z, Y, X) from camera frames (N, 3, 3): RGB times mask, and mask.
+    """Images (N, 4, size, size) of volumes (B, 4, Z, Y, X) from camera frames (N, 3, 3): RGB times mask, and mask.
 
-    N is a multiple of B, and picture n shows volume n // (N / B). `focal` is the scalar f above. Occupancy is expected
+    N is a multiple of B, and image n shows volume n // (N / B). `focal` is the scalar f above. Occupancy is expected
     in [0, 1]; outside the cube everything is 0. Differentiable in volume, frames and focal.
 
     A volume that is red, and opaque where y > 0, the object's left half: from the front that is on the right.

@@ -15,7 +15,7 @@ from viewnet.render.mesh import Mesh
 Backend = Literal["auto", "raycast", "pyrender"]
 
 VERSION = 2
-"""Raise it when a change alters pictures: it is part of every view store's identity."""
+"""Raise it when a change alters images: it is part of every view store's identity."""
 
 log = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ def render(
     backend: Backend = "auto",
     lights: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Straight-alpha RGBA pictures (V, size, size, 4) uint8 of a normalised mesh from viewpoints (V,) in degrees.
+    """Straight-alpha RGBA images (V, size, size, 4) uint8 of a normalised mesh from viewpoints (V,) in degrees.
 
     `lights` (V, 3) are unit directions from the object to the light in the world frame; None puts it at the camera.
     Both back ends share camera, lighting, flat normals, bilinear repeating textures and the treatment of transparency

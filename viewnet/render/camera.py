@@ -1,4 +1,4 @@
-"""The rendering camera: pinhole, square pictures, looking at the origin from a fixed distance without tilt.
+"""The rendering camera: pinhole, square images, looking at the origin from a fixed distance without tilt.
 
 The values are those of the renders the paper's baselines are trained on (a 60 mm lens on a 32 mm sensor, 2 units
 away), where an object's bounding box has a diagonal of 1.
@@ -10,7 +10,7 @@ import numpy as np
 
 DISTANCE = 2.0
 FOCAL = 1.875
-"""In picture widths: a field of view of 29.9 degrees."""
+"""In image widths: a field of view of 29.9 degrees."""
 RADIUS = 0.5
 """No vertex of a normalised mesh is farther from the origin, so every one lies in front of the camera."""
 
@@ -27,7 +27,7 @@ def camera_frames(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
 
 
 def project(points: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """Picture positions (V, P, 2) of world points (P, 3): x right, y down, (0, 0) and (1, 1) the picture's corners."""
+    """Image positions (V, P, 2) of world points (P, 3): x right, y down, (0, 0) and (1, 1) the image's corners."""
     camera = np.einsum("pi,vij->vpj", points, frames)
     depth = DISTANCE - camera[..., 2:]
     return 0.5 + np.array([FOCAL, -FOCAL]) * camera[..., :2] / depth

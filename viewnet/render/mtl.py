@@ -17,12 +17,12 @@ from PIL import Image
 
 from viewnet.errors import ViewnetError
 from viewnet.render.mesh import GREY, UnusableModel
-from viewnet.runtime import images
-from viewnet.runtime.images import opened
+from viewnet.runtime import image_files
+from viewnet.runtime.image_files import opened
 
-# Pictures are 64 to 224 pixels wide: a larger texture would only alias, and cost memory.
+# Images are 64 to 224 pixels wide: a larger texture would only alias, and cost memory.
 TEXTURE_SIZE = 256
-FORMATS = (*images.FORMATS, "TGA")
+FORMATS = (*image_files.FORMATS, "TGA")
 MAX_BYTES = 64 * 2**20
 MAX_SCALE = 1e6
 
@@ -155,10 +155,10 @@ def read_texture(obj: Path, folder: Path, file: Path) -> np.ndarray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with opened(file, f"texture '{name}'", FORMATS) as picture:
-                picture.draft("RGB", (TEXTURE_SIZE, TEXTURE_SIZE))
-                alpha = "A" in picture.getbands() or "transparency" in picture.info
-                small = picture.convert("RGBA" if alpha else "RGB")
+            with opened(file, f"texture '{name}'", FORMATS) as image:
+                image.draft("RGB", (TEXTURE_SIZE, TEXTURE_SIZE))
+                alpha = "A" in image.getbands() or "transparency" in image.info
+                small = image.convert("RGBA" if alpha else "RGB")
                 small.thumbnail((TEXTURE_SIZE, TEXTURE_SIZE), Image.Resampling.BOX)
                 return np.array(small)
     except ViewnetError as error:

@@ -255,7 +255,7 @@ def _materials(
     }
     if len(textured) > MAX_TEXTURED:
         raise UnusableModel(path, f"{len(textured)} materials with textures, more than {MAX_TEXTURED}")
-    pictures: dict[Path, np.ndarray] = {}
+    images: dict[Path, np.ndarray] = {}
     uv = _uv(lines, corners) if textured else None
     materials = [Material()]
     for number, name in enumerate(names, start=1):
@@ -265,7 +265,7 @@ def _materials(
         entry, texture = library[name], None
         if uv is not None and number in textured:
             file = textured[number]
-            texture = pictures[file] = pictures[file] if file in pictures else read_texture(path, folder, file)
+            texture = images[file] = images[file] if file in images else read_texture(path, folder, file)
             if entry.scale != (1.0, 1.0) or entry.offset != (0.0, 0.0):
                 mine = material == number
                 uv[mine] = uv[mine] * np.array(entry.scale) + np.array(entry.offset)

@@ -132,7 +132,7 @@ def _batches(parts: Iterator[Hits]) -> Iterator[Hits]:
 
 
 def _cast(surface: Surface, frames: np.ndarray, seen: np.ndarray, size: int, supersample: int) -> Iterator[Hits]:
-    """Cast the rays of every sample in the mesh's bounding box in each picture, some rows at a time."""
+    """Cast the rays of every sample in the mesh's bounding box in each image, some rows at a time."""
     samples = size * supersample
     places = (np.arange(samples) + 0.5) / samples - 0.5
     boxes = project(surface.vertices, frames) * samples - 0.5

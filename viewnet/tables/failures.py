@@ -1,4 +1,4 @@
-"""What goes wrong where viewpoints are wrong: the worst errors of a run by cause, pictures beside drawings."""
+"""What goes wrong where viewpoints are wrong: the worst errors of a run by cause, images beside drawings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.evaluate import Aligned
 from viewnet.evaluation.predictions import Floats
-from viewnet.tables.image_grids import picture_grid
+from viewnet.tables.image_grids import image_grid
 from viewnet.tables.run_renderer import Stores, drawers, own_views
 from viewnet.training.run_store import Run, name
 
@@ -55,9 +55,9 @@ def by_cause(aligned: Aligned) -> list[Failures]:
 
 
 def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
-    """The `count` worst failures of each cause: picture, and what is drawn of it at the selected viewpoint.
+    """The `count` worst failures of each cause: image, and what is drawn of it at the selected viewpoint.
 
-    Under a picture stands the true viewpoint, under its drawing the predicted one: azimuth, elevation. Raises
+    Under an image stands the true viewpoint, under its drawing the predicted one: azimuth, elevation. Raises
     ViewnetError for a run without failures.
     """
     (drawer,) = drawers([run], stores)
@@ -68,17 +68,17 @@ def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
     lines, captions, labels = [], [], []
     for group in groups:
         rows = group.rows[:count]
-        pictures, drawn = drawer.shown(rows), drawer.painted(drawer.reconstruct(rows))
+        images, drawn = drawer.shown(rows), drawer.painted(drawer.reconstruct(rows))
         line: list[np.ndarray | None] = []
         told: list[str] = []
-        for row, picture, drawing in zip(rows, pictures, drawn, strict=True):
-            line += [picture, drawing]
+        for row, image, drawing in zip(rows, images, drawn, strict=True):
+            line += [image, drawing]
             told += [_told("true", true, row), _told("predicted", said, row)]
         empty = 2 * (count - len(rows))
         lines.append(line + [None] * empty)
         captions.append(told + [""] * empty)
         labels.append(f"{group.cause}\n{len(group.rows)} of {group.views}")
-    return picture_grid(lines, labels, captions=captions, gaps=range(2, 2 * count, 2))
+    return image_grid(lines, labels, captions=captions, gaps=range(2, 2 * count, 2))
 
 
 def _told(what: str, angles: tuple[Floats, Floats], row: int) -> str:

@@ -63,7 +63,7 @@ def azimuths(aligned: Aligned) -> tuple[Floats, Floats]:
 def candidate_grid(
     inputs: np.ndarray, drawings: np.ndarray, errors: np.ndarray, angles: np.ndarray, labels: Sequence[str]
 ) -> Figure:
-    """Figure 3 (d): each row a picture and what the heads draw of it, by rising reconstruction error.
+    """Figure 3 (d): each row an image and what the heads draw of it, by rising reconstruction error.
 
     inputs (N, H, W, 3) and drawings (N, M, H, W, 3) uint8; errors (N, M) of reconstruction, angles (N, M) of viewpoint
     in degrees, both in the order of the drawings; labels (N,) beside the rows.
@@ -88,7 +88,7 @@ def candidate_grid(
 def candidates(
     runs: Sequence[Run], views: Callable[..., Any] | None = None, draw: Callable[..., Any] | None = None, count: int = 1
 ) -> Figure:
-    """Figure 3 (d) of trained runs of the same number of heads, `count` test pictures of each, evenly spaced.
+    """Figure 3 (d) of trained runs of the same number of heads, `count` test images of each, evenly spaced.
 
     `views` and `draw` stand in for viewnet.data.build.view_store and viewnet.evaluation.predict.candidates. Raises ViewnetError
     without runs, for untrained ones and for drawings of different sizes.

@@ -1,4 +1,4 @@
-"""The pictures of the paper's supplement, from finished runs: reconstructions, views around an object, volumes, curves.
+"""The images of the paper's supplement, from finished runs: reconstructions, views around an object, volumes, curves.
 
 Every function takes runs and, where it draws, `stores`: which views to show a run. These are its own unless told
 otherwise; photographs will do for all but novel views of their objects, of which nobody knows what is right. Drawings
@@ -28,16 +28,16 @@ from viewnet.training.run_store import Run, name
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Told apart by colour-blind readers too (Okabe and Ito 2008)."""
 DASHES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
-CELL = 0.78  # inches: the side of a picture in a grid
+CELL = 0.78  # inches: the side of an image in a grid
 AZIMUTHS = tuple(range(0, 360, 45))
 LOGGED = ("epoch", "step", "seconds", "loss", "val_reconstruction", "val_accuracy")
 """Columns of a run's log that are no term of its loss."""
 
 
 def reconstructions(runs: Sequence[Run], stores: Stores = own_views, count: int = 3) -> Figure:
-    """`count` test pictures of each category, and what each run makes of them at the viewpoint that it selects.
+    """`count` test images of each category, and what each run makes of them at the viewpoint that it selects.
 
-    Objects are evenly spaced over the test split and nothing but the picture is used. Runs of one category stand side
+    Objects are evenly spaced over the test split and nothing but the image is used. Runs of one category stand side
     by side (ViewNet and ViewNet + cycle in the paper) and must have the same views.
     """
     found = drawers(runs, stores)
@@ -55,7 +55,7 @@ def reconstructions(runs: Sequence[Run], stores: Stores = own_views, count: int 
             columns.append(drawer.painted(drawer.reconstruct(rows)))
             titles.append(_label(drawer, group))
     lines = [[column[i] if i < len(column) else None for column in columns] for i in range(count)]
-    return picture_grid(lines, columns=titles, gaps=gaps[1:])
+    return image_grid(lines, columns=titles, gaps=gaps[1:])
 
 
 def around(
@@ -65,7 +65,7 @@ def around(
     elevation: float = 20.0,
     object_number: int | None = None,
 ) -> Figure:
-    """Views all around one object at constant elevation: a row for each run, the picture its appearance is from first.
+    """Views all around one object at constant elevation: a row for each run, the image its appearance is from first.
 
     Runs are shown by variant, as in the paper; within a category all have the same object (`object_number` of the test
     split, the middle one if None). Own azimuths are turned to the annotated ones, and nothing else is aligned, so that
@@ -88,7 +88,7 @@ def around(
             lines.append([drawer.shown([row])[0], *drawer.painted(drawn)])
             labels.append(_label(drawer, found) + (f"\n{drawer.config.category}" if several else ""))
     titles = ["appearance", *(f"{azimuth:g}°" for azimuth in azimuths)]
-    return picture_grid(lines, labels, titles, gaps=[1])
+    return image_grid(lines, labels, titles, gaps=[1])
 
 
 def volumes(
@@ -100,7 +100,7 @@ def volumes(
 ) -> Figure:
     """What many appearances make of the learned volume, all drawn from one `viewpoint` (azimuth, elevation; degrees).
 
-    In pairs of lines: pictures of `count` test objects, and below each its volume, turned to the annotated frame.
+    In pairs of lines: images of `count` test objects, and below each its volume, turned to the annotated frame.
     """
     lines: list[list[np.ndarray | None]] = []
     labels, gaps = [], []
@@ -108,15 +108,15 @@ def volumes(
         rows = _views(drawer, count)
         frames = look_at(view_vector(*(torch.tensor([angle]) for angle in viewpoint))).expand(len(rows), 3, 3)
         size = 2 * drawer.network.config.render_size
-        pictures = drawer.shown(rows)
+        images = drawer.shown(rows)
         drawn = drawer.painted(drawer.draw(drawer.imagine(rows), drawer.own(frames), size))
         for start in range(0, len(rows), columns):
-            for part in (pictures, drawn):
+            for part in (images, drawn):
                 line = list(part[start : start + columns])
                 lines.append([*line, *[None] * (columns - len(line))])
-            labels += ["picture", "volume"]
+            labels += ["image", "volume"]
             gaps.append(len(lines))
-    return picture_grid(lines, labels, row_gaps=gaps[:-1])
+    return image_grid(lines, labels, row_gaps=gaps[:-1])
 
 
 def training_curves(runs: Sequence[Run]) -> Figure:
@@ -163,7 +163,7 @@ def training_curves(runs: Sequence[Run]) -> Figure:
     return figure
 
 
-def picture_grid(
+def image_grid(
     lines: Sequence[Sequence[np.ndarray | None]],
     rows: Sequence[str] = (),
     columns: Sequence[str] = (),
@@ -171,7 +171,7 @@ def picture_grid(
     gaps: Iterable[int] = (),
     row_gaps: Iterable[int] = (),
 ) -> Figure:
-    """Pictures (H, W, 3) uint8 in a grid, None for none: labels before `rows`, above `columns`, a caption under each.
+    """Images (H, W, 3) uint8 in a grid, None for none: labels before `rows`, above `columns`, a caption under each.
 
     A little space is left before the columns `gaps` and the lines `row_gaps`.
     """
@@ -185,10 +185,10 @@ def picture_grid(
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height))
         for i, line in enumerate(lines):
-            for j, picture in enumerate(line):
+            for j, image in enumerate(line):
                 box = (x[j] / width, 1 - (y[i] + CELL) / height, CELL / width, CELL / height)
                 axes = figure.add_axes(box, label=f"{i} {j}")
-                _show(axes, picture)
+                _show(axes, image)
                 if captions and captions[i][j]:
                     axes.set_xlabel(captions[i][j], fontsize=5.5, labelpad=1.5, linespacing=1.0)
                 if j == 0 and rows:
@@ -211,11 +211,11 @@ def _wrapped(label: str) -> str:
     return "\n".join(textwrap.fill(part, 13) for part in label.split("\n"))
 
 
-def _show(axes: Axes, picture: np.ndarray | None) -> None:
+def _show(axes: Axes, image: np.ndarray | None) -> None:
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
-    if picture is not None:
-        axes.imshow(picture, interpolation="nearest")
+    if image is not None:
+        axes.imshow(image, interpolation="nearest")
 
 
 def _views(drawer: Drawer, count: int) -> list[int]:
@@ -228,7 +228,7 @@ def _views(drawer: Drawer, count: int) -> list[int]:
 def _check_same(one: Drawer, other: Drawer) -> None:
     if one.store.identity != other.store.identity:
         raise ViewnetError(
-            f"{name(one.config)} and {name(other.config)} have other views: they cannot be shown the same pictures"
+            f"{name(one.config)} and {name(other.config)} have other views: they cannot be shown the same images"
         )
 
 

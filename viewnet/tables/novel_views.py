@@ -11,7 +11,7 @@ as drawing and viewpoint belong together. Asked is the network's own, in its own
 decoder and a viewpoint network may have agreed on signs that have nothing to do with viewpoints. So a judge is asked
 too: the viewpoint network of ViewNet of the same category, up to a rotation fitted on the other half of the objects.
 
-The HoloGAN decoder paints no mask: its drawings are whole pictures, on black, and it has no IoU. What is trained on
+The HoloGAN decoder paints no mask: its drawings are whole images, on black, and it has no IoU. What is trained on
 masks alone (segmentation_target) learns no colours: it has neither PSNR nor SSIM.
 """
 
@@ -72,9 +72,9 @@ VARIANTS = (
 COPY = "Appearance view"
 """The row of what it is worth to draw nothing and show the appearance view as it is."""
 HIGHEST = 100.0
-"""dB: what equal pictures get, which have no error to compare with."""
+"""dB: what equal images get, which have no error to compare with."""
 BRIGHT = 0.1
-"""What a picture without a mask is brighter than where the object is, for networks that see objects cut out."""
+"""What an image without a mask is brighter than where the object is, for networks that see objects cut out."""
 DRAWS = 1000
 
 
@@ -94,8 +94,8 @@ def fidelity(drawer: Drawer, copy: bool = False) -> pd.DataFrame:
     parts = []
     for rows in _batches(len(drawer)):
         other = drawer.partners(rows)
-        drawn = drawer.pictures(other) if copy else drawer.draw(drawer.imagine(other), frames[rows])
-        parts.append(compare(drawn, drawer.pictures(rows)))
+        drawn = drawer.images(other) if copy else drawer.draw(drawer.imagine(other), frames[rows])
+        parts.append(compare(drawn, drawer.images(rows)))
     found = pd.concat([said.ids[["model_id", "view"]], pd.concat(parts, ignore_index=True)], axis=1)
     if not copy and drawer.hologan:
         found["iou"] = np.nan
@@ -105,7 +105,7 @@ def fidelity(drawer: Drawer, copy: bool = False) -> pd.DataFrame:
 
 
 def compare(drawn: Tensor, target: Tensor) -> pd.DataFrame:
-    """psnr, ssim and iou of pictures (N, 4, S, S), RGB times mask and mask in [0, 1], against as many others."""
+    """psnr, ssim and iou of images (N, 4, S, S), RGB times mask and mask in [0, 1], against as many others."""
     a, b = (p.clamp(0, 1).double().cpu().movedim(1, -1).numpy() for p in (drawn, target))
     lines = []
     for one, other in zip(a, b, strict=True):

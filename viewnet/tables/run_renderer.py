@@ -88,14 +88,14 @@ class Drawer(Painter):
             return None
         return augment.load(self.config.data, self.network.config.input_size, self.device)
 
-    def pictures(self, rows: Sequence[int], size: int | None = None) -> Tensor:
+    def images(self, rows: Sequence[int], size: int | None = None) -> Tensor:
         """Test views (N, 4, S, S), RGB times alpha and alpha, of the size that the network draws unless told."""
         size = self.network.config.render_size if size is None else size
-        return self.views.pictures(torch.as_tensor(rows), size, self.device)
+        return self.views.images(torch.as_tensor(rows), size, self.device)
 
     def shown(self, rows: Sequence[int]) -> np.ndarray:
         """Test views (N, S, S, 3) uint8 before white, of the size that the network reads."""
-        return shown(self.pictures(rows, self.network.config.input_size))
+        return shown(self.images(rows, self.network.config.input_size))
 
     def partners(self, rows: Sequence[int]) -> list[int]:
         """The next view of each view's object, or the view itself where there is no other."""
@@ -109,7 +109,7 @@ class Drawer(Painter):
         if self._scenery is not None:
             chance = torch.Generator().manual_seed(0)
             behind = augment.behind(self._scenery, len(rows), size, chance, self.device)
-        return Imagined(*self.network.imagine(self.pictures(rows, size), behind=behind))
+        return Imagined(*self.network.imagine(self.images(rows, size), behind=behind))
 
     def level(self, azimuth: Tensor, elevation: Tensor) -> Tensor:
         """Own camera frames (..., 3, 3), held level, of annotated azimuths (...) and own elevations (...), degrees."""

@@ -186,8 +186,8 @@ def _half(model: ViewNet, shape: Tensor, target: Tensor) -> tuple[Tensor, Tensor
 def _balanced(score: Tensor, views: Tensor, shares: Tensor, limits: tuple[float, float], strength: float) -> Tensor:
     """Scores (N, T) of viewpoints (N, T, 3), raised where more than are due are chosen, as `shares` (12, bands) tell.
 
-    A volume that has grown alike on two sides explains pictures of either from one of them, is never drawn from the
-    other, and would stay as it is. Pictures are taken from all around and from all elevations within the limits, so no
+    A volume that has grown alike on two sides explains images of either from one of them, is never drawn from the
+    other, and would stay as it is. Images are taken from all around and from all elevations within the limits, so no
     part of that is due more than its share.
     """
     smooth = (2 * shares + shares.roll(1, 0) + shares.roll(-1, 0)) / 4
@@ -258,7 +258,7 @@ def step_loss(
 ) -> dict[str, Tensor]:
     """The terms of one step's loss, weighted; their sum is minimised. `progress` is the share of training done.
 
-    With `scenery`, pictures (K, 3, S, S) uint8, there is something behind both inputs, never behind the target.
+    With `scenery`, images (K, 3, S, S) uint8, there is something behind both inputs, never behind the target.
     """
     appearance, target, seen = batch
     device = appearance.device
@@ -266,7 +266,7 @@ def step_loss(
     seen = augment.jitter(seen, config.jitter, generator) if config.jitter else seen
     if config.mirror:
         mirrored = (rand(len(target), 1, 1, 1, generator=generator) < 0.5).to(device)
-        seen, target = (torch.where(mirrored, pictures.flip(-1), pictures) for pictures in (seen, target))
+        seen, target = (torch.where(mirrored, images.flip(-1), images) for images in (seen, target))
     behind = None
     if scenery is not None:
         several = repeated(generator, config.sightings)
@@ -275,17 +275,17 @@ def step_loss(
     stage = _stage(model, config, progress, generator)
     found = reconstruct(model, appearance, target, seen, config, stage, behind)
     if config.target == "mask":
-        picture, wanted = found.drawn[:, 3:], found.target[:, 3:]
+        image, wanted = found.drawn[:, 3:], found.target[:, 3:]
     else:
         colour = backgrounds(config, len(target), generator, device)
-        picture, wanted = composite(found.drawn, colour), composite(found.target, colour)
+        image, wanted = composite(found.drawn, colour), composite(found.target, colour)
     terms: dict[str, Tensor] = {}
     if perceptual is not None:
-        terms["perceptual"] = perceptual(picture.expand(-1, 3, -1, -1), wanted.expand(-1, 3, -1, -1))
-    # Relative to how much of the picture the objects fill, or thin ones would count for less than other terms.
+        terms["perceptual"] = perceptual(image.expand(-1, 3, -1, -1), wanted.expand(-1, 3, -1, -1))
+    # Relative to how much of the image the objects fill, or thin ones would count for less than other terms.
     filled = distributed.mean(target[:, 3].mean()).clamp(min=0.01)
     if config.pixel_weight:
-        terms["pixels"] = config.pixel_weight * pixel_loss(picture, wanted) / filled
+        terms["pixels"] = config.pixel_weight * pixel_loss(image, wanted) / filled
     if config.mask_weight:
         terms["masks"] = config.mask_weight * pixel_loss(found.drawn[:, 3:], found.target[:, 3:]) / filled
     if config.pull_weight:
@@ -317,9 +317,9 @@ def _stage(model: ViewNet, config: TrainConfig, progress: float, generator: Chan
 
 
 def _sightings(found: Reconstruction, config: TrainConfig) -> Tensor:
-    """What the target's one drawing teaches of its other pictures: the viewpoint drawn from, and which head to select.
+    """What the target's one drawing teaches of its other images: the viewpoint drawn from, and which head to select.
 
-    As for the picture it was drawn for, the closest head is pulled, and the one closest to the head to select selected.
+    As for the image it was drawn for, the closest head is pulled, and the one closest to the head to select selected.
     """
     times = len(found.others.logits) // len(found.label)
     drawn, wanted = (view.detach().repeat(times, 1) for view in (found.better, found.hypotheses.pick(found.label)))
@@ -333,7 +333,7 @@ def _sightings(found: Reconstruction, config: TrainConfig) -> Tensor:
 def _selection(hypotheses: Hypotheses, label: Tensor, wanted: Tensor, angle: float) -> Tensor:
     """Cross-entropy of choosing the head `label` (N,), or any other within `angle` degrees of `wanted` (N, 3).
 
-    Where two heads answer the same, which of them explains a picture better is chance: there is nothing to learn.
+    Where two heads answer the same, which of them explains an image better is chance: there is nothing to learn.
     """
     vectors, logits = hypotheses.vectors.detach(), hypotheses.logits
     right = F.one_hot(label, logits.shape[1]).bool()

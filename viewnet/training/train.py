@@ -51,7 +51,7 @@ def validate(
     """Reconstruction error of the best head (label-free) and true acc@30 in percent after Procrustes (uses labels).
 
     Accuracy is that of the views with an annotated viewpoint, NaN where there are none. Each view is drawn from the
-    appearance of the next view of its object. With `scenery`, pictures (K, 3, S, S) uint8, views are before it as in
+    appearance of the next view of its object. With `scenery`, images (K, 3, S, S) uint8, views are before it as in
     training, the same each time.
     """
     model.eval()
@@ -61,7 +61,7 @@ def validate(
     chance = torch.Generator().manual_seed(0)
     size = model.config.input_size
     for part in rows.split(64):
-        appearance, target = views.pictures(others[part], size, device), views.pictures(rows[part], size, device)
+        appearance, target = views.images(others[part], size, device), views.images(rows[part], size, device)
         seen, behind = views.seen(rows[part], size, device), None
         if scenery is not None:
             seen = augment.photograph(seen, scenery, config, chance)
@@ -168,8 +168,8 @@ def train(
             appearance_rows, target_rows = draw_pairs(training, objects, settings.targets_per_object, config.seed, step)
             appearance_rows, target_rows = distributed.share(appearance_rows), distributed.share(target_rows)
             batch = (
-                training.pictures(appearance_rows, config.model.input_size, device),
-                training.pictures(target_rows, config.model.input_size, device),
+                training.images(appearance_rows, config.model.input_size, device),
+                training.images(target_rows, config.model.input_size, device),
                 training.seen(target_rows, config.model.input_size, device),
             )
             chance = Shared(step_generator(config.seed, step), distributed.rank(), processes)

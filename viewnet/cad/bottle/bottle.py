@@ -28,7 +28,7 @@ from viewnet.cad.bottle.parts import (
 from viewnet.cad.builder import Builder
 from viewnet.cad.finishes import Finishes
 from viewnet.cad.parts import bar, block, choose, sweep
-from viewnet.cad.tvmonitor.screens import label_picture
+from viewnet.cad.tvmonitor.screens import label_image
 
 Kind = Callable[[Builder, np.random.Generator, Finishes], None]
 
@@ -129,7 +129,7 @@ def beer(builder: Builder, rng: np.random.Generator, fin: Finishes) -> None:
         0.5,
     )
     if rng.random() < 0.55:
-        neck_label = fin.texture(label_picture(rng, shade_of(rng, PAPERS), (0.1, 0.1, 0.1), 16, 24))
+        neck_label = fin.texture(label_image(rng, shade_of(rng, PAPERS), (0.1, 0.1, 0.1), 16, 24))
         add_label(builder, vessel, tall * (end + 0.02), tall * min(end + 0.14, 0.9), 85, neck_label)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from viewnet.cad.builder import Builder
 from viewnet.cad.finishes import Finish, Finishes, Rgb, jitter
 from viewnet.cad.parts import circle, put, ring_faces
-from viewnet.cad.tvmonitor.screens import label_picture, text_block
+from viewnet.cad.tvmonitor.screens import label_image, text_block
 
 GREEN_GLASS: tuple[Rgb, ...] = ((0.10, 0.20, 0.10), (0.16, 0.26, 0.12), (0.07, 0.11, 0.07), (0.28, 0.36, 0.18))
 
@@ -170,7 +170,7 @@ def labels(
     """A front label, and with probability `back` a smaller one behind with small print."""
     paper = shade_of(rng, PAPERS)
     ink = (0.1, 0.1, 0.12) if sum(paper) > 1.4 else (0.9, 0.88, 0.8)
-    front = fin.texture(label_picture(rng, paper, ink))
+    front = fin.texture(label_image(rng, paper, ink))
     around = float(rng.uniform(*reach))
     add_label(builder, vessel, low, high, around, front, sections=sections)
     if rng.random() < back and around < 115:

@@ -8,7 +8,7 @@ from viewnet.cad.builder import Builder
 from viewnet.cad.chair.frames import pedestal_base
 from viewnet.cad.finishes import Finish, Finishes, Rgb, jitter
 from viewnet.cad.parts import bar, block, circle, put, ring_faces, sweep
-from viewnet.cad.tvmonitor.screens import screen_picture, text_block
+from viewnet.cad.tvmonitor.screens import screen_image, text_block
 
 HOUSINGS: tuple[Rgb, ...] = (
     (0.07, 0.07, 0.08),
@@ -75,11 +75,11 @@ def plate(
 
 
 def screen_finish(rng: np.random.Generator, fin: Finishes) -> Finish:
-    """Dark or grey glass, or a picture."""
+    """Dark or grey glass, or an image."""
     if rng.random() < 0.45:
         shade = float(rng.choice([0.04, 0.1, 0.2, 0.32]))
         return fin.solid(jitter(rng, (shade, shade * 1.02, shade * 1.05)))
-    return fin.texture(screen_picture(rng))
+    return fin.texture(screen_image(rng))
 
 
 def rear_details(

@@ -30,7 +30,7 @@ def _flat(
     stand: str,
     low: float,
 ) -> None:
-    """A flat set: `ratio` width by height of the picture, frame `bezel`, strip `chin` below, lower edge at `low`."""
+    """A flat set: `ratio` width by height of the image, frame `bezel`, strip `chin` below, lower edge at `low`."""
     color = HOUSINGS[int(rng.choice(6, p=[0.3, 0.24, 0.14, 0.14, 0.09, 0.09]))]
     housing = fin.solid(jitter(rng, color))
     rear = housing if rng.random() < 0.65 else fin.solid(jitter(rng, HOUSINGS[int(rng.integers(6))]))
@@ -55,8 +55,8 @@ def _flat(
             ],
             rear,
         )
-        picture_half = half_height - bezel - chin / 2
-        plate(builder, 0.003, half_width - bezel, picture_half, middle + chin / 2, screen_finish(rng, fin))
+        image_half = half_height - bezel - chin / 2
+        plate(builder, 0.003, half_width - bezel, image_half, middle + chin / 2, screen_finish(rng, fin))
         rear_details(builder, rng, fin, -depth - bulge, half_width * share * taper, half_height * share * taper, drop)
         if chin > 0.01 and rng.random() < 0.7:
             logo = fin.solid((0.8, 0.8, 0.82) if max(color) < 0.4 else (0.2, 0.2, 0.22))
@@ -113,7 +113,7 @@ def monitor(builder: Builder, rng: np.random.Generator, fin: Finishes) -> None:
 
 
 def all_in_one(builder: Builder, rng: np.random.Generator, fin: Finishes) -> None:
-    """A computer in the screen's housing: pale chin below the picture, a bent sheet as a foot."""
+    """A computer in the screen's housing: pale chin below the image, a bent sheet as a foot."""
     half_width = float(rng.uniform(0.22, 0.33))
     ratio = float(rng.choice([1.6, 16 / 9]))
     pale = fin.solid(

@@ -19,10 +19,10 @@ from pathlib import Path
 from viewnet.config import known
 from viewnet.data.clips import Clip, Frame
 from viewnet.data.crop import Box
-from viewnet.data.frames import pictures
+from viewnet.data.frames import images
 from viewnet.data.readers.pascal3d import tally
 from viewnet.errors import ViewnetError
-from viewnet.runtime.images import size
+from viewnet.runtime.image_files import size
 
 CATEGORY = "car"
 AZIMUTH = (1.0, 0.0)
@@ -47,7 +47,7 @@ SPLITS: dict[str, Callable[[int], str]] = {
 def read(root: Path, split_rule: str = "45/2/rest") -> tuple[list[Clip], list[Rejected]]:
     """The sequences by number, with the frames that can be used, and all that cannot: see SPLITS.
 
-    Frames are numbered by their place among all pictures of their folder. Boxes are cut at their picture's edges.
+    Frames are numbered by their place among all images of their folder. Boxes are cut at their image's edges.
     Raises ViewnetError where `root` is not this data set or no frame can be used.
     """
     root, split = Path(root), SPLITS[known(split_rule, SPLITS, "split rule")]
@@ -100,7 +100,7 @@ def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> l
     except (OSError, UnicodeDecodeError) as error:
         rejected.append((folder.name, where, f"annotations cannot be read ({type(error).__name__})"))
         return []
-    files = pictures(folder)
+    files = images(folder)
     places = {path.stem: number for number, path in enumerate(files)}
     found: dict[int, Frame] = {}
     annotated: set[int] = set()
@@ -136,12 +136,12 @@ def _parsed(line: str) -> tuple[str, Box, float]:
     return Path(name.replace("\\", "/")).stem, (x0, y0, x1, y1), angle
 
 
-def _cut(box: Box, picture: Path) -> Box:
-    """The part of a box that lies in its picture."""
-    width, height = size(picture)
+def _cut(box: Box, image: Path) -> Box:
+    """The part of a box that lies in its image."""
+    width, height = size(image)
     x0, y0, x1, y1 = max(box[0], 0.0), max(box[1], 0.0), min(box[2], float(width)), min(box[3], float(height))
     if x1 - x0 < 1 or y1 - y0 < 1:
-        raise ViewnetError(f"box has no part in the picture ({width} x {height})")
+        raise ViewnetError(f"box has no part in the image ({width} x {height})")
     return x0, y0, x1, y1
 
 

@@ -2,13 +2,13 @@
 
     annotations/<class>/batch-N/M.pbdata        a record (viewnet.data.readers.objectron_record)
     videos/<class>/batch-N/M/video.MOV          the video; or, taken out of it beforehand,
-    videos/<class>/batch-N/M/<number>.jpg       its frames as pictures (.jpg, .jpeg or .png): <number> is the frame's
+    videos/<class>/batch-N/M/<number>.jpg       its frames as images (.jpg, .jpeg or .png): <number> is the frame's
                                                 number in the record, from 0, with zeros before it so that names sort
     masks/<class>/batch-N/M/<number>.png        masks, which are not part of the data set; or none
     index/<class>_annotations_{train,test}      one <class>/batch-N/M a line
 
-Only what is there is read: the lists may name videos that were not downloaded. Boxes are pixels of the picture as it is
-shown, upright as the video's own turn says: of the pictures where there are some, else as the camera recorded its size.
+Only what is there is read: the lists may name videos that were not downloaded. Boxes are pixels of the image as it is
+shown, upright as the video's own turn says: of the images where there are some, else as the camera recorded its size.
 
 Nothing else is left out silently: whatever is not used is listed with the reason.
 """
@@ -26,7 +26,7 @@ from viewnet.data.frames import natural
 from viewnet.data.readers.objectron_record import Record, View, read_record
 from viewnet.data.readers.pascal3d import tally
 from viewnet.errors import ViewnetError
-from viewnet.runtime import images
+from viewnet.runtime import image_files
 from viewnet.runtime.progress import bar
 
 CLASSES = {"bicycle": "bike", "bottle": "bottle", "chair": "chair"}
@@ -36,7 +36,7 @@ SHARES = {"val": 0.1, "test": 0.2}
 VIDEO = "video.MOV"
 MASKS = "masks"
 
-_PICTURES = (".jpg", ".jpeg", ".png")
+_IMAGES = (".jpg", ".jpeg", ".png")
 
 Rejected = tuple[str, str, str]
 
@@ -47,8 +47,8 @@ def read(
     """The videos of a category under `root`, each with up to `frames` of its usable frames, drawn by seed and video.
 
     The second value is (id, path within the data set, reason) of the videos, frames and further objects that were not
-    used; frames that were just not drawn are not in it. A frame's number is that of the video, or its picture's place
-    among the pictures. The test split is the published one where the lists are there, and a seeded tenth of the train
+    used; frames that were just not drawn are not in it. A frame's number is that of the video, or its image's place
+    among the images. The test split is the published one where the lists are there, and a seeded tenth of the train
     list's videos is the val split; without lists a tenth and a fifth are val and test.
 
     Raises ViewnetError where Objectron has no such category, `root` is not Objectron or nothing can be used.
@@ -101,13 +101,13 @@ def _clip(
     rejected += [(f"{video}/object {name}", where, "object smaller than another one") for name in record.others]
     order = np.random.default_rng(list(_rank(seed, "frames", video))).permutation(len(record.views))
     drawn: list[Frame] = []
-    if isinstance(source, _Pictures):
+    if isinstance(source, _Images):
         gone = {view.number for view in record.views} - source.places.keys()
-        rejected += [(f"{video}/{number}", where, "no such picture") for number in sorted(gone)]
+        rejected += [(f"{video}/{number}", where, "no such image") for number in sorted(gone)]
     for view in (record.views[place] for place in order):
         if len(drawn) == count:
             break
-        if isinstance(source, _Pictures) and view.number not in source.places:
+        if isinstance(source, _Images) and view.number not in source.places:
             continue
         try:
             drawn.append(_frame(view, source))
@@ -117,45 +117,45 @@ def _clip(
         raise ViewnetError("no usable frame")
     frames = tuple(sorted(drawn, key=lambda frame: frame.number))
     masks = root / MASKS / video
-    place = source.folder if isinstance(source, _Pictures) else source
+    place = source.folder if isinstance(source, _Images) else source
     return Clip(video, category, split, place, frames, masks if masks.is_dir() else None)
 
 
 @dataclass(frozen=True)
-class _Pictures:
-    """A folder of pictures: frame number -> place in the order of names, and file."""
+class _Images:
+    """A folder of images: frame number -> place in the order of names, and file."""
 
     folder: Path
     places: dict[int, tuple[int, Path]]
 
 
-def _source(folder: Path, record: Record) -> Path | _Pictures:
-    """The pictures of a video, or the video where there are none."""
-    files = sorted(path for path in folder.glob("*") if path.stem.isdecimal() and path.suffix.lower() in _PICTURES)
+def _source(folder: Path, record: Record) -> Path | _Images:
+    """The images of a video, or the video where there are none."""
+    files = sorted(path for path in folder.glob("*") if path.stem.isdecimal() and path.suffix.lower() in _IMAGES)
     if not files:
         if (folder / VIDEO).is_file():
             return folder / VIDEO
-        raise ViewnetError("neither video nor pictures")
+        raise ViewnetError("neither video nor images")
     numbers = [int(path.stem) for path in files]
     if len(set(numbers)) < len(numbers):
-        raise ViewnetError("two pictures of one frame")
+        raise ViewnetError("two images of one frame")
     if numbers != sorted(numbers):
-        raise ViewnetError("pictures' names do not sort by number (write zeros before the numbers)")
+        raise ViewnetError("images' names do not sort by number (write zeros before the numbers)")
     if numbers[0] == 1 and record.frames[0] == 0 and numbers[-1] == record.frames[-1] + 1:
-        raise ViewnetError("pictures are numbered from 1 (the first frame is 0)")
+        raise ViewnetError("images are numbered from 1 (the first frame is 0)")
     places = {number: (place, file) for place, (number, file) in enumerate(zip(numbers, files, strict=True))}
-    return _Pictures(folder, places)
+    return _Images(folder, places)
 
 
-def _frame(view: View, source: Path | _Pictures) -> Frame:
-    if isinstance(source, _Pictures):
+def _frame(view: View, source: Path | _Images) -> Frame:
+    if isinstance(source, _Images):
         number, file = source.places[view.number]
-        size = images.size(file)
+        size = image_files.size(file)
         width, height = view.size if view.size and view.upright is not None else size
         if (size[0] - size[1]) * (width - height) < 0:
-            raise ViewnetError("picture is not turned as its annotation")
+            raise ViewnetError("image is not turned as its annotation")
     elif view.size is None:
-        raise ViewnetError("size of the video's picture is not recorded")
+        raise ViewnetError("size of the video's image is not recorded")
     else:
         number, size = view.number, view.size
     x0, x1 = (value * size[0] for value in view.box[::2])

@@ -10,11 +10,11 @@ before them. In this project x is the front, y the left side and z up (viewnet.g
 and `AXES @ place` takes a place in the object's frame from theirs to ours. An object's pose (R, t) takes its own frame
 to the world. A camera's `view_matrix` takes the world to the camera, whose x is right and y up as its landscape sensor
 lies, and which looks along -z; its `transform` is the inverse of that. The phone was mostly held upright, so the sensor
-lies on its side; this turns the picture and not the camera's place, which is all that a viewpoint is:
+lies on its side; this turns the image and not the camera's place, which is all that a viewpoint is:
 
     place = R^T (c - t),    c = the camera's place in the world
 
-Keypoints in the picture are fractions of the picture as it is shown, upright, and are used as they are. The nine
+Keypoints in the image are fractions of the image as it is shown, upright, and are used as they are. The nine
 keypoints in the camera's frame tell the same place again: a frame in which the two do not agree is not used.
 """
 
@@ -40,7 +40,7 @@ LARGEST = 16 * 2**20
 MOST_FRAMES = 100_000
 """Frames of a record, and objects annotated in all of them together: more are no video's."""
 BEYOND = 0.1
-"""Keypoints may be so much of the picture's side outside of it: the box reaches farther than the object within."""
+"""Keypoints may be so much of the image's side outside of it: the box reaches farther than the object within."""
 VISIBLE = 0.5
 """The share of an object that has to be visible, where that is annotated."""
 DISAGREE = 5.0
@@ -57,9 +57,9 @@ class View:
     """A frame in which the object can be used.
 
     azimuth, elevation  degrees
-    box                 x0, y0, x1, y1 as fractions of the picture as it is shown, within it
-    size                width and height of that picture, pixels, as the camera recorded it; None where it did not
-    upright             whether the picture is the sensor's turned by a quarter; None where that cannot be told
+    box                 x0, y0, x1, y1 as fractions of the image as it is shown, within it
+    size                width and height of that image, pixels, as the camera recorded it; None where it did not
+    upright             whether the image is the sensor's turned by a quarter; None where that cannot be told
     """
 
     number: int
@@ -72,7 +72,7 @@ class View:
 
 @dataclass(frozen=True)
 class Record:
-    """What a record tells of its main object, which is the one that is largest in the picture on average.
+    """What a record tells of its main object, which is the one that is largest in the image on average.
 
     frames      the numbers of all frames in the record
     views       those that can be used, by number
@@ -134,13 +134,13 @@ def _parse(path: Path) -> Any:
 
 
 def _main_object(frames: Many[Any]) -> tuple[int, tuple[int, ...]]:
-    """The id of the object that covers most of the pictures, and those of all others."""
+    """The id of the object that covers most of the images, and those of all others."""
     covered: dict[int, float] = {}
     for frame in frames:
         for annotation in frame.annotations:
             if len(annotation.keypoints) != len(UNIT_BOX):
                 continue
-            points = _in_picture(annotation).clip(0, 1)
+            points = _in_image(annotation).clip(0, 1)
             area = float(np.prod(points.max(axis=0) - points.min(axis=0)))
             covered.setdefault(annotation.object_id, 0.0)
             covered[annotation.object_id] += area if math.isfinite(area) else 0.0
@@ -169,7 +169,7 @@ def _view(frame: Any, main: int, rotation: np.ndarray, translation: np.ndarray) 
         raise ViewnetError("object not annotated")
     if (count := len(annotation.keypoints)) != len(UNIT_BOX):
         raise ViewnetError(f"not nine keypoints ({count})")
-    points = _in_picture(annotation)
+    points = _in_image(annotation)
     if not np.isfinite(points).all():
         raise ViewnetError("keypoints are not finite")
     to_camera = _world_to_camera(frame.camera)
@@ -181,10 +181,10 @@ def _view(frame: Any, main: int, rotation: np.ndarray, translation: np.ndarray) 
         raise ViewnetError("object behind the camera")
     # Proto 3 has no difference between nothing visible and nothing said; the keypoints decide then.
     if 0 < annotation.visibility < VISIBLE:
-        raise ViewnetError("object mostly hidden or outside of the picture")
+        raise ViewnetError("object mostly hidden or outside of the image")
     low, high = points.min(axis=0), points.max(axis=0)
     if (low < -BEYOND).any() or (high > 1 + BEYOND).any():
-        raise ViewnetError("object partly outside of the picture")
+        raise ViewnetError("object partly outside of the image")
     x0, y0, x1, y1 = (float(value) for value in np.concatenate([low, high]).clip(0, 1))
     if not np.linalg.norm(place) > 1e-6:
         raise ViewnetError("camera at the object's centre")
@@ -194,8 +194,8 @@ def _view(frame: Any, main: int, rotation: np.ndarray, translation: np.ndarray) 
     return View(int(frame.frame_id), azimuth.item(), elevation.item(), (x0, y0, x1, y1), size, upright)
 
 
-def _in_picture(annotation: Any) -> np.ndarray:
-    """Keypoints (9, 2) as fractions of the picture."""
+def _in_image(annotation: Any) -> np.ndarray:
+    """Keypoints (9, 2) as fractions of the image."""
     return np.array([(keypoint.point_2d.x, keypoint.point_2d.y) for keypoint in annotation.keypoints], dtype=np.float64)
 
 
@@ -241,7 +241,7 @@ def _check(in_camera: np.ndarray, place: np.ndarray) -> None:
 
 
 def _is_upright(camera: Any, in_camera: np.ndarray, points: np.ndarray) -> bool | None:
-    """Whether the picture is the sensor's turned by a quarter, by where the projection has the keypoints (9, 2)."""
+    """Whether the image is the sensor's turned by a quarter, by where the projection has the keypoints (9, 2)."""
     matrix = np.array(camera.projection_matrix, dtype=np.float64)
     if matrix.size != 16 or not np.isfinite(matrix).all() or not in_camera.any():
         return None
@@ -257,7 +257,7 @@ def _is_upright(camera: Any, in_camera: np.ndarray, points: np.ndarray) -> bool 
 
 
 def _shown_size(camera: Any, upright: bool | None) -> tuple[int, int] | None:
-    """Width and height of the picture as shown: on its side only where the projection says so."""
+    """Width and height of the image as shown: on its side only where the projection says so."""
     short, long = sorted((int(camera.image_resolution_width), int(camera.image_resolution_height)))
     if short < 1:
         return None

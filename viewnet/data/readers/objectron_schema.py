@@ -8,7 +8,7 @@ when a record is read. Published schema: annotation_data.proto, object.proto and
     Object              rotation (9, row by row), translation (3) and scale (3): object to world, metres
     FrameAnnotation     a frame: its number, the objects seen in it, the camera
     ObjectAnnotation    an object in a frame: nine keypoints (the box's centre, then its corners), how much is visible
-    AnnotatedKeyPoint   a point in the camera's frame (metres) and in the picture as shown ((0, 0) upper left, (1, 1))
+    AnnotatedKeyPoint   a point in the camera's frame (metres) and in the image as shown ((0, 0) upper left, (1, 1))
     ARCamera            row by row: transform (camera to world) and view_matrix (world to camera), projection_matrix
 """
 

@@ -24,7 +24,7 @@ from viewnet.config import CATEGORIES, known
 from viewnet.data.crop import Box
 from viewnet.data.readers import matlab
 from viewnet.errors import ViewnetError
-from viewnet.runtime import images
+from viewnet.runtime import image_files
 
 SUBSETS = ("imagenet", "pascal")
 BOTH = "both"
@@ -36,7 +36,7 @@ VOC = Path("PASCAL/VOCdevkit/VOC2012/ImageSets/Main")
 
 Keep = Literal["all", "easy", "first"]
 
-# What copies of the data set call their pictures.
+# What copies of the data set call their images.
 _SUFFIXES = (".JPEG", ".jpg", ".jpeg", ".JPG", ".png", ".PNG")
 
 
@@ -44,9 +44,9 @@ _SUFFIXES = (".JPEG", ".jpg", ".jpeg", ".JPG", ".png", ".PNG")
 class Annotation:
     """One object of one photograph.
 
-    picture             the file
+    image_path          the file
     number              which of the record's objects it is, from 0
-    box                 its left, upper, right and lower edge, pixels from the picture's left upper corner, within it
+    box                 its left, upper, right and lower edge, pixels from the image's left upper corner, within it
     azimuth, elevation  degrees: [0, 360), 0 the object's front, 90 its left side; [-90, 90]
     tilt                the camera's in-plane rotation, degrees (`theta`)
     coarse              whether no closer viewpoint than one of eight azimuths was annotated
@@ -57,7 +57,7 @@ class Annotation:
     split: str
     image: str
     number: int
-    picture: Path
+    image_path: Path
     box: Box
     azimuth: float
     elevation: float
@@ -84,7 +84,7 @@ class Report:
 
     rejected    (id, path within the data set, reason) of the objects and images that were not used
     mended      (id, what) of those that were used though something was odd about them
-    others      objects of other categories in the same pictures, which were not asked for
+    others      objects of other categories in the same images, which were not asked for
     """
 
     rejected: list[tuple[str, str, str]] = field(default_factory=list)
@@ -110,7 +110,7 @@ def read(
     `keep`: all objects; the easy ones; or the first of each image, as the released code has it. With `coarse`, objects
     whose viewpoint is only known to an eighth of a turn count too.
 
-    Boxes with exchanged corners, beyond their picture's edges or in another scale than their picture are mended.
+    Boxes with exchanged corners, beyond their image's edges or in another scale than their image are mended.
     Raises ViewnetError where `root` is not PASCAL3D+ or nothing can be used.
     """
     known(category, CATEGORIES, "category")
@@ -169,7 +169,7 @@ def annotation_file(root: Path, category: str, subset: str, image: str) -> Path:
     return Path(root) / "Annotations" / f"{category}_{subset}" / f"{image}.mat"
 
 
-def picture_file(root: Path, category: str, subset: str, image: str) -> Path:
+def image_file(root: Path, category: str, subset: str, image: str) -> Path:
     """Where an image lies, or would in the release."""
     folder = Path(root) / "Images" / f"{category}_{subset}"
     usual = folder / f"{image}{EXTENSIONS[subset]}"
@@ -181,12 +181,12 @@ def _read_image(
     root: Path, category: str, subset: str, split: str, image: str, keep: Keep, coarse: bool, report: Report
 ) -> list[Annotation]:
     """The objects of one image that are asked for and can be used; all else goes to the report."""
-    path, picture = annotation_file(root, category, subset, image), picture_file(root, category, subset, image)
+    path, image_path = annotation_file(root, category, subset, image), image_file(root, category, subset, image)
     name, where = f"{subset}/{image}", path.relative_to(root).as_posix()
     try:
-        size = images.size(picture)
+        size = image_files.size(image_path)
     except ViewnetError as error:
-        report.rejected.append((name, picture.relative_to(root).as_posix(), str(error)))
+        report.rejected.append((name, image_path.relative_to(root).as_posix(), str(error)))
         return []
     try:
         objects, annotated = _record(path)
@@ -204,7 +204,7 @@ def _read_image(
             if keep == "first" and place:
                 raise ViewnetError("not the first of its image")
             box = _box(item, size, annotated, odd)
-            annotation = _annotation(item, category, subset, split, image, number, picture, box)
+            annotation = _annotation(item, category, subset, split, image, number, image_path, box)
             if annotation.coarse and not coarse:
                 raise ViewnetError("only coarsely annotated")
             if keep == "easy" and not annotation.easy:
@@ -218,7 +218,7 @@ def _read_image(
 
 
 def _record(path: Path) -> tuple[list[Any], tuple[float, float] | None]:
-    """The objects of a record, and the width and height of the picture that was annotated where it has them."""
+    """The objects of a record, and the width and height of the image that was annotated where it has them."""
     if not path.is_file():
         raise ViewnetError("no such annotation")
     try:
@@ -244,7 +244,7 @@ def _class(item: Any) -> str:
 
 
 def _box(item: Any, size: tuple[int, int], annotated: tuple[float, float] | None, odd: list[str]) -> Box:
-    """The object's box as edges within its picture; what had to be mended joins `odd`."""
+    """The object's box as edges within its image; what had to be mended joins `odd`."""
     corners = np.asarray(getattr(item, "bbox", ()))
     if corners.size != 4 or corners.dtype.kind not in "fiu" or not np.isfinite(corners).all():
         raise ViewnetError("box is not four numbers")
@@ -259,18 +259,18 @@ def _box(item: Any, size: tuple[int, int], annotated: tuple[float, float] | None
         scale = limits / [*annotated, *annotated]
         if abs(scale[0] / scale[1] - 1) < 0.02:
             edges = edges * scale
-            odd.append("box in another scale than its picture")
+            odd.append("box in another scale than its image")
     within = edges.clip(0, limits)
     if (within[2:] - within[:2] < 1).any():
-        raise ViewnetError(f"box has no part in the picture ({size[0]} x {size[1]})")
+        raise ViewnetError(f"box has no part in the image ({size[0]} x {size[1]})")
     if np.abs(within - edges).max() > 1:  # less is rounding
-        odd.append("box beyond the picture's edges")
+        odd.append("box beyond the image's edges")
     left, upper, right, lower = within.tolist()
     return left, upper, right, lower
 
 
 def _annotation(
-    item: Any, category: str, subset: str, split: str, image: str, number: int, picture: Path, box: Box
+    item: Any, category: str, subset: str, split: str, image: str, number: int, image_path: Path, box: Box
 ) -> Annotation:
     viewpoint = getattr(item, "viewpoint", None)
     if not hasattr(viewpoint, "_fieldnames"):
@@ -284,7 +284,7 @@ def _annotation(
     flags = (bool(_number(item, name, 0.0)) for name in ("truncated", "occluded", "difficult"))
     # A tiny negative angle is 360 after rounding.
     turn = azimuth % 360 % 360
-    return Annotation(category, subset, split, image, number, picture, box, turn, elevation, tilt, coarse, *flags)
+    return Annotation(category, subset, split, image, number, image_path, box, turn, elevation, tilt, coarse, *flags)
 
 
 def _is_coarse(viewpoint: Any) -> bool:

@@ -28,7 +28,7 @@ from viewnet.runtime.parallel import as_done, processors
 from viewnet.runtime.progress import bar
 
 VERSION = 1
-"""Raise it when a change alters pictures, masks or annotations."""
+"""Raise it when a change alters images, masks or annotations."""
 SEQUENCES = tuple(n for n in range(1, 53) if n not in (6, 20, 31, 36))
 """48 of 52, so that numbers have gaps as they do in the data set."""
 MODEL_SEED = 2000
@@ -113,14 +113,14 @@ def _write_sequence(job: _Job) -> None:
     lines = []
     for k in range(job.frames):
         drawing = _glossy(drawings[k], gloss, azimuths[k] - np.rad2deg(np.arctan2(light[1], light[0])))
-        picture, alpha = _frame(drawing, around, azimuths[k] / 360, scale, shake[k], rng)
+        image, alpha = _frame(drawing, around, azimuths[k] / 360, scale, shake[k], rng)
         ys, xs = np.nonzero(alpha > 127)
         if not len(xs):
             raise ViewnetError("a car of the stand-in cannot be seen")
         box = (int(xs.min()), int(ys.min()), int(xs.max()) + 1, int(ys.max()) + 1)
         theirs = round(AZIMUTH[0] * (azimuths[k] - AZIMUTH[1]) % 360) % 360
         lines.append(f"{name}/{k + 1:04d}.png\t{' '.join(map(str, box))}\t{theirs}\n")
-        _save(_filmed(picture, exposure[k], rng), job.root / name / f"{k + 1:04d}.png")
+        _save(_filmed(image, exposure[k], rng), job.root / name / f"{k + 1:04d}.png")
         mask = _imperfect(alpha, rng)
         if rng.random() >= NO_MASK:
             _save(mask, job.root / MASKS / name / f"{k + 1:04d}.png")
@@ -173,7 +173,7 @@ def _frame(
     thing = thing.resize((side, side), Image.Resampling.HAMMING)
     left, upper = round((width - side) / 2 + shake[0]), round((height - side) / 2 + shake[1])
     start = round(turn * around.shape[1])
-    picture = Image.fromarray(around[:, np.arange(start, start + width) % around.shape[1]])
+    image = Image.fromarray(around[:, np.arange(start, start + width) % around.shape[1]])
     cover = Image.new("RGBA", SIZE)
     cover.paste(thing, (left, upper))
     box = cover.getchannel("A").getbbox()
@@ -181,17 +181,17 @@ def _frame(
         x0, _, x1, y1 = box
         shadow = Image.new("L", SIZE, 0)
         ImageDraw.Draw(shadow).ellipse((x0, y1 - 14, x1, y1 + 5), 170)
-        picture.paste((15, 15, 18), mask=shadow.filter(ImageFilter.GaussianBlur(3)))
-    picture.paste(cover, (0, 0), cover)
+        image.paste((15, 15, 18), mask=shadow.filter(ImageFilter.GaussianBlur(3)))
+    image.paste(cover, (0, 0), cover)
     alpha = np.asarray(cover.getchannel("A"))
     # The camera moves while the shutter is open.
     length = int(rng.integers(1, 4))
-    moved = ndimage.uniform_filter1d(np.asarray(picture, dtype=np.float64), length, axis=1, mode="nearest")
+    moved = ndimage.uniform_filter1d(np.asarray(image, dtype=np.float64), length, axis=1, mode="nearest")
     return Image.fromarray(moved.astype(np.uint8)), alpha
 
 
-def _filmed(picture: Image.Image, exposure: float, rng: np.random.Generator) -> Image.Image:
-    pixels = np.asarray(picture, dtype=np.float64) / 255 * exposure
+def _filmed(image: Image.Image, exposure: float, rng: np.random.Generator) -> Image.Image:
+    pixels = np.asarray(image, dtype=np.float64) / 255 * exposure
     pixels = pixels + rng.normal(0, 0.015, pixels.shape)
     return Image.fromarray((pixels.clip(0, 1) * 255 + 0.5).astype(np.uint8))
 
@@ -204,6 +204,6 @@ def _imperfect(alpha: np.ndarray, rng: np.random.Generator) -> Image.Image:
     return Image.fromarray(((soft + 0.25 * edge * noise / noise.std() > 0.5) * 255).astype(np.uint8))
 
 
-def _save(picture: Image.Image, file: Path) -> None:
+def _save(image: Image.Image, file: Path) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
-    picture.save(file, compress_level=1)
+    image.save(file, compress_level=1)

@@ -2,7 +2,7 @@
 
 It lets everything that reads the data set run, and be tested, where it is not to be had. Numbers measured on it are
 numbers of the stand-in. A video is a smooth arc of 60 to 180 degrees about one object, with changes of height, aim,
-focal length, light and exposure, and with motion blur; its frames are written as pictures, with a record, and with
+focal length, light and exposure, and with motion blur; its frames are written as images, with a record, and with
 masks as two kinds of network make them: one that learned from masks (masks/) and one that learned from words (WEAK).
 """
 
@@ -32,19 +32,19 @@ from viewnet.runtime.files import write_text
 from viewnet.runtime.progress import bar
 
 VERSION = 2
-"""Raise it when a change alters pictures, masks or records."""
+"""Raise it when a change alters images, masks or records."""
 WEAK = "masks_weak"
 """The folder of masks as a weakly supervised network makes them: blobs without legs that take in some surroundings."""
 MODEL_SEED = 2000
 """Added to the seed: models are others than those of a training with the same one."""
 SIZE = (180, 240)
-"""Width and height of a picture, pixels: three to four, as a phone held upright films."""
+"""Width and height of an image, pixels: three to four, as a phone held upright films."""
 BATCH = 50
 """Videos in a batch."""
 TEST = 0.2
 """The share of videos in the test list."""
 
-# The sensor lies on its side: its x points down in the picture, its y to the right. In the picture's frame (right, up,
+# The sensor lies on its side: its x points down in the image, its y to the right. In the image's frame (right, up,
 # back) these are its axes, as columns.
 _SENSOR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _NEAR, _FAR = 0.01, 1000.0
@@ -80,9 +80,9 @@ def write_stand_in(
     size: tuple[int, int] = SIZE,
     progress: bool = False,
 ) -> None:
-    """`videos` videos of as many models, `frames` pictures of `size` (width, height) each, in Objectron's layout.
+    """`videos` videos of as many models, `frames` images of `size` (width, height) each, in Objectron's layout.
 
-    Written are the pictures, masks (with the faults of masks that a network made: eroded, swollen, with holes; and
+    Written are the images, masks (with the faults of masks that a network made: eroded, swollen, with holes; and
     again far coarser), records and lists. A video depends on (seed, category, its number, frames, size) only. Raises
     ViewnetError for values out of range, a category that Objectron does not have, and where `root` holds something
     already.
@@ -113,14 +113,14 @@ def _write_video(
     drawings = render_frames(
         mesh, np.stack([shot.frame for shot in shots]), _lights(rng, shots), max(size), 2, "raycast"
     )
-    pictures, masks = _filmed(rng, shots, drawings, size)
+    images, masks = _filmed(rng, shots, drawings, size)
     folders = {part: root / part / name for part in ("videos", MASKS, WEAK)}
     for folder in folders.values():
         folder.mkdir(parents=True)
     # Chance of their own, so that they have no say in anything else.
     chances = [np.random.default_rng([seed, list(CLASSES).index(category), number, kind]) for kind in (1, 2)]
-    for place, (picture, mask) in enumerate(zip(pictures, masks, strict=True)):
-        picture.save(folders["videos"] / f"{place:06d}.jpg", "JPEG", quality=88)
+    for place, (image, mask) in enumerate(zip(images, masks, strict=True)):
+        image.save(folders["videos"] / f"{place:06d}.jpg", "JPEG", quality=88)
         _faulty(chances[0], mask).save(folders[MASKS] / f"{place:06d}.png")
         _weak(chances[1], mask).save(folders[WEAK] / f"{place:06d}.png")
     record = root / "annotations" / f"{name}.pbdata"
@@ -164,7 +164,7 @@ def _lights(rng: np.random.Generator, shots: Many[_Shot]) -> np.ndarray:
 def _filmed(
     rng: np.random.Generator, shots: Many[_Shot], drawings: np.ndarray, size: tuple[int, int]
 ) -> tuple[list[Image.Image], list[Image.Image]]:
-    """The pictures and true masks of a video, from drawings (frames, S, S, 4) of its object."""
+    """The images and true masks of a video, from drawings (frames, S, S, 4) of its object."""
     width, height = size
     wide, high = round(1.8 * width), round(1.3 * height)
     kind = (scenes.room, scenes.clutter, scenes.facade)[int(rng.integers(3))]
@@ -173,12 +173,12 @@ def _filmed(
     pan = [0.5 + 0.5 * np.clip(_drift(rng, len(shots)), -1, 1) for _ in range(2)]
     gain, tint = np.exp(0.25 * _drift(rng, len(shots))), np.exp(rng.normal(0, 0.05, 3))
     grain = rng.uniform(0, 0.02)
-    pictures, masks = [], []
+    images, masks = [], []
     previous = shots[0].centre
     for place, (shot, drawing) in enumerate(zip(shots, drawings, strict=True)):
         left, upper = pan[0][place] * (wide - width), pan[1][place] * (high - height)
         view = (left, upper, left + width, upper + height)
-        picture = behind.resize(size, Image.Resampling.BILINEAR, box=view)
+        image = behind.resize(size, Image.Resampling.BILINEAR, box=view)
         # The drawing, scaled and shifted so that its pixels are where the shot's camera has them.
         side = shot.focal / FOCAL
         scale = drawing.shape[1] / side
@@ -187,16 +187,16 @@ def _filmed(
         thing = _premultiplied(drawing).transform(size, Image.Transform.AFFINE, affine, Image.Resampling.BILINEAR)
         pixels = np.asarray(thing, dtype=np.float64)
         alpha = pixels[..., 3:] / 255
-        mixed = pixels[..., :3] + (1 - alpha) * np.asarray(picture, dtype=np.float64)
+        mixed = pixels[..., :3] + (1 - alpha) * np.asarray(image, dtype=np.float64)
         step = np.subtract(shot.centre, previous) * rng.uniform(0.3, 1.2) + rng.normal(0, 0.4, 2)
         # Frames far apart in time would be blurred as no exposure is.
         step *= min(1.0, 0.02 * width / max(np.hypot(*step), 1e-9))
         previous = shot.centre
         blurred = _moved(Image.fromarray(mixed.clip(0, 255).astype(np.uint8)), step)
         exposed = (blurred / 255 * gain[place] * tint).clip(0, 1) + rng.normal(0, grain, blurred.shape)
-        pictures.append(Image.fromarray((exposed.clip(0, 1) * 255 + 0.5).astype(np.uint8)))
+        images.append(Image.fromarray((exposed.clip(0, 1) * 255 + 0.5).astype(np.uint8)))
         masks.append(Image.fromarray(((alpha[..., 0] > 0.5) * 255).astype(np.uint8)))
-    return pictures, masks
+    return images, masks
 
 
 def _premultiplied(drawing: np.ndarray) -> Image.Image:
@@ -206,15 +206,15 @@ def _premultiplied(drawing: np.ndarray) -> Image.Image:
     return Image.fromarray(np.dstack([colour, drawing[..., 3]]))
 
 
-def _moved(picture: Image.Image, step: np.ndarray, copies: int = 5) -> np.ndarray:
-    """The mean (height, width, 3) of a picture and its copies along a movement of `step` pixels about it."""
-    total = np.zeros((picture.height, picture.width, 3))
+def _moved(image: Image.Image, step: np.ndarray, copies: int = 5) -> np.ndarray:
+    """The mean (height, width, 3) of an image and its copies along a movement of `step` pixels about it."""
+    total = np.zeros((image.height, image.width, 3))
     for share in np.linspace(-0.5, 0.5, copies):
         dx, dy = share * step
         affine = (1.0, 0.0, float(dx), 0.0, 1.0, float(dy))
-        moved = picture.transform(picture.size, Image.Transform.AFFINE, affine, Image.Resampling.BILINEAR)
-        inside = Image.new("L", picture.size, 255).transform(picture.size, Image.Transform.AFFINE, affine)
-        total += np.asarray(Image.composite(moved, picture, inside), dtype=np.float64)
+        moved = image.transform(image.size, Image.Transform.AFFINE, affine, Image.Resampling.BILINEAR)
+        inside = Image.new("L", image.size, 255).transform(image.size, Image.Transform.AFFINE, affine)
+        total += np.asarray(Image.composite(moved, image, inside), dtype=np.float64)
     return total / copies
 
 
@@ -288,7 +288,7 @@ def _record(rng: np.random.Generator, shots: Many[_Shot], mesh: Mesh, size: tupl
         for place, (point, (right, up)) in enumerate(zip(in_camera, clip[:, :2] / clip[:, 3:], strict=True)):
             keypoint = seen.keypoints.add(id=place)
             keypoint.point_3d.x, keypoint.point_3d.y, keypoint.point_3d.z = point
-            # In the picture, which is the sensor's turned by a quarter.
+            # In the image, which is the sensor's turned by a quarter.
             keypoint.point_2d.x, keypoint.point_2d.y, keypoint.point_2d.depth = (1 + up) / 2, (1 + right) / 2, -point[2]
     return sequence
 

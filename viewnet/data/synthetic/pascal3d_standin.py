@@ -22,8 +22,8 @@ from viewnet import cad
 from viewnet.cad.writer import write_model
 from viewnet.config import CATEGORIES, known
 from viewnet.data.annotated_viewpoints import drawn
-from viewnet.data.backgrounds import list_pictures
-from viewnet.data.readers.pascal3d import EXTENSIONS, LISTS, SPLITS, VOC, annotation_file, parts, picture_file
+from viewnet.data.backgrounds import list_images
+from viewnet.data.readers.pascal3d import EXTENSIONS, LISTS, SPLITS, VOC, annotation_file, image_file, parts
 from viewnet.data.readers.shapenet import ModelFile, load_model
 from viewnet.data.synthetic import scenes
 from viewnet.errors import ViewnetError
@@ -32,28 +32,28 @@ from viewnet.render import render_frames
 from viewnet.render.camera import camera_frames
 from viewnet.render.mesh import Mesh
 from viewnet.runtime.files import write_text
-from viewnet.runtime.images import opened
+from viewnet.runtime.image_files import opened
 from viewnet.runtime.parallel import as_done, processors
 from viewnet.runtime.progress import bar
 from viewnet.tables import published
 
 VERSION = 1
-"""Raise it when a change alters pictures or annotations."""
+"""Raise it when a change alters images or annotations."""
 MODEL_SEED = 1000
 """Added to the seed: models are others than those of a training with the same one."""
 SIZE = (200, 150)
-"""Width and height of a picture, pixels."""
+"""Width and height of an image, pixels."""
 OBJECT = 144
 """Pixels along a side of the drawing that an object is pasted from."""
 HARD = {"imagenet": 0.1, "pascal": 0.5}
-"""The share of objects that are cut by the picture's edge or hidden in part."""
+"""The share of objects that are cut by the image's edge or hidden in part."""
 DISTANCE = 7.0
 """Of the camera, as annotated; 0 would mean that the viewpoint is coarse."""
 
 
 @dataclass(frozen=True)
 class _Photograph:
-    """One picture to make, and the camera's frame (3, 3)."""
+    """One image to make, and the camera's frame (3, 3)."""
 
     subset: str
     split: str
@@ -65,7 +65,7 @@ class _Photograph:
 
 @dataclass(frozen=True)
 class _Job:
-    """The pictures of one CAD model."""
+    """The images of one CAD model."""
 
     root: Path
     category: str
@@ -89,7 +89,7 @@ def describe(
         "seed": seed,
     }
     if backgrounds is not None:
-        names = [(path, (backgrounds / path).stat().st_size) for path, _ in list_pictures(backgrounds)[0]]
+        names = [(path, (backgrounds / path).stat().st_size) for path, _ in list_images(backgrounds)[0]]
         values["backgrounds"] = hashlib.sha256(repr(names).encode()).hexdigest()
     return values
 
@@ -108,11 +108,11 @@ def write_stand_in(
     """`count` photographs of each category and split under `root`, in the layout of PASCAL3D+ 1.1.
 
     Each split ("train", "val") shows `models` built-in models of its own, in equal shares. Viewpoints are drawn from
-    the published histogram of the real ones (viewnet.data.annotated_viewpoints.drawn). What is behind comes from a folder of pictures,
+    the published histogram of the real ones (viewnet.data.annotated_viewpoints.drawn). What is behind comes from a folder of images,
     or is drawn (viewnet.data.synthetic.scenes). Some objects are cut by the edge or hidden in part, and say so. `subset` is
     "imagenet", "pascal" (more of them are) or "both".
 
-    A picture depends on (seed, category, subset, split, its number, models) and the backgrounds, whatever the number
+    An image depends on (seed, category, subset, split, its number, models) and the backgrounds, whatever the number
     of processes (`workers`; None: one a processor). Raises ViewnetError for values out of range, and where `root` holds
     something already.
     """
@@ -124,11 +124,11 @@ def write_stand_in(
             raise ViewnetError(f"stand-in: {name} {value}: expected 1 or more")
     if root.exists() and any(root.iterdir()):
         raise ViewnetError(f"{root}: is not empty: name another folder")
-    behind = () if backgrounds is None else tuple(backgrounds / path for path, _ in list_pictures(backgrounds)[0])
+    behind = () if backgrounds is None else tuple(backgrounds / path for path, _ in list_images(backgrounds)[0])
     jobs = []
     for category in dict.fromkeys(categories):
         planned = _plan(known(category, CATEGORIES, "category"), subset, models, count, seed)
-        jobs += [_Job(root, category, model, pictures, behind, seed) for model, pictures in planned.items()]
+        jobs += [_Job(root, category, model, images, behind, seed) for model, images in planned.items()]
         for part in parts(subset):
             for split in SPLITS:
                 _write_list(root, category, part, split, [_name(category, split, i) for i in range(count)])
@@ -154,7 +154,7 @@ def _make(jobs: Sequence[_Job], workers: int | None, progress: bool) -> None:
     total = sum(len(job.photographs) for job in jobs)
     if workers is None:
         workers = 1 if total < 200 else processors()  # for a few, starting processes takes longer
-    with bar(progress, total=total, desc="stand-in", unit="picture") as shown:
+    with bar(progress, total=total, desc="stand-in", unit="image") as shown:
         for photographs in as_done(_draw_model, jobs, workers, "the stand-in"):
             shown.update(photographs)
 
@@ -171,9 +171,9 @@ def _draw_model(job: _Job) -> int:
         lights.append(light / np.linalg.norm(light))
     drawings = render_frames(mesh, frames, np.stack(lights), OBJECT, 2, "raycast")
     for photograph, drawing, rng in zip(job.photographs, drawings, generators, strict=True):
-        picture, entry = _photograph(drawing, photograph, HARD[photograph.subset], job.backgrounds, rng)
+        image, entry = _photograph(drawing, photograph, HARD[photograph.subset], job.backgrounds, rng)
         entry["class"] = job.category
-        _write(job.root, job.category, photograph.subset, photograph.name, picture, [entry])
+        _write(job.root, job.category, photograph.subset, photograph.name, image, [entry])
     return len(job.photographs)
 
 
@@ -189,7 +189,7 @@ def built_in_mesh(category: str, model: int, seed: int) -> Mesh:
 def _photograph(
     drawing: np.ndarray, photograph: _Photograph, hard: float, backgrounds: Sequence[Path], rng: np.random.Generator
 ) -> tuple[Image.Image, dict[str, Any]]:
-    """A picture, and its object as a record's `objects` has it (but for its class)."""
+    """An image, and its object as a record's `objects` has it (but for its class)."""
     ys, xs = np.nonzero(drawing[..., 3] > 127)
     if not len(xs):
         raise ViewnetError("a model of the stand-in cannot be seen")
@@ -210,13 +210,13 @@ def _photograph(
             (-round(thing.width * beyond), upper),
             (width - round(thing.width * (1 - beyond)), upper),
         )[int(rng.integers(3))]
-    picture = _background(backgrounds, rng)
-    _shade(picture, (left, upper, left + thing.width, upper + thing.height), rng)
-    picture.paste(thing, (left, upper), thing)
+    image = _background(backgrounds, rng)
+    _shade(image, (left, upper, left + thing.width, upper + thing.height), rng)
+    image.paste(thing, (left, upper), thing)
     x0, y0 = max(left, 0), max(upper, 0)
     x1, y1 = min(left + thing.width, width), min(upper + thing.height, height)
     if occluded:
-        _hide(picture, (x0, y0, x1, y1), rng)
+        _hide(image, (x0, y0, x1, y1), rng)
     entry = {
         "view": "Unspecified",
         "bbox": np.array([x0 + 1, y0 + 1, x1, y1], dtype=np.float64),  # from 1, the last pixel included
@@ -235,20 +235,20 @@ def _photograph(
             "theta": 0.0,
         },
     }
-    return _exposed(picture, rng), entry
+    return _exposed(image, rng), entry
 
 
-def _shade(picture: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
+def _shade(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
     """A soft shadow on the ground where an object will stand, or none."""
     x0, y0, x1, y1 = box
     high = (y1 - y0) * rng.uniform(0.08, 0.25)
-    mask = Image.new("L", picture.size, 0)
+    mask = Image.new("L", image.size, 0)
     ImageDraw.Draw(mask).ellipse((x0, y1 - 1.3 * high, x1, y1 + 0.4 * high), int(255 * rng.uniform(0, 0.7)))
     mask = mask.filter(ImageFilter.GaussianBlur(0.04 * (x1 - x0)))
-    picture.paste((15, 15, 18), mask=mask)
+    image.paste((15, 15, 18), mask=mask)
 
 
-def _hide(picture: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
+def _hide(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
     """Something before the object: a post, or a piece of another scene that covers its foot or a side."""
     x0, y0, x1, y1 = box
     width, height = x1 - x0, y1 - y0
@@ -257,40 +257,40 @@ def _hide(picture: Image.Image, box: tuple[int, int, int, int], rng: np.random.G
     part: tuple[float, float, float, float]
     if where == 0:  # a post
         left = x0 + rng.uniform(0.1, 0.8) * width
-        part = (left, 0, left + 0.4 * share * width, picture.height)
+        part = (left, 0, left + 0.4 * share * width, image.height)
     elif where == 1:
-        part = (x0 - 0.1 * width, y1 - share * height, x1 + 0.1 * width, picture.height)
+        part = (x0 - 0.1 * width, y1 - share * height, x1 + 0.1 * width, image.height)
     else:
         left = x0 - 0.2 * width if where == 2 else x1 - share * width
-        part = (left, y0 + rng.uniform(0, 0.5) * height, left + (share + 0.2) * width, picture.height)
-    mask = Image.new("L", picture.size, 0)
+        part = (left, y0 + rng.uniform(0, 0.5) * height, left + (share + 0.2) * width, image.height)
+    mask = Image.new("L", image.size, 0)
     pen = ImageDraw.Draw(mask)
     if rng.random() < 0.5:
         pen.rectangle(part, 255)
     else:
         pen.rounded_rectangle(part, 0.3 * min(part[2] - part[0], part[3] - part[1]), 255)
-    picture.paste(Image.fromarray(scenes.draw(rng, *picture.size)), mask=mask)
+    image.paste(Image.fromarray(scenes.draw(rng, *image.size)), mask=mask)
 
 
 def _background(backgrounds: Sequence[Path], rng: np.random.Generator) -> Image.Image:
-    """A part of a given picture, or a drawn scene."""
+    """A part of a given image, or a drawn scene."""
     if not backgrounds:
         return Image.fromarray(scenes.draw(rng, *SIZE))
     path = backgrounds[int(rng.integers(len(backgrounds)))]
     try:
         with opened(path) as found:
-            picture = found.convert("RGB")
+            image = found.convert("RGB")
     except ViewnetError as error:
         raise ViewnetError(f"{path}: {error}: remove it from the backgrounds") from None
-    scale = min(picture.width / SIZE[0], picture.height / SIZE[1]) * rng.uniform(0.7, 1)
+    scale = min(image.width / SIZE[0], image.height / SIZE[1]) * rng.uniform(0.7, 1)
     wide, high = SIZE[0] * scale, SIZE[1] * scale
-    left, upper = rng.random(2) * [picture.width - wide, picture.height - high]
-    return picture.resize(SIZE, Image.Resampling.HAMMING, box=(left, upper, left + wide, upper + high))
+    left, upper = rng.random(2) * [image.width - wide, image.height - high]
+    return image.resize(SIZE, Image.Resampling.HAMMING, box=(left, upper, left + wide, upper + high))
 
 
-def _exposed(picture: Image.Image, rng: np.random.Generator) -> Image.Image:
+def _exposed(image: Image.Image, rng: np.random.Generator) -> Image.Image:
     """Object and background alike: out of focus, brighter or darker, tinted and grainy."""
-    pixels = np.asarray(picture.filter(ImageFilter.GaussianBlur(rng.uniform(0, 0.9))), dtype=np.float64) / 255
+    pixels = np.asarray(image.filter(ImageFilter.GaussianBlur(rng.uniform(0, 0.9))), dtype=np.float64) / 255
     pixels = pixels * rng.uniform(0.75, 1.2) * np.exp(rng.normal(0, 0.05, 3))
     pixels = pixels.clip(0, 1) ** np.exp(rng.normal(0, 0.15))
     pixels = pixels + rng.normal(0, rng.uniform(0, 0.03), pixels.shape)
@@ -298,21 +298,21 @@ def _exposed(picture: Image.Image, rng: np.random.Generator) -> Image.Image:
 
 
 def _write(
-    root: Path, category: str, subset: str, name: str, picture: Image.Image, objects: Sequence[Mapping[str, Any]]
+    root: Path, category: str, subset: str, name: str, image: Image.Image, objects: Sequence[Mapping[str, Any]]
 ) -> None:
-    """A picture and its record."""
-    image, annotation = picture_file(root, category, subset, name), annotation_file(root, category, subset, name)
-    for path in (image, annotation):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    picture.save(image, "JPEG", quality=88)
+    """An image and its record."""
+    path, annotation = image_file(root, category, subset, name), annotation_file(root, category, subset, name)
+    for file in (path, annotation):
+        file.parent.mkdir(parents=True, exist_ok=True)
+    image.save(path, "JPEG", quality=88)
     # A structure array, one element an object, as MATLAB writes it.
     fields = np.zeros(len(objects), dtype=[(field, object) for field in objects[0]])
     for number, entry in enumerate(objects):
         for field, value in entry.items():
             fields[number][field] = value
-    width, height = picture.size
+    width, height = image.size
     record = {
-        "folder": image.parent.name,
+        "folder": path.parent.name,
         "filename": f"{name}{EXTENSIONS[subset]}",
         "size": {"width": width, "height": height, "depth": 3},
         "imgsize": np.array([width, height, 3], dtype=np.float64),
@@ -338,6 +338,6 @@ def _name(category: str, split: str, number: int) -> str:
 
 
 def _generator(seed: int, *names: str) -> np.random.Generator:
-    """Every picture has its own, so that none depends on how many there are."""
+    """Every image has its own, so that none depends on how many there are."""
     digest = hashlib.sha256(" ".join((str(seed), *names)).encode()).digest()
     return np.random.default_rng(int.from_bytes(digest[:8], "little"))

@@ -1,7 +1,7 @@
-"""Pictures drawn by a program, to stand behind objects: ten kinds, none of them showing anything to be recognised.
+"""Images drawn by a program, to stand behind objects: ten kinds, none of them showing anything to be recognised.
 
 They are varied rather than beautiful: what a network has seen before them should not be thrown by a photograph. Sizes
-within a picture are relative, so the same generator draws the same scene coarser or finer.
+within an image are relative, so the same generator draws the same scene coarser or finer.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFilter
 from scipy.spatial import cKDTree
 
 VERSION = 1
-"""Raise it when a change alters pictures: it is part of every set of backgrounds' identity."""
+"""Raise it when a change alters images: it is part of every set of backgrounds' identity."""
 
 # Pixels that the shorter side has at least while a scene is drawn.
 _SMALLEST = 32
@@ -24,22 +24,22 @@ Kind = Callable[[Rng, int, int], np.ndarray]
 
 
 def draw(rng: Rng, width: int, height: int) -> np.ndarray:
-    """One picture (height, width, 3) uint8: a kind at random, then blurred, tinted and lit at random."""
+    """One image (height, width, 3) uint8: a kind at random, then blurred, tinted and lit at random."""
     scale = max(2, -(-_SMALLEST // min(width, height)))
     wide, high = scale * width, scale * height
     fine = KINDS[int(rng.integers(len(KINDS)))](rng, wide, high)
     if rng.random() < 0.6:
         grain = _fractal(rng, wide, high, rng.uniform(0.4, 1.6))
         fine = fine * (1 + rng.uniform(0.02, 0.2) * grain[..., None])
-    picture = _picture(fine).reduce(scale)
-    return _photographed(rng, picture)
+    image = _drawing(fine).reduce(scale)
+    return _photographed(rng, image)
 
 
 def gradients(rng: Rng, width: int, height: int) -> np.ndarray:
     """A few colours that run into each other: seamless paper, sky, a wall out of focus."""
     rows, columns = (int(n) for n in rng.integers(2, 5, 2))
     coarse = _palette(rng, rows * columns).reshape(rows, columns, 3)
-    return _array(_picture(coarse).resize((width, height), Image.Resampling.BICUBIC))
+    return _array(_drawing(coarse).resize((width, height), Image.Resampling.BICUBIC))
 
 
 def noise(rng: Rng, width: int, height: int) -> np.ndarray:
@@ -69,21 +69,21 @@ def tilings(rng: Rng, width: int, height: int) -> np.ndarray:
     if style == "stripes":
         row = np.zeros_like(row)
     odd = ((row + column) % 2 == 1)[..., None]
-    picture = np.where(odd & (style != "bricks"), second, first)
+    image = np.where(odd & (style != "bricks"), second, first)
     # Every tile has a shade of its own.
     shades = rng.normal(0, rng.uniform(0, 25), (61, 61))
-    picture = picture + shades[row.astype(int) % 61, column.astype(int) % 61][..., None]
+    image = image + shades[row.astype(int) % 61, column.astype(int) % 61][..., None]
     if style == "bricks" or rng.random() < 0.4:
         gap = rng.uniform(0.04, 0.15)
         inside = ((u * along + shift) % 1 > gap) & ((style == "stripes") | (v * across % 1 > gap))
-        picture = np.where(inside[..., None], picture, joint)
-    return picture
+        image = np.where(inside[..., None], image, joint)
+    return image
 
 
 def clutter(rng: Rng, width: int, height: int) -> np.ndarray:
     """Polygons, ellipses, bars and lines, the larger ones behind."""
-    picture = _picture(_any_ground(rng, width, height))
-    pen, side = ImageDraw.Draw(picture), max(width, height)
+    image = _drawing(_any_ground(rng, width, height))
+    pen, side = ImageDraw.Draw(image), max(width, height)
     count = int(rng.integers(10, 90))
     colours = _palette(rng, count)
     sizes = np.sort(0.04 * rng.pareto(1.3, count).clip(0.3, 12))[::-1] * side
@@ -103,17 +103,17 @@ def clutter(rng: Rng, width: int, height: int) -> np.ndarray:
             turn = rng.uniform(0, 2 * np.pi)
             end = (x + 4 * size * np.cos(turn), y + 4 * size * np.sin(turn))
             pen.line([(x, y), end], fill, width=max(1, int(rng.uniform(0.003, 0.02) * side)))
-    return _array(picture)
+    return _array(image)
 
 
 def street(rng: Rng, width: int, height: int) -> np.ndarray:
     """Sky, houses with windows, trees and posts, and a ground that runs to the horizon."""
     horizon = int(height * rng.uniform(0.35, 0.7))
-    picture = np.empty((height, width, 3))
-    picture[:horizon] = _sky(rng, width, horizon)
-    picture[horizon:] = _ground(rng, width, height - horizon)
-    image = _picture(picture)
-    pen = ImageDraw.Draw(image)
+    image = np.empty((height, width, 3))
+    image[:horizon] = _sky(rng, width, horizon)
+    image[horizon:] = _ground(rng, width, height - horizon)
+    canvas = _drawing(image)
+    pen = ImageDraw.Draw(canvas)
     for _ in range(int(rng.integers(0, 7))):
         left, wide = rng.uniform(-0.2, 1) * width, rng.uniform(0.1, 0.5) * width
         top, foot = horizon * rng.uniform(-0.3, 0.9), horizon + rng.uniform(0, 0.06) * height
@@ -125,18 +125,18 @@ def street(rng: Rng, width: int, height: int) -> np.ndarray:
             _tree(rng, pen, x, foot, high)
         else:
             pen.line([(x, foot), (x, foot - high)], _ink(_palette(rng, 1)[0]), width=max(1, width // 90))
-    return _array(image)
+    return _array(canvas)
 
 
 def facade(rng: Rng, width: int, height: int) -> np.ndarray:
     """The front of a house, or shelves, fence and shutters: rectangles in rows, seen at a slant."""
-    image = _picture(np.broadcast_to(_palette(rng, 1)[0], (height, width, 3)))
+    image = _drawing(np.broadcast_to(_palette(rng, 1)[0], (height, width, 3)))
     _house(rng, ImageDraw.Draw(image), (-0.1 * width, -0.1 * height, 1.1 * width, 1.1 * height))
     slant = rng.uniform(-0.25, 0.25, 4) * [width, height, width, height]
     corners = (slant[0], slant[1], -slant[0], height, width, height + slant[1], width + slant[2], slant[3])
     turned = image.transform((width, height), Image.Transform.QUAD, corners, Image.Resampling.BILINEAR)
     mask = Image.new("L", image.size, 255).transform(turned.size, Image.Transform.QUAD, corners)
-    beyond = _picture(_any_ground(rng, width, height))
+    beyond = _drawing(_any_ground(rng, width, height))
     beyond.paste(turned, mask=mask)
     return _array(beyond)
 
@@ -144,19 +144,19 @@ def facade(rng: Rng, width: int, height: int) -> np.ndarray:
 def room(rng: Rng, width: int, height: int) -> np.ndarray:
     """A wall and a floor of boards or tiles, with frames, windows and boxes."""
     edge = int(height * rng.uniform(0.45, 0.8))
-    picture = np.empty((height, width, 3))
+    image = np.empty((height, width, 3))
     wall, floor = (_muted(colour) for colour in _palette(rng, 2))
     light = 1 + rng.uniform(0, 0.35) * np.cos(np.linspace(0, np.pi, width) + rng.uniform(0, np.pi))
-    picture[:edge] = wall * light[:, None]
+    image[:edge] = wall * light[:, None]
     x, y = _grid(width, height - edge)
     depth = 1 / (y + 1 + rng.uniform(0.2, 0.8))
     boards = np.floor(x * depth * rng.uniform(4, 16) + 100)
     if rng.random() < 0.5:
         boards = boards + np.floor(depth * rng.uniform(5, 20))
     shades = rng.normal(0, rng.uniform(3, 18), 53)
-    picture[edge:] = floor * light[:, None] + shades[boards.astype(int) % 53][..., None]
-    image = _picture(picture)
-    pen = ImageDraw.Draw(image)
+    image[edge:] = floor * light[:, None] + shades[boards.astype(int) % 53][..., None]
+    canvas = _drawing(image)
+    pen = ImageDraw.Draw(canvas)
     if rng.random() < 0.7:
         pen.line([(0, edge), (width, edge)], _ink(wall * rng.uniform(0.5, 1.3)), width=max(2, height // 40))
     for _ in range(int(rng.integers(0, 7))):
@@ -170,13 +170,13 @@ def room(rng: Rng, width: int, height: int) -> np.ndarray:
         for line in range(int(rng.integers(0, 4))):
             level = y0 + high * (line + 1) / 4
             pen.line([(x0, level), (x0 + wide, level)], _ink(outer * 0.7), width=max(1, height // 100))
-    return _array(image)
+    return _array(canvas)
 
 
 def landscape(rng: Rng, width: int, height: int) -> np.ndarray:
     """Ridges behind each other, hazier the farther, perhaps with water before them."""
-    picture = _sky(rng, width, height)
-    haze = picture[0].mean(axis=0)
+    image = _sky(rng, width, height)
+    haze = image[0].mean(axis=0)
     count = int(rng.integers(2, 6))
     top = height * rng.uniform(0.2, 0.6)
     y = np.arange(height)[:, None]
@@ -186,13 +186,13 @@ def landscape(rng: Rng, width: int, height: int) -> np.ndarray:
         near = (number + 1) / count
         layer = haze + (_muted(colour) - haze) * near
         grain = 1 + 0.15 * near * _fractal(rng, width, height, rng.uniform(0.5, 1.5))
-        picture = np.where((y > ridge)[..., None], layer * grain[..., None], picture)
+        image = np.where((y > ridge)[..., None], layer * grain[..., None], image)
     if rng.random() < 0.3:
         shore = int(height * rng.uniform(0.6, 0.85))
-        mirrored = picture[shore - 1 :: -1][: height - shore]
+        mirrored = image[shore - 1 :: -1][: height - shore]
         ripple = _fractal(rng, width, len(mirrored), 1.0, 6.0)[..., None]
-        picture[shore : shore + len(mirrored)] = 0.8 * mirrored + 8 * ripple
-    return picture
+        image[shore : shore + len(mirrored)] = 0.8 * mirrored + 8 * ripple
+    return image
 
 
 def stones(rng: Rng, width: int, height: int) -> np.ndarray:
@@ -202,15 +202,15 @@ def stones(rng: Rng, width: int, height: int) -> np.ndarray:
     x, y = np.meshgrid(np.arange(width), np.linspace(0, points[:, 1].max(), height))
     near, cell = cKDTree(points).query(np.stack([x, y], axis=-1), k=2)
     colours = _palette(rng, count)
-    picture = colours[cell[..., 0]]
+    image = colours[cell[..., 0]]
     reach = np.sqrt(width * height / count)
     rim = ((near[..., 1] - near[..., 0]) / reach).clip(0, 1)[..., None]
-    return picture * (1 - rng.uniform(0, 0.8) * np.exp(-rim * rng.uniform(2, 15)))
+    return image * (1 - rng.uniform(0, 0.8) * np.exp(-rim * rng.uniform(2, 15)))
 
 
 def foliage(rng: Rng, width: int, height: int) -> np.ndarray:
     """Many short strokes or spots: grass, leaves, twigs; with large soft spots, lights out of focus."""
-    image = _picture(_any_ground(rng, width, height) * rng.uniform(0.3, 1))
+    image = _drawing(_any_ground(rng, width, height) * rng.uniform(0.3, 1))
     pen, side = ImageDraw.Draw(image), max(width, height)
     count = int(rng.integers(60, 400))
     size, main, spread = rng.uniform(0.01, 0.08) * side, rng.uniform(0, np.pi), rng.uniform(0, 1.5)
@@ -237,13 +237,13 @@ def _sky(rng: Rng, width: int, height: int) -> np.ndarray:
     hue = rng.choice([0.55, 0.6, 0.08], p=[0.4, 0.4, 0.2])
     high = _rgb(hue, rng.uniform(0, 0.6), rng.uniform(0.4, 0.95))
     low = _rgb(hue, rng.uniform(0, 0.25), rng.uniform(0.7, 1))
-    picture = high + np.linspace(0, 1, height)[:, None, None] ** rng.uniform(0.5, 2) * (low - high)
-    picture = np.broadcast_to(picture, (height, width, 3)).copy()
+    image = high + np.linspace(0, 1, height)[:, None, None] ** rng.uniform(0.5, 2) * (low - high)
+    image = np.broadcast_to(image, (height, width, 3)).copy()
     if rng.random() < 0.6:
         clouds = _fractal(rng, width, height, rng.uniform(1.5, 2.5), rng.uniform(0.2, 1))
         share = (0.5 * (clouds + rng.uniform(-1, 1))).clip(0, 1)[..., None]
-        picture += share * (_rgb(0, 0, rng.uniform(0.6, 1)) - picture)
-    return picture
+        image += share * (_rgb(0, 0, rng.uniform(0.6, 1)) - image)
+    return image
 
 
 def _ground(rng: Rng, width: int, height: int) -> np.ndarray:
@@ -252,14 +252,14 @@ def _ground(rng: Rng, width: int, height: int) -> np.ndarray:
     x, y = _grid(width, height)
     y = (y + 1.02) / 2
     grain = _fractal(rng, width, height, rng.uniform(0.2, 1.4), 0.3)
-    picture = colour * (1 + rng.uniform(0, 0.25) * grain[..., None]) * (0.8 + 0.3 * y[..., None])
+    image = colour * (1 + rng.uniform(0, 0.25) * grain[..., None]) * (0.8 + 0.3 * y[..., None])
     if rng.random() < 0.6:
         lane = (x - rng.uniform(-0.5, 0.5) * (1 - y)) / (0.1 + y)
         road = np.abs(lane) < rng.uniform(0.3, 1.2)
-        picture = np.where(road[..., None], _rgb(0, 0, rng.uniform(0.25, 0.6)) * (1 + 0.08 * grain[..., None]), picture)
+        image = np.where(road[..., None], _rgb(0, 0, rng.uniform(0.25, 0.6)) * (1 + 0.08 * grain[..., None]), image)
         dashes = (np.abs(lane) < 0.03) & (np.floor(3 / (y + 0.05)) % 2 == 0)
-        picture = np.where(dashes[..., None], 235.0, picture)
-    return picture
+        image = np.where(dashes[..., None], 235.0, image)
+    return image
 
 
 def _house(rng: Rng, pen: ImageDraw.ImageDraw, box: tuple[float, float, float, float]) -> None:
@@ -300,13 +300,13 @@ def _any_ground(rng: Rng, width: int, height: int) -> np.ndarray:
     return gradients(rng, width, height) if plain == 1 else noise(rng, width, height)
 
 
-def _photographed(rng: Rng, picture: Image.Image) -> np.ndarray:
+def _photographed(rng: Rng, image: Image.Image) -> np.ndarray:
     """Out of focus, brighter or darker on one side, of another contrast, tint and saturation, and grainy; or not."""
-    side = max(picture.size)
+    side = max(image.size)
     if rng.random() < 0.4:
-        picture = picture.filter(ImageFilter.GaussianBlur(rng.exponential(0.012) * side))
-    pixels = _array(picture) / 255
-    x, y = _grid(*picture.size)
+        image = image.filter(ImageFilter.GaussianBlur(rng.exponential(0.012) * side))
+    pixels = _array(image) / 255
+    x, y = _grid(*image.size)
     if rng.random() < 0.5:
         slope = rng.normal(0, 0.25, 2)
         pixels = pixels * np.exp(slope[0] * x + slope[1] * y)[..., None]
@@ -362,7 +362,7 @@ def _fractal(rng: Rng, width: int, height: int, slope: float, stretch: float = 1
 
 
 def _coloured(field: np.ndarray, colours: np.ndarray) -> np.ndarray:
-    """A field of deviation 1 as a picture: its values run through the colours (n, 3)."""
+    """A field of deviation 1 as an image: its values run through the colours (n, 3)."""
     stops = np.linspace(-1.5, 1.5, len(colours))
     return np.stack([np.interp(field, stops, colours[:, channel]) for channel in range(3)], axis=-1)
 
@@ -387,9 +387,9 @@ def _ink(colour: np.ndarray) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def _picture(pixels: np.ndarray) -> Image.Image:
+def _drawing(pixels: np.ndarray) -> Image.Image:
     return Image.fromarray(np.ascontiguousarray(pixels.clip(0, 255).astype(np.uint8)))
 
 
-def _array(picture: Image.Image) -> np.ndarray:
-    return np.asarray(picture, dtype=np.float64)
+def _array(image: Image.Image) -> np.ndarray:
+    return np.asarray(image, dtype=np.float64)

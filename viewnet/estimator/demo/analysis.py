@@ -1,4 +1,4 @@
-"""One picture looked at by a trained network, all that a page shows of it; and what is to be known of the network."""
+"""One image looked at by a trained network, all that a page shows of it; and what is to be known of the network."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from viewnet.estimator import inputs, preprocess
-from viewnet.estimator.inputs import Given, Picture
+from viewnet.estimator.inputs import Given, ImageLike
 from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 from viewnet.estimator.viewpoints import Viewpoint
 from viewnet.geometry import look_at, view_vector
@@ -22,10 +22,10 @@ SIZE = 256
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """What a network says and shows of one picture.
+    """What a network says and shows of one image.
 
     viewpoint   as ViewpointEstimator.predict has it
-    seen        (S, S, 3) uint8, the picture as the network sees it
+    seen        (S, S, 3) uint8, the image as the network sees it
     posed       (D, D, 3) uint8, its reconstruction from the predicted viewpoint
     imagined    what the object became, for `novel_view`
     notes       what speaks against trusting the answer, a sentence each
@@ -38,17 +38,17 @@ class Inspection:
     notes: tuple[str, ...]
 
 
-def inspect(estimator: ViewpointEstimator, picture: Picture, mask: Any = None, box: Any = None) -> Inspection:
-    """Look at one picture. Raises ViewnetError as ViewpointEstimator.predict does, without a picture's number."""
-    given = inputs.opened(picture, mask, inputs.boxes_of([box], 1)[0])
+def inspect(estimator: ViewpointEstimator, image: ImageLike, mask: Any = None, box: Any = None) -> Inspection:
+    """Look at one image. Raises ViewnetError as ViewpointEstimator.predict does, without an image's number."""
+    given = inputs.opened(image, mask, inputs.boxes_of([box], 1)[0])
     view = preprocess.viewed(given, estimator.framing)
     shown = preprocess.shown([view], estimator.framing, estimator.device)
-    known = ([picture], None if mask is None else [mask], None if box is None else [box])
+    known = ([image], None if mask is None else [mask], None if box is None else [box])
     with torch.no_grad():
         imagined = Imagined(*estimator.network.imagine(shown.object, behind=shown.behind))
     return Inspection(
         estimator.predict(*known)[0],
-        rendering.shown(shown.pictures)[0],
+        rendering.shown(shown.images)[0],
         estimator.reconstruct(*known, size=_size(estimator))[0],
         imagined,
         tuple(_notes(estimator, given, view.cutout, mask is not None)),
@@ -68,14 +68,14 @@ def about(estimator: ViewpointEstimator) -> list[str]:
     config = estimator.config
     scores = (estimator.about.get("metrics") or {}).get("procrustes")
     told = [
-        f"It knows the category **{config.category}** alone, and answers for any picture.",
+        f"It knows the category **{config.category}** alone, and answers for any image.",
         f"Recipe `{config.recipe}`, profile `{config.profile}`, variant `{config.variant}`, seed {config.seed}; "
         f"run {estimator.about.get('key', 'unknown')}.",
     ]
     if scores:
         told.append(
             f"On {scores['images']} test views of objects that it had not seen it is within 30 degrees on "
-            f"{scores['acc30']:.1f} %; its median error is {scores['median']:.1f} degrees. On other pictures it may do "
+            f"{scores['acc30']:.1f} %; its median error is {scores['median']:.1f} degrees. On other images it may do "
             "worse."
         )
     else:
@@ -88,23 +88,23 @@ def about(estimator: ViewpointEstimator) -> list[str]:
     )
     if estimator.framing.rendered:
         told.append(
-            "It sees whole views, as a rendering camera frames them; of other pictures its answers are worth little: "
+            "It sees whole views, as a rendering camera frames them; of other images its answers are worth little: "
             "for photographs train one with the recipe `photos`."
         )
     elif estimator.framing.cutout:
-        told.append("It was trained on objects cut out: give a mask, or a picture with transparency.")
+        told.append("It was trained on objects cut out: give a mask, or an image with transparency.")
     return told
 
 
 def _notes(estimator: ViewpointEstimator, given: Given, cutout: bool, masked: bool) -> list[str]:
     notes = []
     if given.mask is None and given.box is None:
-        notes.append("Neither box nor mask was given: the whole picture is taken for the object.")
+        notes.append("Neither box nor mask was given: the whole image is taken for the object.")
     if estimator.framing.cutout and not cutout:
-        notes.append("This model has only seen objects cut out, before black: give a mask or a transparent picture.")
+        notes.append("This model has only seen objects cut out, before black: give a mask or a transparent image.")
     elif estimator.framing.rendered and (masked or given.box is not None):
         notes.append(
-            "This model knows whole views as a rendering camera frames them: of a picture that is cut its answer is "
+            "This model knows whole views as a rendering camera frames them: of an image that is cut its answer is "
             "worth little."
         )
     return notes

@@ -1,4 +1,4 @@
-"""The page of `viewnet demo`: a picture and where its object is, and what a trained network makes of it.
+"""The page of `viewnet demo`: an image and where its object is, and what a trained network makes of it.
 
 Needs gradio, which is imported here: viewnet.commands.serving tells those who do not have it. What a visitor has
 chosen is kept for that visitor alone (gr.State); the network is everybody's, and asked by one at a time.
@@ -30,8 +30,8 @@ KEPT = 3600
 """Seconds for which files that visitors sent, and what was made of them, are kept."""
 NETWORK = "network"
 """Events that ask the network wait for each other: compiled kernels are not for several threads at once."""
-HINT = "Click two opposite corners of the object in the picture, or type its edges in pixels."
-WAITING = "<p>Choose a picture, say where its object is, and press <b>Find the viewpoint</b>.</p>"
+HINT = "Click two opposite corners of the object in the image, or type its edges in pixels."
+WAITING = "<p>Choose an image, say where its object is, and press <b>Find the viewpoint</b>.</p>"
 STYLE = """
 .gradio-container { max-width: 1180px !important; margin: auto; }
 .dials { display: flex; gap: 8px; flex-wrap: wrap; justify-content: center; }
@@ -58,7 +58,7 @@ def theme() -> gr.themes.Base:
 
 
 def build(estimator: ViewpointEstimator, examples: Sequence[Example] = ()) -> gr.Blocks:
-    """The page of a network, with pictures to try it on."""
+    """The page of a network, with images to try it on."""
     return Page(estimator, examples).blocks
 
 
@@ -89,8 +89,8 @@ class Page:
             self._connect()
 
     def _lay_out_question(self) -> None:
-        self.picture = gr.Image(
-            label="Picture: drop, paste or take one",
+        self.image = gr.Image(
+            label="Image: drop, paste or take one",
             sources=["upload", "webcam", "clipboard"],
             height=320,
             elem_id="picture",
@@ -101,12 +101,12 @@ class Page:
             self.unbox = gr.Button("No box", min_width=100, elem_id="unbox")
             self.find = gr.Button("Find the viewpoint", variant="primary", min_width=180, elem_id="find")
         with gr.Accordion("A mask instead", open=False, elem_id="mask-panel"):
-            gr.Markdown("A picture of the same size, the object white. Transparency is a mask too, without this one.")
+            gr.Markdown("An image of the same size, the object white. Transparency is a mask too, without this one.")
             self.mask = gr.Image(label="Mask", sources=["upload", "clipboard"], height=200, elem_id="mask")
         if self.examples:
             files = [Path(self.folder.name) / f"example{number}.png" for number in range(len(self.examples))]
             for file, example in zip(files, self.examples, strict=True):
-                example.picture.save(file)
+                example.image.save(file)
             self.files = files
             self.samples = gr.Gallery(
                 [str(file) for file in files],
@@ -143,7 +143,7 @@ class Page:
         self.elevation = gr.Slider(-90, 90, value=0, step=1, label="elevation, degrees", elem_id="elevation")
 
     def _connect(self) -> None:
-        question = [self.chosen, self.picture, self.box]
+        question = [self.chosen, self.image, self.box]
         answer = [self.imagined, self.answer, self.seen, self.posed, self.table]
         answer += [self.azimuth, self.elevation, self.view, self.mesh]
         quiet: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
@@ -151,9 +151,9 @@ class Page:
         raw: dict[str, Any] = alone | {"preprocess": False}
         asking = (self.ask, [self.chosen, self.mask, self.box], answer)
         # Files come as they are (preprocess): the project's own reader, and not gradio's, says what is wrong with one.
-        self.picture.input(self.take, self.picture, question + answer, preprocess=False, **quiet)
-        self.picture.select(self.click, self.chosen, question, **quiet)
-        self.box.input(self.redraw, [self.chosen, self.box], self.picture, trigger_mode="always_last", **quiet)
+        self.image.input(self.take, self.image, question + answer, preprocess=False, **quiet)
+        self.image.select(self.click, self.chosen, question, **quiet)
+        self.box.input(self.redraw, [self.chosen, self.box], self.image, trigger_mode="always_last", **quiet)
         self.box.submit(*asking, **raw)
         self.unbox.click(self.forget_box, self.chosen, question, **quiet)
         self.find.click(*asking, **raw)
@@ -165,7 +165,7 @@ class Page:
             tried.success(*asking, **raw)
 
     def take(self, sent: dict[str, Any] | None) -> Iterator[list[Any]]:
-        """A visitor's picture came, or was taken away: whatever was said of another one goes."""
+        """A visitor's image came, or was taken away: whatever was said of another one goes."""
         file = _file_of(sent)
         nothing = ["", None, WAITING, None, None, None, 0, 0, None, None]
         try:
@@ -183,7 +183,7 @@ class Page:
         return [chosen, chosen.shown(box), box_text(box)]
 
     def redraw(self, chosen: Chosen | None, text: str) -> Any:
-        """The picture with the box as far as it is typed."""
+        """The image with the box as far as it is typed."""
         if chosen is None:
             return gr.skip()
         try:
@@ -192,24 +192,24 @@ class Page:
             return chosen.shown()
 
     def forget_box(self, chosen: Chosen | None) -> list[Any]:
-        """All of the picture is the object."""
+        """All of the image is the object."""
         chosen = None if chosen is None else chosen.clear()
         return [chosen, gr.skip() if chosen is None else chosen.shown(), ""]
 
     def try_example(self, event: gr.SelectData) -> list[Any]:
-        """An example's picture and box; no mask."""
+        """An example's image and box; no mask."""
         number = event.index
         chosen, box = Chosen.of(self.files[number], f"example {number + 1}"), self.examples[number].box
         return [chosen, chosen.shown(box), box_text(box), None]
 
     def ask(self, chosen: Chosen | None, mask: dict[str, Any] | None, box: str) -> list[Any]:
-        """What the network says of the picture. What is wrong with what was given is a toast, and no ViewnetError."""
+        """What the network says of the image. What is wrong with what was given is a toast, and no ViewnetError."""
         try:
             if chosen is None:
-                raise ViewnetError("no picture: drop, paste or take one, or choose an example")
+                raise ViewnetError("no image: drop, paste or take one, or choose an example")
             file = _file_of(mask)
             alpha = None if file is None else read(file[0], f"mask {file[1]}")
-            known = (chosen.picture(), alpha, box_of(box))
+            known = (chosen.image(), alpha, box_of(box))
             found = analysis.inspect(self.estimator, *known)
         except ViewnetError as error:
             raise _toast(error) from None
@@ -268,8 +268,8 @@ def answer(found: Inspection, notes: Sequence[str]) -> str:
 def _enlarged(pixels: np.ndarray) -> Image.Image:
     """Of the few pixels that a network sees, each as a square."""
     times = max(1, analysis.SIZE // len(pixels))
-    picture = Image.fromarray(pixels)
-    return picture.resize((times * picture.width, times * picture.height), Image.Resampling.NEAREST)
+    image = Image.fromarray(pixels)
+    return image.resize((times * image.width, times * image.height), Image.Resampling.NEAREST)
 
 
 def _camera(azimuth: float, elevation: float, reach: float) -> tuple[float, float, float]:

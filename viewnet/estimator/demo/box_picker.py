@@ -1,4 +1,4 @@
-"""What a visitor of the page has chosen: a picture's file, and in it, corner by corner, its object's box."""
+"""What a visitor of the page has chosen: an image's file, and in it, corner by corner, its object's box."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from PIL import Image, ImageDraw, ImageOps
 
 from viewnet.data.crop import Box, rgb
 from viewnet.errors import ViewnetError
-from viewnet.runtime.images import opened
+from viewnet.runtime.image_files import opened
 
 SHOWN = 1024
-"""Pixels along the longer side of a picture as it is shown. Browsers only ever make it smaller: of one that they make
+"""Pixels along the longer side of an image as it is shown. Browsers only ever make it smaller: of one that they make
 larger gradio tells clicks wrongly."""
 EDGE = (213, 94, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """A picture that a visitor sent, upright.
+    """An image that a visitor sent, upright.
 
     path     its file
     name     what the file was called where it came from
     size     width and height in pixels
-    display  the picture as it is shown: SHOWN pixels along its longer side, before white
-    corner   of a box that was begun, in the picture's pixels
+    display  the image as it is shown: SHOWN pixels along its longer side, before white
+    corner   of a box that was begun, in the image's pixels
     """
 
     path: Path
@@ -36,17 +36,17 @@ class Chosen:
 
     @classmethod
     def of(cls, path: Path, name: str) -> Chosen:
-        """Of a file. ViewnetError, by its `name`, where it is no picture that can be read."""
-        picture = read(path, f"picture {name}")
-        display = picture.convert("RGBA") if picture.has_transparency_data else rgb(picture)
+        """Of a file. ViewnetError, by its `name`, where it is no image that can be read."""
+        image = read(path, f"image {name}")
+        display = image.convert("RGBA") if image.has_transparency_data else rgb(image)
         display = ImageOps.contain(display, (SHOWN, SHOWN))
         if display.mode == "RGBA":
             display = Image.alpha_composite(Image.new("RGBA", display.size, "white"), display)
-        return cls(path, name, picture.size, display.convert("RGB"))
+        return cls(path, name, image.size, display.convert("RGB"))
 
-    def picture(self) -> Image.Image:
+    def image(self) -> Image.Image:
         """All of it, upright. ViewnetError where the file is gone."""
-        return read(self.path, f"picture {self.name}")
+        return read(self.path, f"image {self.name}")
 
     def clicked(self, x: float, y: float) -> tuple[Chosen, Box | None]:
         """After a click at a point of `shown`: the corner that begins a box, or the box that it ends."""
@@ -78,7 +78,7 @@ class Chosen:
 
 
 def read(path: Path, what: str) -> Image.Image:
-    """A picture's file, decoded and upright. ViewnetError, which calls it `what`, where it cannot be read."""
+    """An image's file, decoded and upright. ViewnetError, which calls it `what`, where it cannot be read."""
     with opened(path, what) as file:
         file.load()
         return ImageOps.exif_transpose(file)

@@ -1,4 +1,4 @@
-"""Pictures to try a trained network on: built-in CAD models that it has not seen, from viewpoints that are known."""
+"""Images to try a trained network on: built-in CAD models that it has not seen, from viewpoints that are known."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ WIDE, HIGH = 400, 300
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A picture, its object's box where it needs one, and the viewpoint that it was drawn from."""
+    """An image, its object's box where it needs one, and the viewpoint that it was drawn from."""
 
-    picture: Image.Image
+    image: Image.Image
     box: Box | None
     azimuth: float
     elevation: float
 
 
 def drawn(estimator: ViewpointEstimator) -> list[Example]:
-    """Pictures as the network was trained to see them: cut out, or before a background with the object's box.
+    """Images as the network was trained to see them: cut out, or before a background with the object's box.
 
     None of a category that is not built in.
     """
@@ -44,10 +44,10 @@ def drawn(estimator: ViewpointEstimator) -> list[Example]:
     for number, (azimuth, elevation) in enumerate(VIEWPOINTS):
         mesh = built_in_mesh(category, number, SEED)
         view = render(mesh, np.array([azimuth]), np.array([elevation]), SIZE, 2)[0]
-        picture, box = Image.fromarray(view), None
+        image, box = Image.fromarray(view), None
         if not framing.cutout:
-            picture, box = _before(picture, np.random.default_rng([SEED, number]))
-        found.append(Example(picture, box, azimuth, elevation))
+            image, box = _before(image, np.random.default_rng([SEED, number]))
+        found.append(Example(image, box, azimuth, elevation))
     return found
 
 

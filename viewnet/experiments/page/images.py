@@ -1,4 +1,4 @@
-"""Pictures for a page that is one file: as WebP in data URIs, with a caption and what those are told who do not see."""
+"""Images for a page that is one file: as WebP in data URIs, with a caption and what those are told who do not see."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from PIL import Image
 
 from viewnet.errors import ViewnetError
-from viewnet.runtime.images import opened
+from viewnet.runtime.image_files import opened
 
 SUFFIXES = (".png", ".gif")
 MOVING_QUALITY = 70
@@ -27,7 +27,7 @@ ABOUT: tuple[tuple[str, str, str], ...] = (
     (
         "figure3_candidates",
         "What each head draws, by rising reconstruction error; below each that error and the angle to the truth",
-        "A row of small pictures for each category: the test view, and the drawings of the heads",
+        "A row of small images for each category: the test view, and the drawings of the heads",
     ),
     (
         "alignment_calibration",
@@ -41,28 +41,28 @@ ABOUT: tuple[tuple[str, str, str], ...] = (
     ),
     (
         "novel_views_",
-        "All around one {} at constant elevation, by each model; the picture that its appearance is from stands first",
+        "All around one {} at constant elevation, by each model; the image that its appearance is from stands first",
         "A grid of drawings of one {}: a row for each model, turning from left to right",
     ),
     (
         "volumes_",
-        "Pictures of test objects ({}), and the volumes made of them, all from one viewpoint",
-        "Pairs of pictures: a {} as it was seen, and below it the volume drawn from a common viewpoint",
+        "Images of test objects ({}), and the volumes made of them, all from one viewpoint",
+        "Pairs of images: a {} as it was seen, and below it the volume drawn from a common viewpoint",
     ),
     (
         "turntable_",
         "A test object ({}) and its volume on a turntable, from the predicted viewpoint on",
-        "An animation: left a picture of a {}, right its volume, turning once",
+        "An animation: left an image of a {}, right its volume, turning once",
     ),
     (
         "reconstructions",
         "Photographs, and what ViewNet with and without cycles makes of them",
-        "A grid of pictures: photographs as the networks see them, and the reconstructions of each model",
+        "A grid of images: photographs as the networks see them, and the reconstructions of each model",
     ),
     (
         "failures_",
         "The worst errors of each cause ({}): the view, and what is drawn at the predicted viewpoint",
-        "Pairs of pictures of a {} whose viewpoint is wrong, in groups by cause",
+        "Pairs of images of a {} whose viewpoint is wrong, in groups by cause",
     ),
     (
         "training_curves",
@@ -84,8 +84,8 @@ ABOUT: tuple[tuple[str, str, str], ...] = (
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture to embed, shown `width` by `height` CSS pixels large; `still` is the first frame of one that moves."""
+class EmbeddedImage:
+    """An image to embed, shown `width` by `height` CSS pixels large; `still` is the first frame of one that moves."""
 
     name: str
     caption: str
@@ -97,20 +97,20 @@ class Picture:
     files: Sequence[Path]  # itself and what has the same name, such as a PDF
 
 
-def embedded(path: Path, widest: int, files: Sequence[Path] = ()) -> Picture:
+def embedded(path: Path, widest: int, files: Sequence[Path] = ()) -> EmbeddedImage:
     """A PNG or GIF file, shrunk where it is wider than `widest`. ViewnetError naming what cannot be read."""
     try:
-        with opened(path) as picture:
-            frames, wait = [], picture.info.get("duration", 60)
-            for number in range(getattr(picture, "n_frames", 1)):
-                picture.seek(number)
-                frames.append(_shown(picture, widest))
+        with opened(path) as image:
+            frames, wait = [], image.info.get("duration", 60)
+            for number in range(getattr(image, "n_frames", 1)):
+                image.seek(number)
+                frames.append(_shown(image, widest))
     except ViewnetError as error:
         raise ViewnetError(f"{path}: {error}: make it again") from None
     moving = len(frames) > 1
     caption, alt = _about(path.stem)
     share = 1.0 if moving else SHOWN
-    return Picture(
+    return EmbeddedImage(
         path.stem,
         caption,
         alt,
@@ -122,10 +122,10 @@ def embedded(path: Path, widest: int, files: Sequence[Path] = ()) -> Picture:
     )
 
 
-def _shown(picture: Image.Image, widest: int) -> Image.Image:
+def _shown(image: Image.Image, widest: int) -> Image.Image:
     """Over white, as on paper."""
-    flat = Image.new("RGB", picture.size, "white")
-    drawn = picture.convert("RGBA")
+    flat = Image.new("RGB", image.size, "white")
+    drawn = image.convert("RGBA")
     flat.paste(drawn, mask=drawn)
     if flat.width > widest:
         flat = flat.resize((widest, max(1, round(flat.height * widest / flat.width))), Image.Resampling.LANCZOS)

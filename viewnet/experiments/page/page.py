@@ -24,7 +24,7 @@ from viewnet.errors import ViewnetError
 from viewnet.experiments import notebook
 from viewnet.experiments.page import blocks
 from viewnet.experiments.page.blocks import Block, Told
-from viewnet.experiments.page.images import SUFFIXES, Picture, embedded
+from viewnet.experiments.page.images import SUFFIXES, EmbeddedImage, embedded
 from viewnet.experiments.request import DESIGNS
 from viewnet.runtime.files import read_json, write_text
 from viewnet.runtime.progress import bar
@@ -86,7 +86,7 @@ KINDS = (
         ("predicting.*",),
         "benchmarks",
         "Answers",
-        "How soon one picture's viewpoint is told by a fresh interpreter, and how many pictures a second the estimator "
+        "How soon one image's viewpoint is told by a fresh interpreter, and how many images a second the estimator "
         "takes beside the bare network.",
         "python benchmarks/predicting.py",
     ),
@@ -144,7 +144,7 @@ class Setting:
     notes: tuple[str, ...]
     origins: tuple[dict[str, str], ...]
     summary: str
-    pictures: tuple[Picture, ...]
+    images: tuple[EmbeddedImage, ...]
     files: tuple[str, ...]  # relative to the page
 
 
@@ -237,8 +237,8 @@ def _setting(
     told = _told(name, {path.name: path for path in paths})
     origins = {key.partition("/")[0]: known.get(key, origin) for key, origin in (told.origins or {}).items()}
     shown = tuple({"key": key, **_origin(origin)} for key, origin in sorted(origins.items()))
-    pictures = [path for path in paths if path.suffix in SUFFIXES]
-    drawn = {path.stem for path in pictures}
+    images = [path for path in paths if path.suffix in SUFFIXES]
+    drawn = {path.stem for path in images}
     return Setting(
         setting,
         told.blocks,
@@ -249,7 +249,7 @@ def _setting(
             embedded(
                 p, widest, [q.relative_to(folder) for q in paths if q.stem == p.stem and q.suffix in (".pdf", p.suffix)]
             )
-            for p in pictures
+            for p in images
         ),
         tuple(
             path.relative_to(folder).as_posix()

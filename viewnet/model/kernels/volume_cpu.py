@@ -77,16 +77,16 @@ class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
         voxels, frames = _framed(volume.detach(), empty=True), frames.detach().contiguous()
-        picture = torch.empty(len(frames), size, size, 4)
+        image = torch.empty(len(frames), size, size, 4)
         shape = tuple(volume.shape[2:])
         cells, boxes = _occupied(volume, voxels, shape)
-        _run("forward", voxels, cells, boxes, shape, frames, focal, steps, picture)
+        _run("forward", voxels, cells, boxes, shape, frames, focal, steps, image)
         if not sparse:
             whole = [float(end) for side in reversed(shape) for end in (0, side + 1)]
             cells, boxes = torch.ones_like(cells), torch.tensor(whole).expand_as(boxes).contiguous()
         ctx.save_for_backward(voxels, cells, boxes, frames, focal)
         ctx.shape, ctx.steps = shape, steps
-        return picture.permute(0, 3, 1, 2)
+        return image.permute(0, 3, 1, 2)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:

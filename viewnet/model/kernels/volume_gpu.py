@@ -4,7 +4,7 @@ The plain PyTorch renderer writes the rotated volume to memory and reads it back
 once, sample, weigh, stop, and the backward pass walks it again. A ray ends where hardly any light is left, and empty
 space is passed over. What a GPU keeps from forward to backward is the volume itself, laid out for the kernels.
 
-Pictures, and the gradients of frames and focal parameter, are the same bits each time. Rays that run in parallel add to
+Images, and the gradients of frames and focal parameter, are the same bits each time. Rays that run in parallel add to
 the gradient of the same voxel in any order, so its last bits vary from run to run.
 """
 
@@ -52,12 +52,12 @@ class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
         (voxels, cells), frames = _packed(volume), frames.contiguous()
-        picture = volume.new_empty(len(frames), size, size, 4)
+        image = volume.new_empty(len(frames), size, size, 4)
         numbers = (len(frames) // len(volume), *volume.shape[2:], size, steps)
-        _launch("draw", voxels, cells, frames, focal, picture, *numbers, size=size)
+        _launch("draw", voxels, cells, frames, focal, image, *numbers, size=size)
         ctx.save_for_backward(voxels, cells, frames, focal)
         ctx.numbers, ctx.sparse = numbers, sparse
-        return picture.permute(0, 3, 1, 2)
+        return image.permute(0, 3, 1, 2)
 
     @staticmethod
     @once_differentiable
@@ -90,12 +90,12 @@ def _packed(volume: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _tiles(size: int, rays: int) -> int:
-    """Tiles, eight pixels wide, in a picture."""
+    """Tiles, eight pixels wide, in an image."""
     return -(-size // 8) * -(-size // (rays // 8))
 
 
 def _launch(name: str, voxels: Tensor, cells: Tensor, frames: Tensor, *arguments: Any, size: int) -> None:
-    """Calls a kernel on every tile of every picture."""
+    """Calls a kernel on every tile of every image."""
     with torch.cuda.device_of(voxels):
         _kernel(name)[lambda chosen: (len(frames) * _tiles(size, chosen["RAYS"]),)](
             voxels, cells, frames, *arguments, enable_fp_fusion=True

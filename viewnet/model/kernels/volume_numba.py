@@ -56,14 +56,14 @@ def _ray(frame, focal, steps, shape, box, px, py):
     return u, v, w, du, dv, dw, low, high
 
 
-def _forward(voxels, cells, boxes, shape, frames, focal, steps, picture):
-    """Fills `picture` (N, size, size, 4); cells that `cells` (B, P) says are empty are passed over.
+def _forward(voxels, cells, boxes, shape, frames, focal, steps, image):
+    """Fills `image` (N, size, size, 4); cells that `cells` (B, P) says are empty are passed over.
 
     Rays are walked inside `boxes` (B, 6) only: from where to where in u, v and w.
     """
     share = len(frames) // len(voxels)
     for n in prange(len(frames)):
-        _draw(voxels[n // share], cells[n // share], boxes[n // share], shape, frames[n], focal, steps, picture[n])
+        _draw(voxels[n // share], cells[n // share], boxes[n // share], shape, frames[n], focal, steps, image[n])
 
 
 def _occupied(voxels, shape, cells, boxes):
@@ -94,8 +94,8 @@ def _occupied(voxels, shape, cells, boxes):
 
 
 @njit(nogil=True, **FLAGS)
-def _draw(voxels, cells, box, shape, frame, focal, steps, picture):
-    size = picture.shape[0]
+def _draw(voxels, cells, box, shape, frame, focal, steps, image):
+    size = image.shape[0]
     row, plane = np.uintp(shape[2] + 2), np.uintp((shape[1] + 2) * (shape[2] + 2))
     for i in range(size):
         py = ONE - np.float32(2 * i + 1) / np.float32(size)
@@ -122,10 +122,10 @@ def _draw(voxels, cells, box, shape, frame, focal, steps, picture):
                 light *= ONE - q
                 if light < OPAQUE:
                     break
-            picture[i, j, 0] = red
-            picture[i, j, 1] = green
-            picture[i, j, 2] = blue
-            picture[i, j, 3] = mask
+            image[i, j, 0] = red
+            image[i, j, 1] = green
+            image[i, j, 2] = blue
+            image[i, j, 3] = mask
 
 
 def _backward(voxels, cells, boxes, shape, frames, focal, steps, grad, grad_voxels, grad_frames, grad_focal):

@@ -2,7 +2,7 @@
 
 `voxels` is (B, P, 4) with P = (nz + 2) (ny + 2) (nx + 2): red, green, blue and occupancy side by side, so that a corner
 is one load of 16 bytes, and a voxel of zeros all around, so that no corner lies outside. `cells` (B, P) says which
-cells, named by their lowest corner, have any occupancy. A program draws a tile of RAYS pixels of one picture; CHUNK
+cells, named by their lowest corner, have any occupancy. A program draws a tile of RAYS pixels of one image; CHUNK
 steps at a time it asks `cells` first, and leaves out the chunk where none of its rays meets anything.
 """
 
@@ -42,7 +42,7 @@ def pack(volume, voxels, cells, along_b, along_c, along_z, along_y, along_x, nz,
 
 @triton.jit
 def _tile(size, RAYS: tl.constexpr):
-    """Of this program: its picture, and its pixels' rows, columns and places (x, y)."""
+    """Of this program: its image, and its pixels' rows, columns and places (x, y)."""
     across, down = tl.cdiv(size, TILE), tl.cdiv(size, RAYS // TILE)
     n, tile, lane = tl.program_id(0) // (across * down), tl.program_id(0) % (across * down), tl.arange(0, RAYS)
     i, j = tile // across * (RAYS // TILE) + lane // TILE, tile % across * TILE + lane % TILE
@@ -143,10 +143,8 @@ def _last(values):
 
 
 @triton.jit
-def draw(
-    voxels, cells, frames, focal, picture, share, nz, ny, nx, size, steps, RAYS: tl.constexpr, CHUNK: tl.constexpr
-):
-    """Fills `picture` (N, size, size, 4)."""
+def draw(voxels, cells, frames, focal, image, share, nz, ny, nx, size, steps, RAYS: tl.constexpr, CHUNK: tl.constexpr):
+    """Fills `image` (N, size, size, 4)."""
     n, i, j, px, py = _tile(size, RAYS)
     shape, drawn = (nz, ny, nx), (i < size) & (j < size)
     start = (n // share).to(tl.int64) * ((nz + 2) * (ny + 2) * (nx + 2))
@@ -168,7 +166,7 @@ def draw(
                 total += (q * light)[:, None] * shown
                 light *= 1 - q
         k += CHUNK
-    to = picture + n.to(tl.int64) * size * size * 4
+    to = image + n.to(tl.int64) * size * size * 4
     tl.store(_four(to, i * size + j), total, mask=drawn[:, None])
 
 
@@ -191,7 +189,7 @@ def draw_backward(
 ):  # fmt: skip
     """For `grad` (N, size, size, 4): adds to `grad_voxels` (B, P, 4) and fills `partial` (N, tiles, 10).
 
-    The ten are what a tile adds to the gradients of the picture's frame, row by row, and of the focal parameter. With
+    The ten are what a tile adds to the gradients of the image's frame, row by row, and of the focal parameter. With
     SPARSE, cells without occupancy get no gradient.
 
     The gradient of a step's occupancy is T (seen there - seen behind it), T the light that reaches it. The first walk,

@@ -1,4 +1,4 @@
-"""Opening picture files: only formats that hold pictures and run nothing, only sizes that fit in memory, one error."""
+"""Opening image files: only formats that hold images and run nothing, only sizes that fit in memory, one error."""
 
 from __future__ import annotations
 
@@ -14,23 +14,21 @@ from viewnet.errors import ViewnetError
 FORMATS = ("JPEG", "PNG", "BMP", "WEBP", "PPM", "TIFF", "GIF")
 """What a file may hold, whatever its name ends in. Of Pillow's others EPS would have Ghostscript run what is in it."""
 MOST_PIXELS = 100_000_000
-"""Of a picture: 0.4 GB once it is decoded. A file of some kB can claim as many as it likes."""
+"""Of an image: 0.4 GB once it is decoded. A file of some kB can claim as many as it likes."""
 
 
 @contextlib.contextmanager
-def opened(
-    source: Path | IO[bytes], what: str = "picture", formats: tuple[str, ...] = FORMATS
-) -> Iterator[Image.Image]:
-    """A picture, its header read, for a block that decodes it and does nothing else.
+def opened(source: Path | IO[bytes], what: str = "image", formats: tuple[str, ...] = FORMATS) -> Iterator[Image.Image]:
+    """An image, its header read, for a block that decodes it and does nothing else.
 
     Whatever goes wrong in the block, as when the file is damaged, is told by ViewnetError: "`what` does not decode".
     Raises ViewnetError for a file that is not there, of another format or with too many pixels.
     """
     try:
-        with Image.open(source, formats=formats) as picture:
-            if picture.width * picture.height > MOST_PIXELS:
-                raise ViewnetError(f"{what} has more than {MOST_PIXELS} pixels ({picture.width} x {picture.height})")
-            yield picture
+        with Image.open(source, formats=formats) as image:
+            if image.width * image.height > MOST_PIXELS:
+                raise ViewnetError(f"{what} has more than {MOST_PIXELS} pixels ({image.width} x {image.height})")
+            yield image
     except ViewnetError:
         raise
     except FileNotFoundError:
@@ -40,6 +38,6 @@ def opened(
 
 
 def size(source: Path) -> tuple[int, int]:
-    """Width and height of a picture, from its header. Raises ViewnetError as `opened` does."""
-    with opened(source) as picture:
-        return picture.size
+    """Width and height of an image, from its header. Raises ViewnetError as `opened` does."""
+    with opened(source) as image:
+        return image.size
