@@ -43,7 +43,7 @@ def test_there_are_links_to_check():
     ("link", "expected"),
     [
         ("README.md", None),
-        ("docs/recipes.md#what-it-is-worth", None),
+        ("docs/recipes.md#results-on-cad-models", None),
         ("#a-heading-with-code", None),
         ("#a-heading-with-code-1", None),
         ("https://example.org/a?b#c", None),
