@@ -24,7 +24,7 @@ from viewnet.commands import serving
 from viewnet.config import make_config
 from viewnet.estimator.demo import examples
 from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
-from viewnet.evaluation.predict import load_model
+from viewnet.model.checkpoint import load_model
 
 gradio = pytest.importorskip("gradio", reason='the page needs gradio: pip install "viewnet[demo]"')
 

@@ -26,10 +26,10 @@ from viewnet.data import annotated_viewpoints, masks, photo_store
 from viewnet.data.render_chunk import read_chunk
 from viewnet.data.store import ViewStore, write_store
 from viewnet.evaluation import features
-from viewnet.evaluation.predict import load_model
 from viewnet.evaluation.predictions import Predictions
 from viewnet.experiments import notebook
 from viewnet.model import checkpoint
+from viewnet.model.checkpoint import load_model
 from viewnet.runtime.files import write_json
 from viewnet.tables import published
 from viewnet.tables.run_renderer import Drawer
@@ -115,7 +115,7 @@ def _load(folder: Path) -> object:
 
 def _begin(folder: Path) -> object:
     place = str(folder / "checkpoint.safetensors")
-    return checkpoint.weights(place, SMALL.model), checkpoint.identity(place)
+    return checkpoint.starting_weights(place, SMALL.model), checkpoint.identity(place)
 
 
 def other_checkpoint(content: bytes) -> st.SearchStrategy[bytes]:

@@ -83,15 +83,15 @@ def test_a_start_is_named_by_key_folder_or_file(first, tmp_path, monkeypatch):
     monkeypatch.setenv("VIEWNET_RUNS", str(first.parent.parent))
     file = first / "checkpoint.safetensors"
     for name in (first.name, str(first), str(file)):
-        assert checkpoint.checkpoint(name) == file
+        assert checkpoint.locate(name) == file
     for name in ("0123456789ac", str(tmp_path), "*", "shapenet"):
         with pytest.raises(ViewnetError, match="no finished run of that key or folder"):
-            checkpoint.checkpoint(name)
+            checkpoint.locate(name)
     (tmp_path / "checkpoint.safetensors").write_bytes(b"?")
-    with pytest.raises(ViewnetError, match="not a whole checkpoint"):
+    with pytest.raises(ViewnetError, match="not a whole file of weights"):
         checkpoint.identity(str(tmp_path))
-    with pytest.raises(ViewnetError, match="no checkpoint of this version"):
-        checkpoint.weights(str(tmp_path), config().model)
+    with pytest.raises(ViewnetError, match="not a whole checkpoint"):
+        checkpoint.starting_weights(str(tmp_path), config().model)
 
 
 def test_a_run_is_known_by_the_weights_it_starts_from_wherever_they_lie(first, tmp_path):

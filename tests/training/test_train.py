@@ -367,8 +367,8 @@ def test_candidates_are_ranked_by_what_they_draw(store, run):
     ("damage", "message"),
     [
         (lambda file: file.unlink(), "no checkpoint at"),
-        (lambda file: file.write_bytes(file.read_bytes()[:1000]), "is not a whole checkpoint"),
-        (lambda file: file.write_bytes(b""), "is not a whole checkpoint"),
+        (lambda file: file.write_bytes(file.read_bytes()[:1000]), "not a whole checkpoint"),
+        (lambda file: file.write_bytes(b""), "not a whole checkpoint"),
     ],
 )
 def test_damaged_checkpoints_are_refused(run, tmp_path, damage, message):

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from safetensors import safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor
 
 from viewnet.config import RunConfig
@@ -79,7 +78,7 @@ def load(where: str | os.PathLike[str], hub: Hub | None = None) -> Pretrained:
     if name in shipped():
         return _of_folder(SHIPPED / name)
     try:
-        found = checkpoint.checkpoint(name)
+        found = checkpoint.locate(name)
     except ViewnetError:
         if place.exists() or not HUB_ID.fullmatch(name):
             raise ViewnetError(
@@ -108,21 +107,17 @@ def device(name: str | torch.device | None) -> torch.device:
     return found
 
 
-def _of_run(checkpoint: Path) -> Pretrained:
-    path = checkpoint.parent / "result.json"
+def _of_run(file: Path) -> Pretrained:
+    path = file.parent / "result.json"
     result = read_json(path) if path.is_file() else {}
     if "metrics" not in result:
-        raise ViewnetError(f"{checkpoint.parent}: a run that is not finished: give the command that trains it again")
-    try:
-        with safe_open(checkpoint, framework="pt") as file:
-            values = json.loads((file.metadata() or {})["config"])
-    except Exception as error:  # safetensors raises its own
-        raise ViewnetError(f"{checkpoint}: not a whole checkpoint ({_first(error)}): train the run again") from error
-    config = _config(values, checkpoint)
+        raise ViewnetError(f"{file.parent}: a run that is not finished: give the command that trains it again")
+    config = checkpoint.config_of(file)
     metrics = result["metrics"]
     fitted = None if metrics is None else metrics["procrustes"]["alignment"]
     about = {name: result[name] for name in KEPT if name in result}
-    return Pretrained(_filled(config, checkpoint)[0], config, _rotation(fitted, path), about)
+    network = checkpoint.build(config.model, checkpoint.read(file)[0], file)
+    return Pretrained(network, config, _rotation(fitted, path), about)
 
 
 def _of_folder(folder: Path) -> Pretrained:
@@ -142,7 +137,8 @@ def _of_folder(folder: Path) -> Pretrained:
     if missing_fields := [name for name in FIELDS if name not in values]:
         raise ViewnetError(f"{path}: {missing_fields[0]!r} is missing: save the model again")
     config = _config(values["config"], path)
-    network, metadata = _filled(config, folder / WEIGHTS)
+    weights, metadata = checkpoint.read(folder / WEIGHTS, "save the model again")
+    network = checkpoint.build(config.model, weights, folder / WEIGHTS)
     if metadata.get("config") != _digest(values):
         raise ViewnetError(f"{folder}: {WEIGHTS} was not saved with this {CONFIG}: save the model again")
     return Pretrained(network, config, _rotation(values["alignment"], path), values["about"])
@@ -165,32 +161,6 @@ def _rotation(alignment: dict[str, Any] | None, path: Path) -> np.ndarray | None
     if not (np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0):
         raise ViewnetError(f"{path}: its alignment is no rotation")
     return rotation
-
-
-def _filled(config: RunConfig, path: Path) -> tuple[ViewNet, dict[str, str]]:
-    """A network with the weights of a file, and the file's metadata. ViewnetError naming what does not fit."""
-    try:
-        with safe_open(path, framework="pt") as file:
-            metadata = dict(file.metadata() or {})
-        weights = load_file(path)
-    except Exception as error:  # safetensors raises its own
-        raise ViewnetError(f"{path}: not a whole file of weights ({_first(error)}): save or train it again") from error
-    network = ViewNet(config.model)
-    expected = network.state_dict()
-    for name in sorted(expected.keys() | weights.keys()):
-        if name not in weights or name not in expected:
-            problem = "is missing" if name not in weights else "has no place"
-            raise ViewnetError(f"{path}: {name} {problem}: weights and configuration are not of one network")
-        there, here = weights[name], expected[name]
-        if there.dtype == torch.float16 and here.dtype == torch.float32:
-            there = weights[name] = there.float()
-        if (there.shape, there.dtype) != (here.shape, here.dtype):
-            raise ViewnetError(
-                f"{path}: {name} is {there.dtype} {tuple(there.shape)}, its configuration says {here.dtype} "
-                f"{tuple(here.shape)}: weights and configuration are not of one network"
-            )
-    network.load_state_dict(weights)
-    return network, metadata
 
 
 def save(
@@ -306,13 +276,9 @@ def _asked(name: str, ask: Callable[[], str], refusal: str = "gives no such mode
         return ask()
     except Exception as error:  # its own errors, and those of whichever HTTP library it uses
         raise ViewnetError(
-            f"{name}: the Hugging Face hub {refusal} ({type(error).__name__}: {_first(error)})"
+            f"{name}: the Hugging Face hub {refusal} ({type(error).__name__}: {checkpoint.first_line(error)})"
         ) from error
 
 
 def _digest(values: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _first(error: Exception) -> str:
-    return next(iter(str(error).splitlines()), type(error).__name__)

@@ -2,62 +2,22 @@
 
 from __future__ import annotations
 
-import json
-import math
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import safe_open
-from safetensors.torch import load_file
 from torch import Tensor
 
-from viewnet.config import ModelConfig, RunConfig
 from viewnet.data import augment
 from viewnet.data.pairs import viewed
 from viewnet.data.store import ViewStore
-from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Predictions
+from viewnet.model.checkpoint import load_model
 from viewnet.model.losses import composite
 from viewnet.model.viewnet import ViewNet
 from viewnet.training.step import reconstruct
 
 BATCH = 256
-LARGEST = 256
-"""Voxels along a side: the prior on them is in no file, however large the volume."""
-
-
-def _least(config: ModelConfig) -> int:
-    """How many weights the largest layer of a network has at least, counted before there is room made for it."""
-    encoder, generator = config.encoder_channels, config.generator_channels
-    layers = [*pairwise(encoder), *pairwise(generator), (12, config.balance_bands)]
-    layers += [(min(encoder), outputs) for outputs in (config.heads, config.appearance_size)]
-    if config.decoder == "adain":
-        layers.append((config.code_size, generator[0]))
-    return max(a * b for a, b in layers)
-
-
-def load_model(folder: Path) -> tuple[ViewNet, RunConfig]:
-    """The network of a run, ready to predict, and its configuration. ViewnetError where the file is none of ours."""
-    path = folder / "checkpoint.safetensors"
-    if not path.is_file():
-        raise ViewnetError(f"no checkpoint at {path}: train the run first")
-    try:
-        with safe_open(path, framework="pt") as file:
-            config = RunConfig.from_dict(json.loads((file.metadata() or {})["config"]))
-            there = sum(math.prod(file.get_slice(name).get_shape()) for name in file.keys())  # noqa: SIM118
-        if _least(config.model) > there or config.model.volume_size > LARGEST:
-            raise ValueError("its configuration is of a larger network")
-        model = ViewNet(config.model)
-        model.load_state_dict(load_file(path), strict=True)
-    except ViewnetError as error:
-        raise ViewnetError(f"{path} is of another version ({error}): train the run again") from error
-    except Exception as error:
-        problem = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise ViewnetError(f"{path} is not a whole checkpoint ({problem}): train the run again") from error
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    return model.to(device).eval(), config
 
 
 @torch.no_grad()

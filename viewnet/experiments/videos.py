@@ -20,7 +20,7 @@ from viewnet.evaluation import baselines, features
 from viewnet.evaluation.predictions import Predictions
 from viewnet.experiments.photos import PROFILE_RECIPE, PhotoExperiment, photographs_of, scenery_of
 from viewnet.experiments.request import DESIGNS, folder_named, label_of, shared
-from viewnet.model.checkpoint import checkpoint
+from viewnet.model.checkpoint import locate
 from viewnet.training.run_store import Run, ensure
 
 SHAPENET = "shapenet"
@@ -40,7 +40,7 @@ class VideoExperiment(PhotoExperiment):
     """
 
     video: VideoConfig
-    start: str  # "", SHAPENET, or what viewnet.model.checkpoint.checkpoint takes
+    start: str  # "", SHAPENET, or what viewnet.model.checkpoint.locate takes
 
     @property
     def configs(self) -> list[RunConfig]:
@@ -194,7 +194,7 @@ def video_experiment(
         video = replace(video, sequences=SMOKE_SEQUENCES, frames=SMOKE_FRAMES, size=SMOKE_SIZE)
     if cad_root and start != SHAPENET:
         raise ViewnetError(f"cad_root {cad_root}: nothing is trained on CAD models: use start={SHAPENET}, or leave it")
-    begun = start if start in ("", SHAPENET) else str(checkpoint(start))
+    begun = start if start in ("", SHAPENET) else str(locate(start))
     features.choose(backbone)
     places = {"video_root": video_root, "data_root": data_root, "cad_root": cad_root}
     parts = [*common.parts, *(place for place, value in places.items() if value)]

@@ -18,9 +18,10 @@ from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.alignment import Procrustes
 from viewnet.evaluation.evaluate import Aligned, align
-from viewnet.evaluation.predict import load_model, predict
+from viewnet.evaluation.predict import predict
 from viewnet.evaluation.predictions import Predictions
 from viewnet.geometry import look_at, view_vector
+from viewnet.model.checkpoint import load_model
 from viewnet.model.rendering import Imagined, Painter, shown
 from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import read_json
@@ -47,7 +48,7 @@ class Drawer(Painter):
         """Of a finished run. Its rotation is fitted on the validation views of `store`, as in the tables.
 
         Views of `store` are looked at again unless they are the run's own. Raises ViewnetError as
-        viewnet.evaluation.predict.load_model and viewnet.evaluation.evaluate.align do.
+        viewnet.model.checkpoint.load_model and viewnet.evaluation.evaluate.align do.
         """
         network, config = load_model(folder)
         kept, result = folder / "predictions.parquet", folder / "result.json"

@@ -270,7 +270,7 @@ def _placed(config: RunConfig) -> RunConfig:
     """The same with the full path of what it starts from."""
     if config.train.start is None:
         return config
-    return replace(config, train=replace(config.train, start=str(checkpoint.checkpoint(config.train.start))))
+    return replace(config, train=replace(config.train, start=str(checkpoint.locate(config.train.start))))
 
 
 @dataclass(frozen=True)

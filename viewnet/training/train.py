@@ -130,7 +130,7 @@ def train(
     torch.manual_seed(config.seed)
     model = ViewNet(config.model).to(device)
     if settings.start is not None:
-        model.load_state_dict(checkpoint.weights(settings.start, config.model))
+        model.load_state_dict(checkpoint.starting_weights(settings.start, config.model))
     weights = os.environ.get(f"VIEWNET_{settings.perceptual.upper()}_WEIGHTS")
     perceptual = None
     if settings.perceptual != "none":
