@@ -34,13 +34,13 @@ SHARES = {"view store": 0.4, "run": 0.4, "table": 0.2}
 """Of all kills."""
 
 
-def killed(work: Work, kills: int, place: Path, data: Path | None, chance: Random) -> Tally:
+def killed(work: Work, kills: int, place: Path, data: Path | None, rng: Random) -> Tally:
     """Work killed so many times; `data` are views that are there already."""
     reference, tally = place / "undisturbed", Tally()
     tally.seconds = undisturbed(work, reference, data)
     while tally.kills < kills:
         root = place / "killed"
-        trial(work, root, reference, data, chance, min(1 + tally.trials % 3, kills - tally.kills), tally)
+        trial(work, root, reference, data, rng, min(1 + tally.trials % 3, kills - tally.kills), tally)
         shutil.rmtree(root)
         print(f"{work.name}: {tally.kills} of {kills} kills, {len(tally.problems)} problems", flush=True)
         if tally.late > 3 * kills:

@@ -69,8 +69,8 @@ def cold(model: str, image: Path, box: list[str], times: int) -> list[dict[str, 
 def batched(model: str, times: int) -> list[dict[str, object]]:
     """Rows of many images at once."""
     estimator = ViewpointEstimator.from_pretrained(model)
-    chance, size = np.random.default_rng(0), estimator.framing.size
-    views = chance.integers(0, 256, (IMAGES, size, size, 3), np.uint8)
+    rng, size = np.random.default_rng(0), estimator.framing.size
+    views = rng.integers(0, 256, (IMAGES, size, size, 3), np.uint8)
     ready = torch.from_numpy(views).movedim(-1, 1).to(estimator.device).float().div_(255).split(BATCH)
 
     @torch.no_grad()

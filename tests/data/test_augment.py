@@ -16,7 +16,7 @@ PLAIN = TrainConfig()
 PHOTO = TrainConfig(box_error=0.05, tilt=5.0, occlude=0.5, exposure=1.0)
 
 
-def chance(seed: int = 0) -> torch.Generator:
+def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
@@ -35,7 +35,7 @@ def blue(count: int = 3) -> torch.Tensor:
 
 
 def test_nothing_stays_transparent_and_the_object_fills_its_box():
-    seen = augment.photograph(things(8), blue(), PLAIN, chance())
+    seen = augment.photograph(things(8), blue(), PLAIN, generator())
     assert (seen[:, 3] == 1).all()
     # A photograph's box has no margin: but for the outermost pixels all is object.
     assert (seen[:, 0, 2:-2, 2:-2] > 0.99).all() and (seen[:, 2, 2:-2, 2:-2] < 0.01).all()
@@ -43,7 +43,7 @@ def test_nothing_stays_transparent_and_the_object_fills_its_box():
 
 def test_backgrounds_show_where_there_is_no_object():
     empty = torch.zeros(4, 4, 16, 16)
-    seen = augment.photograph(empty, blue(), PLAIN, chance())
+    seen = augment.photograph(empty, blue(), PLAIN, generator())
     assert torch.allclose(seen[:, 2], torch.ones(4, 16, 16)) and not seen[:, :2].any()
     half = torch.zeros(1, 4, 2, 2)
     half[:, 3], half[:, 0] = 0.5, 0.5  # half transparent red
@@ -52,7 +52,7 @@ def test_backgrounds_show_where_there_is_no_object():
 
 def test_windows_of_backgrounds_differ_and_stay_images():
     ramp = (torch.linspace(0, 255, 64).to(torch.uint8)).expand(1, 3, 64, 64)
-    windows = augment.behind(ramp, 20, 32, chance(), torch.device("cpu"))
+    windows = augment.behind(ramp, 20, 32, generator(), torch.device("cpu"))
     assert windows.shape == (20, 3, 32, 32) and windows.min() >= 0 and windows.max() <= 1
     rising = windows[:, 0, 0, -1] > windows[:, 0, 0, 0]
     assert 4 <= rising.sum() <= 16  # half of them in a mirror
@@ -60,27 +60,27 @@ def test_windows_of_backgrounds_differ_and_stay_images():
 
 
 def test_the_same_chance_gives_the_same_images():
-    first, second, other = (augment.photograph(things(6), blue(), PHOTO, chance(seed)) for seed in (1, 1, 2))
+    first, second, other = (augment.photograph(things(6), blue(), PHOTO, generator(seed)) for seed in (1, 1, 2))
     assert torch.equal(first, second) and not torch.equal(first, other)
 
 
 @pytest.mark.parametrize("field, strength", [("box_error", 0.2), ("tilt", 20.0), ("occlude", 1.0), ("exposure", 1.0)])
 def test_each_setting_does_something_of_its_own(field, strength):
-    plain = augment.photograph(things(16), blue(), PLAIN, chance())
-    changed = augment.photograph(things(16), blue(), replace(PLAIN, **{field: strength}), chance())
+    plain = augment.photograph(things(16), blue(), PLAIN, generator())
+    changed = augment.photograph(things(16), blue(), replace(PLAIN, **{field: strength}), generator())
     assert changed.min() >= 0 and changed.max() <= 1
     assert (changed - plain).abs().amax((1, 2, 3)).gt(0.05).float().mean() > 0.8
 
 
 def test_occlusion_comes_in_its_share_of_images():
-    before = augment.photograph(things(400), blue(), replace(PLAIN, occlude=0.3), chance())
+    before = augment.photograph(things(400), blue(), replace(PLAIN, occlude=0.3), generator())
     hidden = (before[:, 2, 3:-3, 3:-3] > 0.5).flatten(1).any(1)
     assert 0.2 < hidden.float().mean() < 0.4
 
 
 def test_exposure_of_nothing_is_nothing():
-    images = torch.rand(4, 3, 16, 16, generator=chance())
-    assert torch.allclose(augment.expose(images, 0.0, chance()), images, atol=1e-6)
+    images = torch.rand(4, 3, 16, 16, generator=generator())
+    assert torch.allclose(augment.expose(images, 0.0, generator()), images, atol=1e-6)
 
 
 def test_scenery_is_loaded_where_it_is_asked_for(tmp_path, monkeypatch):

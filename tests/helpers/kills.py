@@ -77,7 +77,7 @@ def undisturbed(work: Work, root: Path, data: Path | None) -> float:
     return time.perf_counter() - start
 
 
-def trial(work: Work, root: Path, reference: Path, data: Path | None, chance: Random, kills: int, tally: Tally) -> None:
+def trial(work: Work, root: Path, reference: Path, data: Path | None, rng: Random, kills: int, tally: Tally) -> None:
     """Kill the work up to so many times, each time with the same command anew, then let it end and compare."""
     for number in range(kills):
         for lock in root.rglob(".*.lock"):  # nobody holds them; a new one shows that the next call is at work
@@ -85,7 +85,7 @@ def trial(work: Work, root: Path, reference: Path, data: Path | None, chance: Ra
         process = work.start(root, data)
         if begun(root, process):
             with contextlib.suppress(TimeoutExpired):
-                process.wait(chance.uniform(0, tally.seconds))
+                process.wait(rng.uniform(0, tally.seconds))
         if process.poll() is not None or not kill_all(process):
             tally.late += 1
             break

@@ -390,8 +390,8 @@ def test_heads_at_the_viewpoint_to_select_are_all_right_choices():
     logits = torch.tensor([[2.0, 1.0, -1.0], [2.0, 1.0, -1.0]], requires_grad=True)
     best = torch.tensor([0, 2])
     found, wanted_view = Hypotheses(vectors, logits), vectors[[0, 1], best]
-    chances = logits.detach().softmax(1)
-    wanted = -(chances[0, 0] + chances[0, 1]).log() - chances[1, 2].log()
+    probabilities = logits.detach().softmax(1)
+    wanted = -(probabilities[0, 0] + probabilities[0, 1]).log() - probabilities[1, 2].log()
     loss = _selection(found, best, wanted_view, 30.0)
     assert torch.allclose(loss, wanted / 2)
     loss.backward()

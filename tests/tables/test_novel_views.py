@@ -69,8 +69,8 @@ def test_copy_shows_the_next_view_of_the_object(store):
 
 
 def test_measures_are_those_of_the_literature():
-    chance = torch.Generator().manual_seed(0)
-    target = torch.rand(1, 4, 16, 16, generator=chance)
+    generator = torch.Generator().manual_seed(0)
+    target = torch.rand(1, 4, 16, 16, generator=generator)
     drawn = (target + 0.1).clamp(max=2)
     drawn[:, :3] = target[:, :3] * 0.5
     (line,) = novel_views.compare(drawn, target).to_dict("records")

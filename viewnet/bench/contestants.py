@@ -82,20 +82,20 @@ def superellipsoid(size: int) -> Tensor:
 
 def logits(occupancy: str, size: int, count: int) -> Tensor:
     """Volumes as viewnet.model.volume.squash takes them, (count, n, n, n, 1, 1, 1, 4), in colours of their own."""
-    chance = torch.Generator().manual_seed(size)
-    blocks = torch.randn(count, size, size, size, 1, 1, 1, 4, generator=chance)
+    generator = torch.Generator().manual_seed(size)
+    blocks = torch.randn(count, size, size, size, 1, 1, 1, 4, generator=generator)
     if occupancy == "object":
         blocks[..., 3] = (4 * (1 - superellipsoid(size)))[..., None, None, None]
     else:  # optical depth 1.5 along an axis; sigmoids give back Q by 2 sigmoid - 1
-        little = (1.5 / size) * (0.5 + torch.rand(blocks.shape[:-1], generator=chance))
+        little = (1.5 / size) * (0.5 + torch.rand(blocks.shape[:-1], generator=generator))
         blocks[..., 3] = 2 * torch.atanh(little.clamp(max=0.9))
     return blocks
 
 
 def frames(count: int) -> Tensor:
     """Camera frames (count, 3, 3) all around, elevations from -20 to 40 degrees."""
-    chance = torch.Generator().manual_seed(count)
-    azimuth, elevation = torch.rand(2, count, generator=chance)
+    generator = torch.Generator().manual_seed(count)
+    azimuth, elevation = torch.rand(2, count, generator=generator)
     return look_at(view_vector(360 * azimuth, 60 * elevation - 20))
 
 
@@ -109,7 +109,7 @@ def images(count: int, size: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def step_config(profile: str) -> RunConfig:
-    """The recipe `paper` at the size of a profile, and without chance.
+    """The recipe `paper` at the size of a profile, and without random numbers.
 
     Pixels are compared instead of VGG16's features, whose weights are not everywhere, and nothing is augmented.
     """

@@ -15,7 +15,7 @@ from torch import Tensor
 from viewnet.config import DataConfig, TrainConfig
 from viewnet.data import backgrounds
 from viewnet.data.pairs import CROP_MARGIN
-from viewnet.runtime.random import Chance, rand, randint, randn
+from viewnet.runtime.random import RandomSource, rand, randint, randn
 
 COUNT = 1000
 """Images at most; many windows are seen of each."""
@@ -37,7 +37,7 @@ def wanted(config: DataConfig, size: int, progress: bool = True) -> backgrounds.
     return backgrounds.load(config.backgrounds, 2 * size, COUNT, progress=progress)
 
 
-def behind(scenery: Tensor, count: int, size: int, generator: Chance, device: torch.device) -> Tensor:
+def behind(scenery: Tensor, count: int, size: int, generator: RandomSource, device: torch.device) -> Tensor:
     """`count` random windows (count, 3, size, size) in [0, 1] of the scenery, half of them as in a mirror."""
     room = scenery.shape[-1] - size + 1
     chosen = randint(len(scenery), count, generator=generator).tolist()
@@ -54,7 +54,7 @@ def over(images: Tensor, scene: Tensor) -> Tensor:
     return torch.cat([images[:, :3] + scene * (1 - alpha), torch.ones_like(alpha)], 1)
 
 
-def crop_and_rotate(images: Tensor, generator: Chance) -> Tensor:
+def crop_and_rotate(images: Tensor, generator: RandomSource) -> Tensor:
     """Random crops of 80 to 100 % of the area and rotations within 3 degrees of images (N, C, S, S)."""
     count = len(images)
     scale = (0.8 + 0.2 * rand(count, generator=generator)).sqrt()
@@ -68,7 +68,7 @@ def crop_and_rotate(images: Tensor, generator: Chance) -> Tensor:
     return F.grid_sample(images, grid, align_corners=False)
 
 
-def jitter(images: Tensor, strength: float, generator: Chance) -> Tensor:
+def jitter(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
     """Images (N, 4, S, S), RGB times alpha and alpha, in other colours: what a viewpoint hardly depends on.
 
     Red, green and blue change places; then each, and all together, are multiplied by up to exp(strength) or its
@@ -76,13 +76,13 @@ def jitter(images: Tensor, strength: float, generator: Chance) -> Tensor:
     """
     count, alpha = len(images), images[:, 3:]
     order = rand(count, 3, generator=generator).argsort(1).to(images.device)
-    chance = 2 * rand(count, 4, generator=generator) - 1
-    gain = torch.exp(strength * (chance[:, :3] + chance[:, 3:])).to(images)[:, :, None, None]
+    uniform = 2 * rand(count, 4, generator=generator) - 1
+    gain = torch.exp(strength * (uniform[:, :3] + uniform[:, 3:])).to(images)[:, :, None, None]
     colours = images.gather(1, order[:, :, None, None].expand(-1, -1, *alpha.shape[2:]))
     return torch.cat([torch.minimum(gain * colours, alpha), alpha], 1)
 
 
-def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: Chance) -> Tensor:
+def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: RandomSource) -> Tensor:
     """Crops of views (N, 4, S, S), RGB times alpha and alpha, as if cut from photographs: (N, 4, S, S) with alpha 1.
 
     Crops have CROP_MARGIN about the object, photographs' boxes none. In this order: the box is off by up to `box_error`
@@ -100,7 +100,7 @@ def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: C
     return torch.cat([images, torch.ones_like(crops[:, 3:])], 1)
 
 
-def expose(images: Tensor, strength: float, generator: Chance) -> Tensor:
+def expose(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
     """Images (N, 3, S, S) in [0, 1] in another light, contrast and gamma, some grey, blurred and noisy."""
     count, device = len(images), images.device
     each = (count, 1, 1, 1)
@@ -117,7 +117,7 @@ def expose(images: Tensor, strength: float, generator: Chance) -> Tensor:
     return (images + deviation * noise).clamp(0, 1)
 
 
-def _shifted(crops: Tensor, config: TrainConfig, generator: Chance) -> Tensor:
+def _shifted(crops: Tensor, config: TrainConfig, generator: RandomSource) -> Tensor:
     """Crops (N, 4, S, S) larger or smaller, moved and tilted; what comes in from outside is empty."""
     count = len(crops)
     scale = (1 + config.box_error * _uniform(-1, 1, (2, count), generator, dim=1)) / (1 + 2 * CROP_MARGIN)
@@ -131,7 +131,7 @@ def _shifted(crops: Tensor, config: TrainConfig, generator: Chance) -> Tensor:
     return F.grid_sample(crops, grid, align_corners=False)
 
 
-def _patch(count: int, size: int, share: float, generator: Chance) -> Tensor:
+def _patch(count: int, size: int, share: float, generator: RandomSource) -> Tensor:
     """A rectangle of 10 to 40 % of the side somewhere in a `share` of the images: (count, 1, size, size) bool."""
     half = size * _uniform(0.05, 0.2, (2, count, 1), generator, dim=1)
     centre = size * rand(2, count, 1, generator=generator, dim=1)
@@ -140,5 +140,5 @@ def _patch(count: int, size: int, share: float, generator: Chance) -> Tensor:
     return (there[:, None, None] & columns[:, None, :] & rows[:, :, None])[:, None]
 
 
-def _uniform(low: float, high: float, shape: tuple[int, ...], generator: Chance, dim: int = 0) -> Tensor:
+def _uniform(low: float, high: float, shape: tuple[int, ...], generator: RandomSource, dim: int = 0) -> Tensor:
     return low + (high - low) * rand(*shape, generator=generator, dim=dim)

@@ -35,11 +35,11 @@ def predict(model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = (
     for split in splits:
         views = viewed(store, split, size, network.config)
         rows.append(store.index[store.index["split"] == split])
-        chance = torch.Generator().manual_seed(0)
+        generator = torch.Generator().manual_seed(0)
         for part in torch.arange(len(views.objects)).split(BATCH):
             seen = views.seen(part, size, device)
             if config and scenery is not None and not views.opaque:
-                seen = augment.photograph(seen, scenery, config.train, chance)
+                seen = augment.photograph(seen, scenery, config.train, generator)
             found = network.viewpoint(network.see(seen))
             vectors.append(_array(found.vectors))
             logits.append(_array(found.logits))
@@ -70,9 +70,9 @@ def candidates(folder: Path, store: ViewStore, rows: list[int], split: str = "te
     others = views.partners(index)
     seen, behind, scenery = views.seen(index, small, device), None, augment.load(config.data, small, device)
     if scenery is not None:
-        chance = torch.Generator().manual_seed(0)
-        seen = augment.photograph(seen, scenery, config.train, chance)
-        behind = augment.behind(scenery, len(others), small, chance, device)
+        generator = torch.Generator().manual_seed(0)
+        seen = augment.photograph(seen, scenery, config.train, generator)
+        behind = augment.behind(scenery, len(others), small, generator, device)
     found = reconstruct(
         network,
         views.images(others, small, device),

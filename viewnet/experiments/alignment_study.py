@@ -251,10 +251,10 @@ def one_sided(predictions: Predictions, concentration: float, seed: int = 0) -> 
     calibrating = (predictions.ids["split"] == "val").to_numpy()
     width = 360 / metrics.AZIMUTH_BINS
     middle = (np.bincount(metrics.azimuth_bins(azimuths[calibrating])).argmax() + 0.5) * width
-    chance = np.exp(concentration * (np.cos(np.deg2rad(azimuths - middle)) - 1))
+    probability = np.exp(concentration * (np.cos(np.deg2rad(azimuths - middle)) - 1))
     # Drawn by name, so that every predictor is left with the same images whatever their order.
     rank = predictions.ids.sort_values(["model_id", "view"]).index.argsort()
-    stays = np.random.default_rng(seed).random(len(azimuths))[rank] < chance
+    stays = np.random.default_rng(seed).random(len(azimuths))[rank] < probability
     if min(np.sum(stays & calibrating), np.sum(stays & ~calibrating)) < FEWEST:
         return None
     return predictions.take(stays)

@@ -247,11 +247,11 @@ def _said(submission: Submission, images: HeldOut, category: str, calibration: i
         rows = np.flatnonzero(baselines.calibrating(images.ids, calibration)[: len(images.stores["val"][1])])
         method.fit(images.images("val", rows), true_vectors(images.ids.iloc[rows]))
     # Neighbours in a store show the same object, and its order may tell more than an image does.
-    chance = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     found = []
     for split, (_, mine) in images.stores.items():
         vectors = np.empty((len(mine), 3))
-        shuffled = chance.permutation(len(mine))
+        shuffled = rng.permutation(len(mine))
         for start in range(0, len(mine), BATCH):
             rows = shuffled[start : start + BATCH]
             vectors[rows] = _checked(method.predict(images.images(split, rows)), len(rows), who)

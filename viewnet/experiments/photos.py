@@ -21,7 +21,7 @@ from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, features
 from viewnet.evaluation.predictions import Predictions
-from viewnet.experiments.request import DESIGNS, Experiment, Shared, folder_named, label_of, shared
+from viewnet.experiments.request import DESIGNS, CommonParameters, Experiment, folder_named, label_of, shared
 from viewnet.runtime import provenance
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry, Table, entries
@@ -277,7 +277,7 @@ def photo_experiment(
     )
 
 
-def photographs_of(common: Shared, category: str, data_root: str) -> PhotoConfig:
+def photographs_of(common: CommonParameters, category: str, data_root: str) -> PhotoConfig:
     """The photographs of a category under `data_root`, or a stand-in of the profile's size, cut as the recipe has them.
 
     Raises ViewnetError for a folder that does not exist.

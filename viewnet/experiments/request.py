@@ -265,7 +265,7 @@ def _on_photographs(design: Design) -> Callable[..., Experiment]:
 
 
 @dataclass(frozen=True)
-class Shared:
+class CommonParameters:
     """What every experiment has, checked: fields of Experiment, and what of it belongs into its label."""
 
     fields: dict[str, Any]
@@ -282,7 +282,7 @@ def shared(
     recipe: str,
     output: str,
     workers: int,
-) -> Shared:
+) -> CommonParameters:
     """Check what every experiment has; `recipes` gives each profile's own. Raises ViewnetError as `experiment` does."""
     if profile == "default":
         profile = os.environ.get("VIEWNET_PROFILE", design.profile)
@@ -297,7 +297,7 @@ def shared(
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
         raise ViewnetError(f"workers {workers!r}: expected a whole number, 0 for what the machine has room for")
     columns = ["everything"] if set(chosen) == set(CATEGORIES) else list(chosen)
-    return Shared(
+    return CommonParameters(
         {
             "profile": profile,
             "recipe": recipe,

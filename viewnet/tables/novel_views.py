@@ -129,9 +129,9 @@ def consistency(drawer: Drawer, judge: Drawer | None = None, seed: int = 0) -> F
     appearance. Azimuths are uniform, elevations uniform in the range of the run's views. All decoders' drawings are of
     the size they were learned at and enlarged to what is seen, so that none has the sharper ones.
     """
-    reader, chance = judge or drawer, np.random.default_rng(seed)
+    reader, rng = judge or drawer, np.random.default_rng(seed)
     low, high = drawer.config.data.elevation_range
-    angles = torch.from_numpy(chance.uniform((0, low), (360, high), (len(drawer), 2)))
+    angles = torch.from_numpy(rng.uniform((0, low), (360, high), (len(drawer), 2)))
     truth = view_vector(angles[:, 0], angles[:, 1])
     vectors, tilts = [], []
     for rows in _batches(len(drawer)):

@@ -108,8 +108,8 @@ class Drawer(Painter):
         """The objects in test views; before a background, always the same, for a run that was trained so."""
         size, behind = self.network.config.input_size, None
         if self._scenery is not None:
-            chance = torch.Generator().manual_seed(0)
-            behind = augment.behind(self._scenery, len(rows), size, chance, self.device)
+            generator = torch.Generator().manual_seed(0)
+            behind = augment.behind(self._scenery, len(rows), size, generator, self.device)
         return Imagined(*self.network.imagine(self.images(rows, size), behind=behind))
 
     def level(self, azimuth: Tensor, elevation: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from viewnet.model.precision import autocast
 from viewnet.model.viewnet import Hypotheses, ViewNet
 from viewnet.model.volume import halved
 from viewnet.runtime import distributed
-from viewnet.runtime.random import Chance, rand, repeated
+from viewnet.runtime.random import RandomSource, rand, repeated
 
 SECTORS = 4
 """Of azimuth: of viewpoints tried all around, the best of each is compared with the heads'."""
@@ -84,24 +84,24 @@ class Search:
     """Viewpoints that are tried beside the heads', all around the object.
 
     Early on a viewpoint network answers from what little it has learned, and the volume settles on its mistakes: turned
-    inside out, or with two sides folded into one. Tried viewpoints owe it nothing. `noise` is how much chance has in
-    the choice, as a multiple of the errors' spread over a target's viewpoints.
+    inside out, or with two sides folded into one. Tried viewpoints owe it nothing. `noise` is added to
+    the errors before the choice, as a multiple of their spread over a target's viewpoints.
     """
 
     views: int
     noise: float
-    generator: Chance
+    generator: RandomSource
 
     def grid(self, count: int, limits: tuple[float, float]) -> Tensor:
-        """View vectors (count, views, 3): azimuths evenly spaced but for chance, elevations uniform within limits."""
+        """View vectors (count, views, 3): azimuths evenly spaced and jittered, elevations uniform within limits."""
         places = torch.arange(self.views) + rand(count, self.views, generator=self.generator)
         elevation = rand(count, self.views, generator=self.generator) * (limits[1] - limits[0]) + limits[0]
         return view_vector(360 / self.views * places, elevation)
 
     def perturb(self, errors: Tensor) -> Tensor:
         """Errors (N, T) with Gumbel noise, so that the least is drawn from their Boltzmann distribution."""
-        chance = rand(*errors.shape, generator=self.generator).clamp(1e-9, 1 - 1e-7).to(errors.device)
-        return errors + self.noise * errors.std(1, keepdim=True) * chance.log().neg().log()
+        uniform = rand(*errors.shape, generator=self.generator).clamp(1e-9, 1 - 1e-7).to(errors.device)
+        return errors + self.noise * errors.std(1, keepdim=True) * uniform.log().neg().log()
 
 
 def _choose(
@@ -240,7 +240,7 @@ def _neighbours(vectors: Tensor, angle: float) -> Tensor:
     return view_vector(azimuth[..., None] + step[:, 0], higher)
 
 
-def backgrounds(config: TrainConfig, count: int, generator: Chance, device: torch.device) -> Tensor:
+def backgrounds(config: TrainConfig, count: int, generator: RandomSource, device: torch.device) -> Tensor:
     """Colours (count, 3) behind target and reconstruction: black as printed, or one random colour a sample."""
     if config.background == "black":
         return torch.zeros(count, 3, device=device)
@@ -253,7 +253,7 @@ def step_loss(
     config: TrainConfig,
     perceptual: PerceptualLoss | None,
     progress: float,
-    generator: Chance,
+    generator: RandomSource,
     scenery: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """The terms of one step's loss, weighted; their sum is minimised. `progress` is the share of training done.
@@ -304,9 +304,9 @@ def step_loss(
     return terms
 
 
-def _stage(model: ViewNet, config: TrainConfig, progress: float, generator: Chance) -> Stage:
+def _stage(model: ViewNet, config: TrainConfig, progress: float, generator: RandomSource) -> Stage:
     """What is at work when the share `progress` of training is done."""
-    # Chance goes out half-way through the search.
+    # The noise is gone half-way through the search.
     noise = max(0.0, 1 - 2 * progress / config.search) if config.search else 0.0
     return Stage(
         search=Search(config.search_views, noise, generator) if progress < config.search else None,
@@ -346,7 +346,7 @@ def _cycle(
     model: ViewNet,
     found: Reconstruction,
     config: TrainConfig,
-    generator: Chance,
+    generator: RandomSource,
     scenery: Tensor | None,
 ) -> Tensor:
     """Section 3.4: new views of the same objects at random viewpoints, and what the viewpoint network says of them."""

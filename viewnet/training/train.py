@@ -36,7 +36,7 @@ from viewnet.model.viewnet import ViewNet
 from viewnet.runtime import distributed
 from viewnet.runtime.files import replacing
 from viewnet.runtime.progress import bar
-from viewnet.runtime.random import Shared
+from viewnet.runtime.random import RankGenerator
 from viewnet.training.muon import Muon
 from viewnet.training.step import reconstruct, step_loss
 
@@ -58,14 +58,14 @@ def validate(
     rows = torch.arange(min(VALIDATION_VIEWS, len(views.objects)))
     others = views.partners(rows)
     error, vectors = 0.0, []
-    chance = torch.Generator().manual_seed(0)
+    generator = torch.Generator().manual_seed(0)
     size = model.config.input_size
     for part in rows.split(64):
         appearance, target = views.images(others[part], size, device), views.images(rows[part], size, device)
         seen, behind = views.seen(rows[part], size, device), None
         if scenery is not None:
-            seen = augment.photograph(seen, scenery, config, chance)
-            behind = augment.behind(scenery, len(part), size, chance, device)
+            seen = augment.photograph(seen, scenery, config, generator)
+            behind = augment.behind(scenery, len(part), size, generator, device)
         found = reconstruct(model, appearance, target, seen, config, behind=behind)
         error += found.errors.amin(1).sum().item()
         vectors.append(found.hypotheses.pick(found.hypotheses.logits.argmax(1)))
@@ -172,8 +172,8 @@ def train(
                 training.images(target_rows, config.model.input_size, device),
                 training.seen(target_rows, config.model.input_size, device),
             )
-            chance = Shared(step_generator(config.seed, step), distributed.rank(), processes)
-            terms = step_loss(model, batch, settings, perceptual, done, chance, scenery)
+            generator = RankGenerator(step_generator(config.seed, step), distributed.rank(), processes)
+            terms = step_loss(model, batch, settings, perceptual, done, generator, scenery)
             values = torch.stack(list(terms.values()))
             told = dict(zip(terms, distributed.mean(values.detach()).tolist(), strict=True))
             if not math.isfinite(sum(told.values())):

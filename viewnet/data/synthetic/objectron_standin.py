@@ -117,12 +117,12 @@ def _write_video(
     folders = {part: root / part / name for part in ("videos", MASKS, WEAK)}
     for folder in folders.values():
         folder.mkdir(parents=True)
-    # Chance of their own, so that they have no say in anything else.
-    chances = [np.random.default_rng([seed, list(CLASSES).index(category), number, kind]) for kind in (1, 2)]
+    # Generators of their own, so that they have no say in anything else.
+    rngs = [np.random.default_rng([seed, list(CLASSES).index(category), number, kind]) for kind in (1, 2)]
     for place, (image, mask) in enumerate(zip(images, masks, strict=True)):
         image.save(folders["videos"] / f"{place:06d}.jpg", "JPEG", quality=88)
-        _faulty(chances[0], mask).save(folders[MASKS] / f"{place:06d}.png")
-        _weak(chances[1], mask).save(folders[WEAK] / f"{place:06d}.png")
+        _faulty(rngs[0], mask).save(folders[MASKS] / f"{place:06d}.png")
+        _weak(rngs[1], mask).save(folders[WEAK] / f"{place:06d}.png")
     record = root / "annotations" / f"{name}.pbdata"
     record.parent.mkdir(parents=True, exist_ok=True)
     record.write_bytes(_record(rng, shots, mesh, size).SerializeToString(deterministic=True))
