@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 from html.parser import HTMLParser
@@ -10,16 +9,12 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from helpers.documents import NOTEBOOKS, PAGES, ROOT
+from helpers.documents import NOTEBOOKS, PAGES, ROOT, script
 from test_docstrings import PUBLIC, dotted
 
 
 def builder():
-    """docs/build.py, which is no part of a package."""
-    spec = importlib.util.spec_from_file_location("build_docs", ROOT / "docs" / "build.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("build")
 
 
 class Page(HTMLParser):

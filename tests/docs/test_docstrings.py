@@ -29,7 +29,6 @@ SHOWN = {
     "prediction_file",
     "predictions",
     "runs",
-    "sizing",
     "volume",
 }
 """Modules that a reader's own code calls: they have examples."""

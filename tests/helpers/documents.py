@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import mistune
@@ -122,3 +125,13 @@ def page(name: str) -> Document:
     """The Markdown file of a path within the project."""
     (found,) = [document for document in PAGES if document.name == name]
     return found
+
+
+def script(name: str) -> ModuleType:
+    """A Python file of `docs/`, which is no package, as a module."""
+    spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / f"{name}.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module

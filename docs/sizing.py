@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from viewnet.config import make_config
 from viewnet.data.readers.shapenet import SHARES
 from viewnet.errors import ViewnetError
 
@@ -69,8 +70,6 @@ def table(training: dict[str, float | None] | None = None) -> str:
 
     `training` gives measured targets a second and device by row; what is not in it stays open.
     """
-    from viewnet.config import make_config
-
     lines = [
         "| profile, recipe | views | view stores | rendering, core-hours | targets in training | device-hours |",
         "|---|---|---|---|---|---|",

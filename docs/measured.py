@@ -1,0 +1,105 @@
+"""Numbers and tables of the documents, rendered from the files in `paper_tables/`.
+
+A page asks for them between the markers of cog, which fills in what follows (`make numbers`) and compares it with the
+files (`make lint`). What is below is already imported there:
+
+    <!-- [[[cog print(scores("table2_ablation.csv", ["ViewNet"], ["car"], ["acc30"])) ]]] -->
+    ...
+    <!-- [[[end]]] -->
+
+A sentence is rendered the same way: `print(f"... {value('trust/fuzz.csv', 'cases', reader='obj'):.0f} files.")`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import pandas as pd
+
+__all__ = ["HEADINGS", "ROOT", "TABLES", "frame", "markdown", "score", "scores", "value"]
+
+ROOT = Path(__file__).resolve().parent.parent
+TABLES = ROOT / "paper_tables"
+HEADINGS = {"acc30": "Acc@30, %", "median": "median error, degrees", "dva": "DVA, %"}
+"""Metric -> what the heading of its column says."""
+DIGITS = {"ssim": 2, "iou": 2}
+"""Metric -> decimals of measured values, where it is not one."""
+
+
+def frame(file: str, **where: object) -> pd.DataFrame:
+    """The rows of a CSV file in `paper_tables/` whose columns have the given values."""
+    rows = pd.read_csv(TABLES / file, dtype={"printed": str})  # as the paper writes them
+    for column, wanted in where.items():
+        rows = rows[rows[column] == wanted]
+    return rows
+
+
+def value(file: str, column: str = "measured", **where: object) -> float:
+    """The value in a column of the only row of a CSV file that `where` leaves. ValueError: none, or several."""
+    values = frame(file, **where)[column]
+    if len(values) != 1:
+        raise ValueError(f"{file}: {len(values)} rows with {where}, expected one")
+    return values.item()
+
+
+def score(
+    file: str,
+    row: str,
+    category: str,
+    metric: str,
+    *,
+    digits: int | None = None,
+    interval: bool = True,
+    reported: bool = True,
+) -> str:
+    """A cell of a table: the measured value, its 95 % interval in square brackets, the reported value in round ones.
+
+    What was not measured is a dash; what the paper does not report is left out.
+    """
+    cells = frame(file, row=row, category=category, metric=metric)
+    if len(cells) != 1:
+        raise ValueError(f"{file}: {len(cells)} rows for {row}, {category}, {metric}, expected one")
+    cell = cells.iloc[0]
+    places = DIGITS.get(metric, 1) if digits is None else digits
+    text = "-" if pd.isna(cell["measured"]) else f"{cell['measured']:.{places}f}"
+    if interval and not pd.isna(cell["low"]):
+        text += f" [{cell['low']:.{places}f}, {cell['high']:.{places}f}]"
+    if reported and not pd.isna(cell.get("printed")):
+        text += f" ({cell['printed']})"
+    return text
+
+
+def scores(
+    file: str,
+    rows: Sequence[str] | Mapping[str, str] | None = None,
+    categories: Iterable[str] = ("aeroplane", "car", "chair"),
+    metrics: Iterable[str] = ("acc30", "median"),
+    *,
+    digits: int | None = None,
+    interval: bool = True,
+    reported: bool = True,
+) -> str:
+    """A Markdown table of scores, a column for each metric and category.
+
+    rows  names in the file's column `row`, or label -> name; None for all that were measured
+    """
+    if rows is None:
+        rows = list(frame(file).dropna(subset="measured")["row"].drop_duplicates())
+    labels = dict(rows) if isinstance(rows, Mapping) else {name: name for name in rows}
+    columns = [(metric, category) for metric in metrics for category in categories]
+    header = ["", *(f"{category}: {HEADINGS.get(metric, metric)}" for metric, category in columns)]
+    body = [
+        [label, *(score(file, name, category, metric, digits=digits, interval=interval, reported=reported)
+                  for metric, category in columns)]
+        for label, name in labels.items()
+    ]  # fmt: skip
+    return markdown(header, body)
+
+
+def markdown(header: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table between empty lines, which some renderers need."""
+    lines = [list(header), ["---"] * len(header), *(list(row) for row in rows)]
+    if any(len(line) != len(header) for line in lines):
+        raise ValueError(f"a table of {len(header)} columns: a row has another number of cells")
+    return "\n" + "".join(f"| {' | '.join(map(str, line))} |\n" for line in lines)
