@@ -162,7 +162,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_used(tmp_path):
     ]
     assert summary(store) == (
         "car: 5 views of 2 clips (2 train); 50.0 % of the frames without a usable mask; left out: 1 fewer than two"
-        " usable frames, 1 mask is empty, 4 mask is missing, 1 no reason, 1 image does not decode, 1 video cannot be"
+        " usable frames, 1 image does not decode, 1 mask is empty, 4 mask is missing, 1 no reason, 1 video cannot be"
         " read"
     )
 

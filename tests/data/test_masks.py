@@ -26,7 +26,7 @@ def clip(folder: Path | None = None) -> Clip:
 
 
 @pytest.mark.parametrize(
-    "picture",
+    "image",
     [
         Image.fromarray(HALF),
         Image.fromarray(HALF // 255),

@@ -330,7 +330,7 @@ def test_frames_without_a_image_or_with_a_broken_one(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("pictures", "reason"),
+    ("images", "reason"),
     [
         (["1.jpg", "2.jpg", "3.jpg"], "images are numbered from 1"),
         (["0.jpg", "1.jpg", "1.png"], "two images of one frame"),

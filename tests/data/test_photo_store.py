@@ -160,7 +160,7 @@ def test_pascal3d_by_its_root_with_things_left_out(tmp_path):
     (root / "Annotations/bus_imagenet/bus_train_00002.mat").unlink()
     config = replace(SMALL, root=str(root))
     store = views(config)
-    assert summary(store) == ("bus: 5 calibrate, 5 scored; left out: 1 no such annotation, 1 image does not decode")
+    assert summary(store) == ("bus: 5 calibrate, 5 scored; left out: 1 image does not decode, 1 no such annotation")
     assert set(store.rejected["path"]) == {
         "Annotations/bus_imagenet/bus_train_00002.mat",
         "Images/bus_imagenet/bus_val_00001.JPEG",

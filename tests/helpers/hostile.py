@@ -334,7 +334,7 @@ OWN = (
     ("drawings kept", "brackets", put("*.npz", BRACKETS), "damaged"),
     ("backgrounds kept", "classes of 16 GB", put("*/*/classes.npy", npy((2**31,), "<i8")), "not a whole array"),
     ("backgrounds kept", "pickled", executing("*/*/classes.npy", pickled_array), "not a whole array"),
-    ("backgrounds kept", "one number", put("*/*/images.npy", npy(()) + b"\0"), "damaged"),
+    ("backgrounds kept", "one number", put("*/*/pictures.npy", npy(()) + b"\0"), "damaged"),
     ("features kept", "not finite", put("features/*", lambda content: content[:-4] + b"\xff\xff\xff\xff"), "delete it"),
     ("notebook", "brackets", put("notebooks/*.ipynb", BRACKETS), "not a notebook"),
     ("list of viewpoints", "infinite", put("viewpoints.csv", instead(b"30.5", b"-inf")), ""),

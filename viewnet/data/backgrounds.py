@@ -1,6 +1,6 @@
 """Images to stand behind objects: SUN397, any folder of images, or drawn ones; cut to squares of one size.
 
-Made once and kept under `<paths.data()>/backgrounds/<identity>`: images.npy, classes.npy and rejected.csv.
+Made once and kept under `<paths.data()>/backgrounds/<identity>`: pictures.npy, classes.npy and rejected.csv.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ def _cut(path: Path, size: int, rng: np.random.Generator) -> np.ndarray:
 def _write(folder: Path, images: np.ndarray, classes: np.ndarray, rejected: list[tuple[str, str]]) -> None:
     """The folder appears when it is whole."""
     with filling(folder) as temporary:
-        np.save(temporary / "images.npy", images)
+        np.save(temporary / "pictures.npy", images)
         np.save(temporary / "classes.npy", classes)
         with (temporary / "rejected.csv").open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows([("path", "reason"), *rejected])

@@ -36,6 +36,10 @@ VOC = Path("PASCAL/VOCdevkit/VOC2012/ImageSets/Main")
 
 Keep = Literal["all", "easy", "first"]
 
+# These words are counted in a view store's description, and so are part of its identity: they may not change.
+OTHER_SCALE = "box in another scale than its picture"
+BEYOND_EDGES = "box beyond the picture's edges"
+
 # What copies of the data set call their images.
 _SUFFIXES = (".JPEG", ".jpg", ".jpeg", ".JPG", ".png", ".PNG")
 
@@ -259,12 +263,12 @@ def _box(item: Any, size: tuple[int, int], annotated: tuple[float, float] | None
         scale = limits / [*annotated, *annotated]
         if abs(scale[0] / scale[1] - 1) < 0.02:
             edges = edges * scale
-            odd.append("box in another scale than its image")
+            odd.append(OTHER_SCALE)
     within = edges.clip(0, limits)
     if (within[2:] - within[:2] < 1).any():
         raise ViewnetError(f"box has no part in the image ({size[0]} x {size[1]})")
     if np.abs(within - edges).max() > 1:  # less is rounding
-        odd.append("box beyond the image's edges")
+        odd.append(BEYOND_EDGES)
     left, upper, right, lower = within.tolist()
     return left, upper, right, lower
 
