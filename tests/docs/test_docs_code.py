@@ -22,7 +22,6 @@ from helpers.drawn_models import finished_run
 from helpers.fake_steps import STEPS
 from helpers.photo_data import keep_apart, make_photos
 from PIL import Image
-from test_estimator import photograph
 
 from viewnet import cli, config
 from viewnet.data import catalogue
@@ -82,7 +81,8 @@ def world(tmp_path, monkeypatch) -> Path:
     for place in ("KEY", f"runs/viewnet/{KEY}"):
         finished_run(tmp_path / place, store)
     for number, name in enumerate(("street.jpg", "yard.jpg", "car.jpg", "a.jpg", "b.jpg", "car.png")):
-        Image.fromarray(photograph(400, 300, number)).save(tmp_path / name)
+        pixels = np.random.default_rng(number).integers(0, 255, (300, 400, 3), dtype=np.uint8)
+        Image.fromarray(pixels).save(tmp_path / name)
     for name in ("a_mask.png", "b_mask.png"):
         Image.fromarray(np.full((300, 400), 255, np.uint8)).save(tmp_path / name)
     (tmp_path / "FILE").write_text("category,azimuth_deg,elevation_deg\ncar,10,5\ncar,200,10\n")
@@ -256,7 +256,7 @@ def test_commands_within_sentences_exist():
 def test_every_block_is_of_a_kind_that_is_checked():
     checked = {"viewnet", "torchrun", "papermill", "python", "make", *FOREIGN}
     for page, block in BLOCKS:
-        assert block.language in ("", "text", "python", "bibtex"), page.name
+        assert block.language in ("", "text", "python", "bibtex", "mermaid"), page.name
         if is_commands(block):
             assert {words[0] for words in commands(block.text)} <= checked, page.name
     assert {"viewnet", "torchrun", "papermill", "python", "make"} <= {
@@ -300,8 +300,10 @@ def package() -> set[str]:
 
 @functools.cache
 def beside() -> set[str]:
-    """What tests and benchmarks hold."""
-    return set().union(*(strings(path) for folder in ("tests", "benchmarks") for path in (ROOT / folder).glob("*.py")))
+    """The same of tests, benchmarks and docs."""
+    return set().union(
+        *(strings(path) for name in ("tests", "benchmarks", "docs") for path in (ROOT / name).rglob("*.py"))
+    )
 
 
 VARIABLES = r"VIEWNET_[A-Z0-9]+(?:_[A-Z0-9]+)*"
@@ -317,7 +319,7 @@ def test_environment_variables_are_read_and_those_that_are_read_are_told():
 
 
 def test_names_of_the_package_exist():
-    names = {(page.name, span) for page, span in SPANS if re.match(r"viewnet(\.\w+)+", span)}
+    names = {(page.name, span) for page, span in SPANS if re.match(r"viewnet(\.\w+)+", span) and page.name != HISTORY}
     assert len(names) > 5
     for page, span in sorted(names):
         parts = re.match(r"viewnet(?:\.\w+)+", span)[0].split(".")
@@ -347,7 +349,7 @@ def test_settings_and_other_identifiers_exist():
     for page, span in SPANS:
         if not re.fullmatch(r"[a-z]\w*", span) or re.fullmatch(COLUMN, span) or page.name == HISTORY:
             continue
-        known = asked if page.name == "docs/decisions.md" else asked | package()
+        known = asked if page.name == "docs/decisions.md" else asked | package() | beside()
         if span not in known and ("_" in span or page.name == "docs/decisions.md"):
             wrong.add((page.name, span))
     assert wrong == set()

@@ -9,8 +9,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from helpers.documents import NOTEBOOKS, PAGES, ROOT, script
-from test_docstrings import PUBLIC, dotted
+from helpers.documents import NOTEBOOKS, PAGES, PUBLIC, ROOT, dotted, script
 
 
 def builder():

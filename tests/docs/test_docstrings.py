@@ -1,4 +1,4 @@
-"""Whatever a reader can call says what it takes, gives and refuses, and the examples it shows are so."""
+"""Public classes and functions have docstrings that name the errors they raise, and the examples in them run."""
 
 from __future__ import annotations
 
@@ -8,36 +8,28 @@ import importlib
 import inspect
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from helpers.documents import ROOT, page
+from helpers.documents import PUBLIC, dotted
 
-PACKAGE = ROOT / "viewnet"
-PUBLIC = [path for path in sorted(PACKAGE.rglob("*.py")) if not path.name.startswith("_") or path.stem == "__init__"]
 SHOWN = {
-    "alignment",
-    "config",
-    "data_sets",
-    "estimates",
-    "estimator",
-    "evaluate",
-    "experiment",
-    "geometry",
-    "method",
-    "metrics",
-    "prediction_file",
-    "predictions",
-    "runs",
-    "volume",
+    "viewnet.config",
+    "viewnet.data.catalogue",
+    "viewnet.estimator.viewpoint_estimator",
+    "viewnet.estimator.viewpoints",
+    "viewnet.evaluation.alignment",
+    "viewnet.evaluation.evaluate",
+    "viewnet.evaluation.metrics",
+    "viewnet.evaluation.predictions",
+    "viewnet.evaluation.submitted_predictions",
+    "viewnet.experiments.own_method",
+    "viewnet.experiments.request",
+    "viewnet.geometry",
+    "viewnet.model.volume",
+    "viewnet.training.run_store",
 }
-"""Modules that a reader's own code calls: they have examples."""
+"""Modules that a user's own code calls: they have examples."""
 Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
-
-
-def dotted(path: Path) -> str:
-    parts = path.relative_to(ROOT).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 def public(body: list[ast.stmt], within: str = "") -> Iterator[tuple[str, Definition]]:
@@ -60,11 +52,15 @@ def raised(function: ast.AST) -> set[str]:
 def undocumented(source: str) -> list[str]:
     tree = ast.parse(source)
     missing = [] if ast.get_docstring(tree) else ["the module"]
-    return missing + [name for name, node in public(tree.body) if not ast.get_docstring(node)]
+    return missing + [
+        name
+        for name, node in public(tree.body)
+        if not ast.get_docstring(node) and node.name not in ("forward", "backward")  # their class describes them
+    ]
 
 
-def untold(source: str) -> list[str]:
-    """What raises ViewnetError and does not say so; constructors say it in their class."""
+def silent_errors(source: str) -> list[str]:
+    """Functions that raise ViewnetError and do not say so; constructors say it in their class."""
     found = []
     for name, node in public(ast.parse(source).body):
         parts: list[ast.AST] = [node]
@@ -77,10 +73,10 @@ def untold(source: str) -> list[str]:
 
 
 @pytest.mark.parametrize("path", PUBLIC, ids=dotted)
-def test_everything_public_has_a_docstring_that_tells_its_errors(path):
+def test_everything_public_has_a_docstring_that_names_its_errors(path):
     source = path.read_text(encoding="utf-8")
     assert undocumented(source) == []
-    assert untold(source) == []
+    assert silent_errors(source) == []
 
 
 def test_what_is_missing_is_found():
@@ -89,19 +85,19 @@ def test_what_is_missing_is_found():
         "    def __init__(self):\n        raise ViewnetError('x')\n    def _h(self): ...\n"
     )
     assert undocumented(source) == ["the module", "f", "C"]
-    assert untold(source) == ["f", "C"]
-    assert untold(source.replace("def f():", "def f():\n    '''Raises ViewnetError.'''")) == ["C"]
+    assert silent_errors(source) == ["f", "C"]
+    assert silent_errors(source.replace("def f():", "def f():\n    '''Raises ViewnetError.'''")) == ["C"]
 
 
 EXAMPLES = [dotted(path) for path in PUBLIC if ">>> " in path.read_text(encoding="utf-8")]
 
 
-def test_modules_that_readers_call_have_examples():
-    assert {f"viewnet.{name}" for name in SHOWN} <= set(EXAMPLES)
+def test_modules_that_users_call_have_examples():
+    assert set(EXAMPLES) >= SHOWN
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_examples_are_so(name, tmp_path, monkeypatch):
+def test_examples_run(name, tmp_path, monkeypatch):
     for variable in ("DATA", "RUNS", "TABLES"):
         monkeypatch.setenv(f"VIEWNET_{variable}", str(tmp_path))
     module = importlib.import_module(name)
@@ -109,11 +105,3 @@ def test_examples_are_so(name, tmp_path, monkeypatch):
     found = doctest.testmod(module)
     assert found.attempted > 0
     assert found.failed == 0
-
-
-def test_the_readme_lists_every_module_once():
-    (table,) = [rows[1:] for rows in page("README.md").tables if rows[0][0] == "in viewnet/"]
-    listed = [name for row in table for name in row[0].split()]
-    folders = {f"{path.parent.name}/" for path in PACKAGE.glob("*/__init__.py")}
-    modules = {path.stem for path in PACKAGE.glob("*.py") if not path.name.startswith("_")}
-    assert sorted(listed) == sorted(folders | modules)

@@ -117,6 +117,17 @@ def _walk(tokens: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
         yield from _walk(token.get("children", []))
 
 
+PACKAGE = ROOT / "viewnet"
+PUBLIC = [path for path in sorted(PACKAGE.rglob("*.py")) if not path.name.startswith("_") or path.stem == "__init__"]
+"""The files of the package's public modules."""
+
+
+def dotted(path: Path) -> str:
+    """The name under which a file of the package is imported."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
 PAGES = [Document.read(path) for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.md"))]
 NOTEBOOKS = [Document.read(path) for path in sorted((ROOT / "notebooks").glob("*.ipynb"))]
 
