@@ -25,8 +25,8 @@ from unittest import mock
 import pandas as pd
 from torch import Tensor
 
-from viewnet.config import make_config
 from viewnet.model import volume
+from viewnet.recipes import make_config
 from viewnet.runtime import provenance
 from viewnet.runtime.files import replacing, write_json
 from viewnet.runtime.progress import bar

@@ -5,21 +5,9 @@ import json
 
 import pytest
 
-from viewnet.config import (
-    CATEGORIES,
-    FILMED,
-    PROFILES,
-    RECIPES,
-    SYNSETS,
-    VARIANTS,
-    DataConfig,
-    ModelConfig,
-    RunConfig,
-    TrainConfig,
-    VideoConfig,
-    make_config,
-)
+from viewnet.config import CATEGORIES, SYNSETS, RunConfig, VideoConfig, settings
 from viewnet.errors import ViewnetError
+from viewnet.recipes import FILMED, PROFILES, RECIPES, VARIANTS, make_config
 
 EVERY = [(v, p, r) for v in VARIANTS for p in PROFILES for r in RECIPES]
 
@@ -49,22 +37,25 @@ def test_the_key_follows_every_field_and_every_identity():
     assert make_config(profile="smoke").key("a") == config.key("a")
 
 
+def at(values, place):
+    """The value of nested dictionaries at a place, None where there is none."""
+    for step in place:
+        values = values.get(step) if isinstance(values, dict) else None
+    return values
+
+
 @pytest.mark.parametrize("variant", [v for v in VARIANTS if v != "viewnet"])
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_a_variant_changes_what_it_is_named_after_and_nothing_else(variant, recipe):
     base = make_config("viewnet", recipe=recipe).to_dict()
     config = make_config(variant, recipe=recipe).to_dict()
-    changed = {
-        field: config[section][field]
-        for section in ("data", "model", "train")
-        for field in base[section]
-        if config[section][field] != base[section][field]
+    changed = {place: at(config, place) for _, place in settings() if at(config, place) != at(base, place)}
+    expected = {
+        place: at(VARIANTS[variant], place) for _, place in settings() if at(VARIANTS[variant], place) is not None
     }
-    expected = {field: value for values in VARIANTS[variant].values() for field, value in values.items()}
     if recipe.startswith("paper"):
         # Black already, and neither masks nor a search to leave out.
-        settings = base["train"]
-        expected = {k: v for k, v in expected.items() if k not in settings or settings[k] != v}
+        expected = {place: value for place, value in expected.items() if value != at(base, place)}
     assert changed == expected
 
 
@@ -84,6 +75,29 @@ def test_overrides_reach_their_section():
     assert config.model.elevation_limits == (-10.0, 30.0)
 
 
+def test_configurations_from_before_settings_were_grouped_are_read():
+    """As the models that come with the package hold them, and what others have saved."""
+    config = make_config("viewnet_cycle", recipe="photos", search=0.2, views_per_target=4)
+    values = config.to_dict()
+    flat = {name: at(values, place) for name, place in settings() if place[0] == "train"}
+    flat["sightings"] = flat.pop("views_per_target")
+    assert RunConfig.from_dict({**values, "train": flat}) == config
+    assert make_config("viewnet_cycle", recipe="photos", search=0.2, sightings=4) == config
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"epochs": 0}, "epochs 0: expected 1 or more"),
+        ({"targets_per_object": 5}, "batch_size 32 with targets_per_object 5: expected a multiple"),
+        ({"targets_per_object": 32}, "is one object a step"),
+    ],
+)
+def test_what_cannot_be_trained_with_is_refused_before_anything_is_made(overrides, message):
+    with pytest.raises(ViewnetError, match=message):
+        make_config(**overrides)
+
+
 def test_videos_are_part_of_a_configuration():
     videos = VideoConfig("car", root="somewhere", kind="freiburg", split_rule="all", count=10, sequences=(1, 2))
     config = make_config(profile="tiny", recipe="photos", video=videos)
@@ -100,14 +114,14 @@ def test_videos_are_part_of_a_configuration():
 
 def test_a_start_leaves_out_what_only_a_beginning_needs():
     train = make_config(profile="tiny", start="0123456789ab").train
-    assert (train.start, train.search, train.shared_shape) == ("0123456789ab", 0, 0)
-    assert make_config(profile="tiny", start="0123456789ab", search=0.2).train.search == 0.2
-    assert make_config(profile="tiny").train.search > 0
+    assert (train.start, train.search.share, train.shared_shape) == ("0123456789ab", 0, 0)
+    assert make_config(profile="tiny", start="0123456789ab", search=0.2).train.search.share == 0.2
+    assert make_config(profile="tiny").train.search.share > 0
 
 
 def test_field_names_are_unique_across_sections():
     """An override names a field without its section."""
-    names = [f.name for cls in (DataConfig, ModelConfig, TrainConfig) for f in dataclasses.fields(cls)]
+    names = [name for name, _ in settings()]
     assert len(names) == len(set(names))
 
 
@@ -135,9 +149,9 @@ def test_synsets_are_text_with_all_their_digits():
         ({"epoch": 3}, "unknown setting 'epoch': choose one of amp"),
         ({"epochs": "3"}, "config.train.epochs: expected int, got '3'"),
         ({"epochs": True}, "config.train.epochs: expected int, got True"),
-        ({"learning_rate": "1e-4"}, "config.train.learning_rate: expected float, got '1e-4'"),
+        ({"learning_rate": "1e-4"}, "config.train.optimiser.learning_rate: expected float, got '1e-4'"),
         ({"augment": 1}, "config.train.augment: expected bool, got 1"),
-        ({"schedule": "linear"}, "unknown config.train.schedule 'linear': choose one of constant, cosine"),
+        ({"schedule": "linear"}, "unknown config.train.optimiser.schedule 'linear': choose one of constant, cosine"),
         ({"generator_last_kernel": 3}, "unknown config.model.generator_last_kernel 3: choose one of 2, 4"),
         ({"elevation_limits": (1.0,)}, "config.model.elevation_limits: expected"),
         ({"encoder_channels": ("a",)}, "config.model.encoder_channels: expected int, got 'a'"),

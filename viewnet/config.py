@@ -1,11 +1,8 @@
-"""What a run is: profiles (how big), recipes (how trained), variants (rows of the tables), and the key that names it.
+"""The settings of a run as frozen dataclasses: its views, its networks, its training.
 
-Everything is a frozen dataclass. A variant is a named set of changes to the base configuration, so that Table 2 is
-literally `VARIANTS`; a recipe and a profile are the same, so there is one place where each setting is decided.
-
->>> config = make_config("single_head", "chair", profile="smoke", epochs=3)
->>> config.model.heads, config.train.epochs, config.data.models, config.recipe
-(1, 3, 30, 'matting')
+Values for them come from profiles, recipes and variants (viewnet.recipes). After each setting stand its meaning and
+unit, its source in brackets (a section, table or equation of the paper; "released": the authors' code where the paper is
+silent; "ours"), and who changes it: P profiles, R recipes, V variants (rows of the tables), U users alone.
 """
 
 from __future__ import annotations
@@ -15,6 +12,7 @@ import hashlib
 import json
 import types
 import typing
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -42,153 +40,215 @@ SHAPENET_CATEGORIES = ("aeroplane", "car", "chair")
 
 @dataclass(frozen=True)
 class DataConfig:
-    """Which views: CAD models of one category, rendered from random viewpoints (section 4.2)."""
+    """Views of one category to train on: rendered from CAD models (section 4.2), or frames of videos (section 4.4)."""
 
-    category: str
-    root: str | None = None  # a ShapeNetCore folder (v1 or v2 layout); None: the built-in models
-    splits: str | None = None  # a folder of <synset>_{train,val,test}.txt lists; None: all.csv, else a seeded split
-    models: int = 1000  # built-in: how many to make; real: use at most so many, 0 for all
-    extra: str | None = None  # a second ShapeNetCore folder; all its models of the category join the training split
-    extra_share: float = 0.3  # of the training models, where `models` says how many the others are
-    views: int = 5
-    image_size: int = 64
-    supersample: int = 2
-    azimuth_range: tuple[float, float] = (0.0, 360.0)
-    elevation_range: tuple[float, float] = (-20.0, 40.0)
-    seed: int = 0
-    renderer: Literal["auto", "raycast", "pyrender"] = "auto"
-    # Behind both inputs in training, never behind the target: SUN397, any folder of images, or "drawn"; None: nothing
+    category: str  # a PASCAL3D+ name [4.2] (U)
+    root: str | None = None  # ShapeNetCore folder, v1 or v2 layout; None: built-in models [4.2] (U)
+    splits: str | None = None  # folder of <synset>_{train,val,test}.txt; None: all.csv, else a seeded split [4.2] (U)
+    models: int = 1000  # built-in: how many to make; real: at most so many, 0 for all [ours] (P)
+    extra: str | None = None  # second ShapeNetCore folder whose models all join the training split [ours] (U)
+    extra_share: float = 0.3  # its share of the training models, where `models` counts the others [ours] (U)
+    views: int = 5  # rendered views of each model [4.2; 10 in 4.3] (R)
+    image_size: int = 64  # pixels a side of the stored views [4.2] (P, R)
+    supersample: int = 2  # samples a pixel and axis when rendering [ours] (P, R)
+    azimuth_range: tuple[float, float] = (0.0, 360.0)  # degrees, uniform [4.2] (U)
+    elevation_range: tuple[float, float] = (-20.0, 40.0)  # degrees, uniform [4.2] (U)
+    seed: int = 0  # of models and viewpoints [ours] (U)
+    renderer: Literal["auto", "raycast", "pyrender"] = "auto"  # [ours] (U)
+    # Behind both inputs in training, never behind the target: a folder of images (SUN397) or "drawn" [4.3] (R)
     backgrounds: str | None = None
-    video: VideoConfig | None = None  # given: views are its clips' frames (section 4.4); only backgrounds count beside
+    video: VideoConfig | None = (
+        None  # given: views are frames of its clips, and only backgrounds count beside [4.4] (U)
+    )
 
 
 @dataclass(frozen=True)
 class PhotoConfig:
-    """Which photographs of one category to score on (section 4.3), and how they are cut."""
+    """Photographs of one category to score on (section 4.3), and how they are cropped."""
 
     category: str
     root: str | None = None  # PASCAL3D+ 1.1, or a folder with images/ and viewpoints.csv; None: a stand-in is made
     subset: Literal["imagenet", "pascal", "both"] = "imagenet"  # of PASCAL3D+; its "train" calibrates, its "val" scores
     keep: Literal["all", "easy", "first"] = "all"  # easy: not difficult, truncated or occluded; first: of each image
-    coarse: bool = False  # objects whose viewpoint is only known to an eighth of a turn count too
-    size: int = 64  # pixels along a side
-    margin: float = 0.0  # so much of the box's longer side is seen beyond it, on either side
+    coarse: bool = False  # also objects whose viewpoint is only known to an eighth of a turn
+    size: int = 64  # pixels a side
+    margin: float = 0.0  # beyond the box on either side, as a share of its longer side
     square: bool = True  # whether the object keeps its shape, or its box is stretched to a square
-    pad: tuple[int, int, int] = (0, 0, 0)  # colour of what lies beyond the photograph's edges
-    models: int = 60  # the stand-in: CAD models a split
-    count: int = 600  # the stand-in: photographs a split
-    backgrounds: str | None = None  # the stand-in: a folder of images; None: drawn ones
-    seed: int = 0  # the stand-in's
+    pad: tuple[int, int, int] = (0, 0, 0)  # RGB beyond the photograph's edges
+    models: int = 60  # of the stand-in: CAD models a split
+    count: int = 600  # of the stand-in: photographs a split
+    backgrounds: str | None = None  # of the stand-in: a folder of images; None: drawn ones
+    seed: int = 0  # of the stand-in
 
 
 @dataclass(frozen=True)
 class VideoConfig:
-    """Which videos of one category to train on (section 4.4), and how their objects are cut out."""
+    """Videos of one category to train on (section 4.4), and how their objects are cropped."""
 
     category: str
-    # Freiburg static cars, Objectron, or a folder of videos or of folders of frames; None: a stand-in is made
-    root: str | None = None
-    # auto: what lies in root tells, and without one the stand-in is of Freiburg for cars and of Objectron for others
+    root: str | None = None  # Freiburg cars, Objectron, a folder of videos or of frames; None: a stand-in is made
+    # auto: by what lies in root; without one the stand-in is of Freiburg for cars, of Objectron for others
     kind: Literal["auto", "freiburg", "objectron", "folder"] = "auto"
-    # Freiburg's sequences by number; all: every clip is trained on
-    split_rule: Literal["45/2/rest", "all"] = "45/2/rest"
+    split_rule: Literal["45/2/rest", "all"] = "45/2/rest"  # Freiburg's sequences by number; all: train on every clip
     count: int = 0  # frames a clip, 0 for all
-    pick: Literal["random", "evenly"] = "random"  # which
+    pick: Literal["random", "evenly"] = "random"  # which frames
     masks: Literal["files", "alpha", "maskrcnn", "deeplabv3", "none"] = "files"
-    mask_folder: str = "masks"  # where masks in files lie, within root or anywhere, laid out as root's own masks/ is
-    size: int = 128  # pixels along a side
-    margin: float = 0.05  # so much of the object's longer side is seen beyond it, on either side
+    mask_folder: str = "masks"  # of masks in files, within root or anywhere, laid out as root's own masks/ is
+    size: int = 128  # pixels a side
+    margin: float = 0.05  # beyond the object on either side, as a share of its longer side
     square: bool = True  # whether the object keeps its shape, or its box is stretched to a square
-    # With masks: the object is as high in all views of its clip, or fills every one, however long it then is
-    scale: Literal["clip", "view"] = "clip"
-    side: float = 16.0  # objects with fewer pixels along their shorter side are left out
-    blur: float = 0.0  # and frames less sharp than this share of their clip's median
-    seed: int = 0  # of picking, of splits that are not given, and the stand-in's
+    scale: Literal["clip", "view"] = "clip"  # with masks: one object height a clip, or every view filled
+    side: float = 16.0  # pixels: objects whose shorter side is less are left out
+    blur: float = 0.0  # frames less sharp than this share of their clip's median are left out
+    seed: int = 0  # of picking frames, of splits that are not given, and of the stand-in
     sequences: tuple[int, ...] = ()  # Freiburg's stand-in: their numbers; (): the 48 of the data set
     videos: int = 60  # Objectron's stand-in: how many
-    frames: int = 120  # the stand-in: a clip
+    frames: int = 120  # of the stand-ins: frames a clip
 
 
 @dataclass(frozen=True)
 class ModelConfig:
     """The networks and the volume renderer (section 3 and the supplement's architecture tables)."""
 
-    input_size: int = 64  # pixels along a side of what both encoders see
-    volume_size: int = 64  # voxels along a side
-    render_size: int = 64  # pixels along a side of the reconstruction
-    # The viewpoint network sees the object's tight square box, enlarged (the released code), or its own box stretched
+    input_size: int = 64  # pixels a side of what both encoders see [4.1] (P)
+    volume_size: int = 64  # voxels a side [supplement] (P)
+    render_size: int = 64  # pixels a side of reconstructions [4.1] (P)
+    # The viewpoint network sees the object's square box enlarged, or its own box stretched [released] (R)
     crop: Literal["none", "square", "stretched"] = "none"
-    backdrop: float = 0.0  # grey level behind what both encoders see
-    encoder_padding: Literal["replicate", "zeros"] = "replicate"
-    encoder_channels: tuple[int, ...] = (64, 128, 256, 512, 512, 512)
-    code_size: int = 1024  # the fixed canonical code
-    generator_channels: tuple[int, ...] = (
-        512,
-        128,
-        128,
-        16,
-    )  # at 4, 8, 16, 32 ... voxels, up to half the volume's side
-    generator_refine: bool = True  # a second, 3x3x3 layer at each resolution, as in the supplement
-    generator_last_kernel: Literal[2, 4] = 4  # of the layer to the full resolution; 2 is much the cheaper
-    appearance_size: int = 256
-    heads: int = 3  # M, the number of viewpoint hypotheses
-    head_spread: float = 0.0  # the heads start facing different azimuths: how strongly
-    elevation_limits: tuple[float, float] | None = None  # predicted elevations stay within, degrees; None: the sphere
-    in_plane: bool = False  # learn the up vector too (section 3.1, the general case)
-    decoder: Literal["adain", "encoder_decoder", "hologan"] = "adain"
-    shape_prior: bool = True  # the Gaussian S in Q = S + Q'
-    colour_prior: bool = False  # colours start from the appearance image's mean one
-    balance_bands: int = 1  # in how many bands of elevation TrainConfig.balance tells viewpoints apart
-    focal: float = 0.4  # initial perspective: reciprocal of the camera's distance in half sides of the volume
-    learn_focal: bool = True
+    backdrop: float = 0.0  # grey level in [0, 1] behind what both encoders see [released] (U)
+    encoder_padding: Literal["replicate", "zeros"] = "replicate"  # [released; zeros: ours] (R)
+    encoder_channels: tuple[int, ...] = (64, 128, 256, 512, 512, 512)  # [supplement] (P)
+    code_size: int = 1024  # channels of the fixed canonical code [supplement] (P)
+    generator_channels: tuple[int, ...] = (512, 128, 128, 16)  # at 4, 8, 16, 32 voxels a side [supplement] (P)
+    generator_refine: bool = True  # a second, 3x3x3 layer at each resolution [supplement] (P)
+    generator_last_kernel: Literal[2, 4] = (
+        4  # of the layer to full resolution; 2 is far cheaper [supplement; 2: ours] (P)
+    )
+    appearance_size: int = 256  # channels of the appearance code [supplement] (P)
+    heads: int = 3  # M, viewpoint hypotheses an image [3.1, 4.1] (V)
+    head_spread: float = 0.0  # length of the vectors, in different azimuths, added to the heads' outputs [ours] (R)
+    elevation_limits: tuple[float, float] | None = None  # degrees of predicted elevations; None: the sphere [ours] (R)
+    in_plane: bool = False  # learn the camera's up vector too [3.1, the general case] (U)
+    decoder: Literal["adain", "encoder_decoder", "hologan"] = "adain"  # [3.2, Table 2] (V)
+    shape_prior: bool = True  # the Gaussian S in Q = S + Q' [3.3, Table 2] (V)
+    colour_prior: bool = False  # the generator adds to the appearance image's mean colour [ours] (R)
+    balance_bands: int = 1  # bands of elevation that `search.balance` tells apart [ours] (R)
+    focal: float = 0.4  # initial perspective: half sides of the volume over the camera's distance [released] (R)
+    learn_focal: bool = True  # [3.2] (R)
+
+
+def _setting(default: Any, name: str) -> Any:
+    """A field of a group, set from outside by the one name that no other setting has."""
+    return field(default=default, metadata={"setting": name})
+
+
+@dataclass(frozen=True)
+class ComparisonConfig:
+    """How the hypotheses of a target are compared: equation 2, whose minimum is the head that learns."""
+
+    colours: float = _setting(1.0, "compare_colours")  # weight of squared errors of colours [eq. 2] (R)
+    masks: float = _setting(0.0, "compare_masks")  # weight of squared errors of masks [ours] (R)
+    neighbours: float = 0.0  # degrees to the four viewpoints tried around each head; 0: only its own [ours] (R)
+    pull_weight: float = 0.0  # of the squared distance from the best head to the best viewpoint tried [ours] (R)
+
+
+@dataclass(frozen=True)
+class SearchConfig:
+    """The search for viewpoints around the whole object, beside the heads', that begins training (ours)."""
+
+    share: float = _setting(0.0, "search")  # of training during which it runs [ours] (R)
+    views: int = _setting(48, "search_views")  # viewpoints tried for each target [ours] (R)
+    balance: float = 0.0  # weight of the penalty on over-represented viewpoints, during all of training [ours] (R)
+
+
+@dataclass(frozen=True)
+class SelectionConfig:
+    """How the viewpoint network learns which of its heads to trust (section 3.1)."""
+
+    weight: float = _setting(1.0, "selection_weight")  # of its cross-entropy in the loss [3.1] (R)
+    angle: float = _setting(0.0, "selection_angle")  # degrees: heads this close to the best count as right [ours] (R)
+    trust: float = 0.0  # weight of its logits when choosing the head, in training's second half [ours] (R)
+
+
+@dataclass(frozen=True)
+class CycleConfig:
+    """Cycle consistency: novel views are rendered, and their known viewpoints predicted (section 3.4)."""
+
+    on: bool = _setting(False, "cycle")  # [3.4, Table 1] (V)
+    weight: float = _setting(1.0, "cycle_weight")  # [released] (R)
+    start: float = _setting(0.0, "cycle_start")  # share of training before it is ramped up over a tenth [ours] (R)
+    elevation: tuple[float, float] = _setting((-36.0, 72.0), "cycle_elevation")  # degrees, uniform [released] (R)
+    head: Literal["selected", "closest"] = _setting("selected", "cycle_head")  # which head it pulls [released] (R)
+
+
+@dataclass(frozen=True)
+class OptimiserConfig:
+    """Adam (section 4.1), beside Muon where it is asked for."""
+
+    learning_rate: float = 1e-4  # of Adam [4.1] (R)
+    betas: tuple[float, float] = (0.9, 0.999)  # of Adam [4.1] (R)
+    muon: float = 0.0  # learning rate of Muon for the networks' inner convolutions; 0: Adam for all [ours] (R)
+    schedule: Literal["constant", "cosine", "hold"] = "constant"  # hold: constant for 60 %, then cosine [ours] (R)
+
+
+@dataclass(frozen=True)
+class PhotoAugmentationConfig:
+    """The viewpoint network's input made to look like a crop of a photograph (viewnet.data.augment; section 4.3).
+
+    Only with DataConfig.backgrounds.
+    """
+
+    views_per_target: int = 1  # differently made images of each target [ours] (R)
+    box_error: float = 0.0  # the crop is off by up to this share of its sides [ours] (R)
+    tilt: float = 0.0  # degrees: and tilted by up to so much [ours] (R)
+    occlude: float = 0.0  # share of images with something before the object [ours] (R)
+    exposure: float = 0.0  # strength of changes of light, contrast, blur and noise [ours] (R)
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """The optimisation (sections 3 and 4.1)."""
+    """The optimisation (sections 3 and 4.1).
 
-    start: str | None = None  # a run's key or folder, or its checkpoint, whose weights come first; None: random ones
-    epochs: int = 1000
-    batch_size: int = 64  # target images a step
-    targets_per_object: int = 1  # target images that share one appearance image
-    compare_colours: float = 1.0  # viewpoints are compared by squared errors: the weight of colours
-    compare_masks: float = 0.0  # and of masks
-    search: float = 0.0  # in this first share of training a search over all viewpoints finds those to draw from
-    search_views: int = 48  # how many viewpoints it tries a target, beside the heads'
-    shared_shape: float = 0.0  # share of training in which objects come by shapes of their own; at first all have one
-    neighbours: float = 0.0  # degrees: heads are compared by the best of five viewpoints so far around each; 0: itself
-    pull_weight: float = 0.0  # of the pull of the best head towards the viewpoint found by search or among neighbours
-    balance: float = 0.0  # how strongly viewpoints from where too many are chosen are avoided
-    mirror: bool = False  # half of the targets are shown as in a mirror, as views of an object that is as likely
-    learning_rate: float = 1e-4
-    muon: float = 0.0  # learning rate of Muon, which then trains the networks' inner convolutions. 0: Adam
-    betas: tuple[float, float] = (0.9, 0.999)
-    schedule: Literal["constant", "cosine", "hold"] = "constant"  # hold: constant for 60 %, then down along a cosine
-    patience: int = 30  # epochs without gain on validation before stopping
-    select_by: Literal["accuracy", "reconstruction"] = "accuracy"  # what "gain" means; accuracy uses validation labels
-    target: Literal["image", "mask"] = "image"
-    background: Literal["black", "random"] = "black"  # behind target and reconstruction alike
-    perceptual: Literal["none", "squeezenet", "vgg16"] = "vgg16"
-    pixel_weight: float = 0.0  # of L1 + MSE on pixels at two scales, beside the perceptual term
-    mask_weight: float = 0.0  # of the same on masks
-    selection_weight: float = 1.0
-    selection_angle: float = 0.0  # degrees: heads so close to the one to select are as right a choice
-    trust: float = 0.0  # in training's second half the selection has a say, so strong, in which head is drawn
-    cycle: bool = False  # section 3.4
-    cycle_weight: float = 1.0
-    cycle_start: float = 0.0  # fraction of training before the cycle sets in (then ramped up over a tenth)
-    cycle_elevation: tuple[float, float] = (-36.0, 72.0)  # where its viewpoints are drawn, degrees
-    cycle_head: Literal["selected", "closest"] = "selected"  # which head it pulls
-    augment: bool = False  # random crop and +-3 degree rotation of the viewpoint encoder's input
-    jitter: float = 0.0  # colours of that input change places, and strength by up to exp(+-2 jitter); 0: neither
-    # The same input made to look as if cut from a photograph (viewnet.data.augment), with DataConfig.backgrounds only:
-    sightings: int = 1  # differently made images of each target that the viewpoint network learns from
-    box_error: float = 0.0  # the crop is off by up to this share of its sides
-    tilt: float = 0.0  # and tilted by up to so many degrees
-    occlude: float = 0.0  # in this share of the images something is before the object
-    exposure: float = 0.0  # how strongly light, contrast, blur and noise vary
-    amp: Literal["auto", "off"] = "auto"  # bfloat16 where the hardware has it
-    validate_every: int = 1  # epochs
+    Raises ViewnetError for numbers of epochs or targets that cannot be trained with.
+    """
+
+    start: str | None = None  # run key, folder or checkpoint whose weights come first; None: random ones [4.3] (U)
+    epochs: int = 1000  # an epoch has as many targets as there are views [4.1] (P)
+    batch_size: int = 64  # target images a step [4.1] (P)
+    targets_per_object: int = 1  # target images that share one appearance image [ours] (P)
+    shared_shape: float = 0.0  # share of training over which objects grow from one common shape apart [ours] (R)
+    target: Literal["image", "mask"] = "image"  # what is reconstructed [3.2, Table 2] (V)
+    background: Literal["black", "random"] = "black"  # behind target and reconstruction alike [released] (R, V)
+    perceptual: Literal["none", "squeezenet", "vgg16"] = "vgg16"  # network of the perceptual loss [3.2, 4.1] (R)
+    pixel_weight: float = 0.0  # of L1 + MSE of pixels at two scales [ours] (R)
+    mask_weight: float = 0.0  # of L1 + MSE of masks at two scales [ours] (R, V)
+    augment: bool = False  # random crop and rotation by +-3 degrees of the viewpoint network's input [released] (R)
+    jitter: float = 0.0  # its colours are permuted, and scaled by up to exp(+-2 jitter); 0: neither [ours] (R)
+    mirror: bool = False  # half of the targets are mirrored, as views of an object as likely [ours] (R)
+    patience: int = 30  # epochs without improvement on validation views before stopping [4.1] (P)
+    select_by: Literal["accuracy", "reconstruction"] = "accuracy"  # "improvement"; accuracy needs labels [4.1] (R)
+    validate_every: int = 1  # epochs [ours] (P)
+    amp: Literal["auto", "off"] = "auto"  # bfloat16 where the hardware has it [ours] (U)
+    comparison: ComparisonConfig = field(default_factory=ComparisonConfig)
+    search: SearchConfig = field(default_factory=SearchConfig)
+    selection: SelectionConfig = field(default_factory=SelectionConfig)
+    cycle: CycleConfig = field(default_factory=CycleConfig)
+    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+    photo: PhotoAugmentationConfig = field(default_factory=PhotoAugmentationConfig)
+
+    @property
+    def objects(self) -> int:
+        """Appearance images a step."""
+        return self.batch_size // self.targets_per_object
+
+    def __post_init__(self) -> None:
+        if self.epochs < 1:
+            raise ViewnetError(f"epochs {self.epochs}: expected 1 or more")
+        together = f"batch_size {self.batch_size} with targets_per_object {self.targets_per_object}"
+        if self.targets_per_object < 1 or self.batch_size % self.targets_per_object:
+            raise ViewnetError(f"{together}: expected a multiple of it, and 1 or more")
+        if self.objects < 2:
+            raise ViewnetError(f"{together} is one object a step: batch normalisation needs two or more")
 
 
 @dataclass(frozen=True)
@@ -212,10 +272,11 @@ class RunConfig:
     def from_dict(cls, values: dict[str, Any]) -> RunConfig:
         """The inverse of `to_dict`. Unknown or missing keys and wrong types raise ViewnetError.
 
-        >>> RunConfig.from_dict(make_config().to_dict()) == make_config()
-        True
+        Configurations written before settings were grouped are read too.
         """
-        return _build(cls, values, "config")
+        if isinstance(values, dict) and isinstance(values.get("train"), dict):
+            values = {**values, "train": grouped(values["train"])}
+        return build(cls, values, "config")
 
     def key(self, *identities: str) -> str:
         """12 hex digits of everything that decides the result; `identities` add the view store's and the code's."""
@@ -223,206 +284,41 @@ class RunConfig:
         return hashlib.sha256(canonical.encode()).hexdigest()[:12]
 
 
-Changes = dict[str, dict[str, Any]]
-"""Section ("data", "model", "train") -> field -> value."""
+FORMER_NAMES = {"sightings": "views_per_target"}
+"""Settings that had another name in configurations written before."""
 
 
-def _joined(*parts: Changes) -> Changes:
-    """Later parts have the last word."""
-    sections = dict.fromkeys(name for part in parts for name in part)
-    return {name: {k: v for part in parts for k, v in part.get(name, {}).items()} for name in sections}
+def settings(cls: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Every setting's name and where it stands: ("search_views", ("train", "search", "views"))."""
+    if cls is None:
+        for section, config in (("data", DataConfig), ("model", ModelConfig), ("train", TrainConfig)):
+            yield from settings(config, (section,))
+        return
+    hints = typing.get_type_hints(cls)
+    for each in dataclasses.fields(cls):
+        place = (*path, each.name)
+        if path[0] == "train" and dataclasses.is_dataclass(hints[each.name]):
+            yield from settings(hints[each.name], place)
+        else:
+            yield each.metadata.get("setting", each.name), place
 
 
-RECIPES: dict[str, Changes] = {
-    # As printed, and as released where the paper is silent: black background, VGG16 perceptual loss, a free focal
-    # length, the viewpoint network's input cut to the object, stopping by validation accuracy.
-    "paper": {"model": {"crop": "square"}, "train": {"augment": True}},
-    # Ours: masks first and colours over a random background; a search for viewpoints to begin with; heads that start
-    # apart; elevations within a plausible camera range; stopping without labels. See docs/recipes.md.
-    "matting": {
-        "model": {
-            "encoder_padding": "zeros",
-            "head_spread": 0.5,
-            "elevation_limits": (-22.0, 42.0),
-            # The camera the views are made with: a free focal length shrinks where depth is mirrored, and so hides it.
-            "focal": 0.268,
-            "learn_focal": False,
-            "colour_prior": True,
-            "balance_bands": 4,
-        },
-        "train": {
-            "background": "random",
-            "perceptual": "none",
-            "pixel_weight": 0.3,
-            "mask_weight": 1.0,
-            "compare_colours": 0.1,
-            "compare_masks": 1.0,
-            "select_by": "reconstruction",
-            "selection_weight": 0.2,
-            "selection_angle": 30.0,
-            "trust": 0.5,
-            "shared_shape": 0.15,
-            "search": 0.3,
-            "search_views": 32,
-            "neighbours": 8.0,
-            "pull_weight": 1.0,
-            "balance": 1.0,
-            "mirror": True,
-            "jitter": 0.6,
-            "muon": 0.02,
-            "learning_rate": 1e-3,
-            "betas": (0.9, 0.99),
-            "schedule": "hold",
-            "cycle_weight": 0.3,
-            "cycle_start": 0.15,
-            "cycle_elevation": (-20.0, 40.0),
-            "cycle_head": "closest",
-        },
-    },
-}
-
-# Section 4.3: training for photographs. Ten views a model, something behind both inputs.
-RECIPES["paper_photos"] = _joined(RECIPES["paper"], {"data": {"views": 10, "backgrounds": "drawn"}})
-RECIPES["photos"] = _joined(
-    RECIPES["matting"],
-    {
-        # Cut to the object a view should still have as many pixels as the networks see.
-        "data": {"views": 10, "image_size": 128, "supersample": 1, "backgrounds": "drawn"},
-        "model": {"crop": "stretched"},
-        "train": {"sightings": 3, "box_error": 0.05, "tilt": 5.0, "exposure": 1.0},
-    },
-)
-
-VARIANTS: dict[str, Changes] = {
-    "viewnet": {},
-    "viewnet_cycle": {"train": {"cycle": True}},
-    "single_head": {"model": {"heads": 1}},
-    "segmentation_target": {"train": {"target": "mask"}},
-    "no_shape_prior": {"model": {"shape_prior": False}},
-    "encoder_decoder": {"model": {"decoder": "encoder_decoder"}},
-    # Nothing separates object and background after learned layers: trained on black, as printed, and without masks.
-    "hologan_decoder": {
-        "model": {"decoder": "hologan"},
-        "train": {"background": "black", "mask_weight": 0.0, "compare_masks": 0.0, "search": 0.0, "neighbours": 0.0},
-    },
-}
-"""The trained rows of Tables 1 and 2. The constant predictor needs no training (viewnet.evaluation.evaluate)."""
-
-_TINY: Changes = {
-    "data": {"models": 1000},
-    "model": {
-        "volume_size": 32,
-        "render_size": 32,
-        "encoder_channels": (16, 32, 64, 128, 256, 128),
-        "code_size": 64,
-        "generator_channels": (64, 32, 16),
-        "generator_refine": False,
-        "generator_last_kernel": 2,
-        "appearance_size": 64,
-    },
-    "train": {"epochs": 14, "batch_size": 32, "targets_per_object": 2, "validate_every": 5},
-}
-
-PROFILES: dict[str, Changes] = {
-    "smoke": {
-        "data": {"models": 30, "image_size": 32, "supersample": 1},
-        "model": {
-            "input_size": 32,
-            "volume_size": 16,
-            "render_size": 16,
-            "encoder_channels": (8, 16, 16, 32, 32, 32),
-            "code_size": 16,
-            "generator_channels": (16, 8),
-            "generator_refine": False,
-            "appearance_size": 16,
-        },
-        "train": {"epochs": 2, "batch_size": 16, "patience": 2},
-    },
-    "tiny": _TINY,
-    # Three categories fit in five megabytes of half precision, small enough to come with the package.
-    "pocket": _joined(
-        _TINY,
-        {
-            "model": {
-                "encoder_channels": (16, 32, 64, 128, 128, 128),
-                "code_size": 32,
-                "generator_channels": (32, 32, 16),
-            },
-            "train": {"epochs": 24, "validate_every": 6},
-        },
-    ),
-    "small": {
-        "data": {"models": 2000},
-        "model": {"encoder_channels": (64, 128, 256, 512, 512, 512), "generator_channels": (256, 128, 64, 32)},
-        "train": {"epochs": 60},
-    },
-    "paper": {"data": {"models": 0}},
-}
-
-FITTED: dict[tuple[str, str], Changes] = {("tiny", "photos"): {"train": {"epochs": 6}}}
-"""What a profile and a recipe change only together: twice the views a model are half as many epochs, or less."""
-
-# It has shapes and viewpoints already: neither is looked for again.
-STARTED: Changes = {"train": {"search": 0.0, "shared_shape": 0.0}}
-"""What changes for a run that starts from another one's weights."""
-
-FILMED: dict[str, Changes] = {
-    # Of the 48 Freiburg cars all frames, 5800 views: with and without cycles side by side in about ten minutes.
-    # So few cars are told front from rear only while they share a shape.
-    "tiny": {"train": {"epochs": 14, "shared_shape": 0.4}},
-}
-"""What a profile changes only for videos."""
-
-PROFILE_RECIPE = {"smoke": "matting", "tiny": "matting", "pocket": "photos", "small": "matting", "paper": "paper"}
-"""The recipe a profile uses unless another is named."""
+def grouped(values: dict[str, Any]) -> dict[str, Any]:
+    """Settings of training by name, brought into their groups; what is grouped already, or unknown, stays as it is."""
+    places = {name: place[1:] for name, place in settings(TrainConfig, ("train",))}
+    result: dict[str, Any] = {}
+    for name, value in values.items():
+        place = places.get(FORMER_NAMES.get(name, name), (name,))
+        if len(place) > 1 and not isinstance(value, dict):
+            result.setdefault(place[0], {})[place[1]] = value
+        elif isinstance(value, dict):
+            result.setdefault(name, {}).update(value)
+        else:
+            result[place[0]] = value
+    return result
 
 
-def make_config(
-    variant: str = "viewnet",
-    category: str = "car",
-    profile: str = "tiny",
-    recipe: str | None = None,
-    seed: int = 0,
-    data_root: str | None = None,
-    splits: str | None = None,
-    **overrides: Any,
-) -> RunConfig:
-    """The configuration of one run. Overrides name a field of any section, e.g. `epochs=3` or `volume_size=16`.
-
-    Raises ViewnetError naming the valid choices for an unknown variant, category, profile, recipe or override.
-
-    >>> make_config(category="car", recipe="photos", heads=5).model.heads
-    5
-    >>> make_config(profile="huge")
-    Traceback (most recent call last):
-    viewnet.errors.ViewnetError: unknown profile 'huge': choose one of smoke, tiny, pocket, small, paper
-    """
-    known(variant, VARIANTS, "variant")
-    known(category, CATEGORIES, "category")
-    known(profile, PROFILES, "profile")
-    recipe = PROFILE_RECIPE[profile] if recipe is None else known(recipe, RECIPES, "recipe")
-    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise ViewnetError(f"seed {seed!r}: expected a whole number of 0 or more")
-    sections: dict[str, dict[str, Any]] = {
-        "data": {"category": category, "root": data_root, "splits": splits},
-        "model": {},
-        "train": {},
-    }
-    fitted = FITTED.get((profile, recipe), {})
-    if overrides.get("video") is not None:
-        fitted = _joined(fitted, FILMED.get(profile, {}))
-    if overrides.get("start") is not None:
-        fitted = _joined(fitted, STARTED)
-    for changes in (RECIPES[recipe], PROFILES[profile], fitted, VARIANTS[variant], _by_section(overrides)):
-        for section, values in changes.items():
-            sections[section].update(values)
-    if data_root is not None and profile != "smoke" and "models" not in overrides:
-        sections["data"]["models"] = 0
-    values = {"variant": variant, "category": category, "profile": profile, "recipe": recipe, "seed": seed}
-    return _build(RunConfig, {**values, **sections}, "config")
-
-
-def known(value: str, choices: typing.Iterable[str], what: str) -> str:
+def known(value: str, choices: Iterable[str], what: str) -> str:
     """`value` itself if it is one of `choices`; ViewnetError naming them all otherwise."""
     choices = tuple(choices)
     if value not in choices:
@@ -430,20 +326,7 @@ def known(value: str, choices: typing.Iterable[str], what: str) -> str:
     return value
 
 
-def _by_section(overrides: dict[str, Any]) -> Changes:
-    changes: Changes = {}
-    for name, value in overrides.items():
-        for section, cls in (("data", DataConfig), ("model", ModelConfig), ("train", TrainConfig)):
-            if name in {f.name for f in dataclasses.fields(cls)}:
-                changes.setdefault(section, {})[name] = value
-                break
-        else:
-            names = sorted(f.name for c in (DataConfig, ModelConfig, TrainConfig) for f in dataclasses.fields(c))
-            raise ViewnetError(f"unknown setting {name!r}: choose one of {', '.join(names)}")
-    return changes
-
-
-def _build(cls: Any, values: Any, where: str) -> Any:
+def build(cls: Any, values: Any, where: str) -> Any:
     """A dataclass from plain values, strictly: every name known, every type right, tuples restored from lists."""
     if not isinstance(values, dict):
         raise ViewnetError(f"{where}: expected a mapping, got {values!r}")
@@ -464,7 +347,7 @@ def _typed(hint: Any, value: Any, where: str) -> Any:
     """`value` as the annotated type `hint`; ViewnetError where it is of another."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
-        return _build(hint, dataclasses.asdict(value) if isinstance(value, hint) else value, where)
+        return build(hint, dataclasses.asdict(value) if isinstance(value, hint) else value, where)
     if origin is Literal:
         return known(value, args, where)
     if origin in (types.UnionType, typing.Union):

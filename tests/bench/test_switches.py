@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 import torch
 
-from viewnet.config import make_config
 from viewnet.model import volume
 from viewnet.model.kernels import norm_relu_cpu, volume_cpu
 from viewnet.model.viewnet import ViewNet
+from viewnet.recipes import make_config
 from viewnet.training import step
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "switches.py"

@@ -12,10 +12,10 @@ import pytest
 from helpers.fake_steps import STEPS
 
 from viewnet import cli
-from viewnet.config import make_config
 from viewnet.data import build
 from viewnet.data.store import ViewStore
 from viewnet.experiments import notebook
+from viewnet.recipes import make_config
 from viewnet.training import run_store
 
 COMMANDS = (
@@ -44,7 +44,7 @@ def test_train_prints_runs_and_scores(folders, capsys):
     ]
     (config,) = folders.glob(f"runs/viewnet/{lines[0].rpartition('/')[2]}/config.json")
     made = run_store.RunConfig.from_dict(run_store.read_json(config))
-    assert (made.train.epochs, made.train.amp, made.train.betas) == (5, "off", (0.8, 0.9))
+    assert (made.train.epochs, made.train.amp, made.train.optimiser.betas) == (5, "off", (0.8, 0.9))
     assert lines[1].startswith("  test: within 30 degrees ")
 
 

@@ -8,12 +8,12 @@ import pytest
 import torch
 from PIL import Image
 
-from viewnet.config import DataConfig, TrainConfig
+from viewnet.config import DataConfig, PhotoAugmentationConfig, TrainConfig
 from viewnet.data import augment
 from viewnet.data.pairs import CROP_MARGIN
 
 PLAIN = TrainConfig()
-PHOTO = TrainConfig(box_error=0.05, tilt=5.0, occlude=0.5, exposure=1.0)
+PHOTO = TrainConfig(photo=PhotoAugmentationConfig(box_error=0.05, tilt=5.0, occlude=0.5, exposure=1.0))
 
 
 def generator(seed: int = 0) -> torch.Generator:

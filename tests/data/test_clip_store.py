@@ -11,7 +11,7 @@ import pytest
 from helpers.video_data import write_frames, write_freiburg, write_video
 from PIL import Image, ImageDraw, ImageFilter
 
-from viewnet.config import DataConfig, VideoConfig, make_config
+from viewnet.config import DataConfig, VideoConfig
 from viewnet.data.build import video_views, view_store
 from viewnet.data.clip_store import Limits, clip_store, describe, sharpness, summary
 from viewnet.data.clips import Clip, Frame
@@ -21,6 +21,7 @@ from viewnet.data.store import ViewStore, check_index
 from viewnet.data.synthetic import freiburg_standin
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predict import predict
+from viewnet.recipes import make_config
 from viewnet.training.train import train
 
 CROP = Crop(8, margin=0.0)

@@ -21,10 +21,10 @@ from test_estimator import PHOTOS, photograph, untrained
 
 from viewnet import cli
 from viewnet.commands import serving
-from viewnet.config import make_config
 from viewnet.estimator.demo import examples
 from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 from viewnet.model.checkpoint import load_model
+from viewnet.recipes import make_config
 
 gradio = pytest.importorskip("gradio", reason='the page needs gradio: pip install "viewnet[demo]"')
 

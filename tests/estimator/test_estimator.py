@@ -15,7 +15,7 @@ from helpers.drawn_models import finished_run, untrained_drawer
 from PIL import Image
 from test_run_renderer import turned
 
-from viewnet.config import VideoConfig, make_config
+from viewnet.config import VideoConfig
 from viewnet.data.crop import Crop, bounds, cut
 from viewnet.data.photo_store import Listed, photo_store
 from viewnet.errors import ViewnetError
@@ -26,6 +26,7 @@ from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 from viewnet.evaluation.predict import predict
 from viewnet.geometry import look_at
 from viewnet.model import rendering
+from viewnet.recipes import make_config
 
 SQUARE = {"crop": "square"}
 STRETCHED = {"recipe": "photos", "backgrounds": None}

@@ -42,9 +42,9 @@ def test_defaults_start_on_models_and_go_on_to_ten_frames_a_video_with_either_ma
     assert isinstance(asked, ObjectronExperiment)
     assert (asked.profile, asked.recipe, asked.label, asked.categories) == ("tiny", "photos", "", ("chair",))
     begun, supervised, weak = asked.configs
-    assert begun.data.video is None and begun.train.start is None and begun.train.search > 0
+    assert begun.data.video is None and begun.train.start is None and begun.train.search.share > 0
     video = VideoConfig("chair", kind="objectron", count=10, videos=160, frames=30)
-    assert (supervised.data.video, supervised.train.search) == (video, 0)
+    assert (supervised.data.video, supervised.train.search.share) == (video, 0)
     assert weak.data.video.mask_folder == "masks_weak" and weak.model == supervised.model == begun.model
     assert asked.photo_config("chair") == PhotoConfig("chair", size=32, square=False)
     assert asked.note.startswith(

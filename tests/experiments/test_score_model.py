@@ -16,7 +16,6 @@ from helpers.fake_steps import STEPS
 from PIL import Image
 
 from viewnet import cli
-from viewnet.config import make_config
 from viewnet.errors import ViewnetError
 from viewnet.estimator.model_card import with_interval
 from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
@@ -25,6 +24,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.experiments import score_model
 from viewnet.experiments.score_model import Elsewhere, scores
 from viewnet.geometry import view_vector
+from viewnet.recipes import make_config
 from viewnet.training import run_store
 
 KEY = "0123456789ab"

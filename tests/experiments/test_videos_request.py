@@ -79,7 +79,7 @@ def test_parameters_reach_videos_photographs_and_training(tmp_path, freiburg):
     assert [config.seed for config in asked.starts] == [0, 1]
     first, second = asked.starts[0], asked.configs[0]
     assert (first.data.root, first.data.video, first.model) == (freiburg, None, second.model)
-    assert first.train.search > 0 == second.train.search
+    assert first.train.search.share > 0 == second.train.search.share
     assert asked.label == "tiny-video_root-data_root-cad_root-held_out-maskrcnn-shapenet-backgrounds-pixels"
     assert "trained on Freiburg cars after CAD models" in asked.note
 

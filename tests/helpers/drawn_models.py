@@ -10,12 +10,13 @@ import numpy as np
 import torch
 from safetensors.torch import save_file
 
-from viewnet.config import RunConfig, make_config
+from viewnet.config import RunConfig
 from viewnet.data.store import ViewStore
 from viewnet.evaluation.alignment import Procrustes
 from viewnet.evaluation.evaluate import align, evaluate
 from viewnet.evaluation.predict import predict
 from viewnet.model.viewnet import ViewNet
+from viewnet.recipes import make_config
 from viewnet.runtime.files import write_json
 from viewnet.tables.run_renderer import Drawer
 from viewnet.training.run_store import SCHEMA, Run

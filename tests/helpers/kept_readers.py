@@ -21,7 +21,6 @@ from hypothesis import strategies as st
 from torch import nn
 
 from viewnet import paths
-from viewnet.config import make_config
 from viewnet.data import annotated_viewpoints, masks, photo_store
 from viewnet.data.render_chunk import read_chunk
 from viewnet.data.store import ViewStore, write_store
@@ -30,6 +29,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.experiments import notebook
 from viewnet.model import checkpoint
 from viewnet.model.checkpoint import load_model
+from viewnet.recipes import make_config
 from viewnet.runtime.files import write_json
 from viewnet.tables import published
 from viewnet.tables.run_renderer import Drawer

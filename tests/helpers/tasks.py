@@ -12,10 +12,11 @@ from unittest import mock
 
 from helpers.works import PLACES, damage, differences
 
-from viewnet.config import RunConfig, make_config
+from viewnet.config import RunConfig
 from viewnet.data.build import view_store
 from viewnet.errors import ViewnetError
 from viewnet.experiments.request import experiment
+from viewnet.recipes import make_config
 from viewnet.training.run_store import ensure
 
 

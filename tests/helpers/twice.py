@@ -39,7 +39,7 @@ class Pair:
 
 def ask_for_run(root: Path) -> tuple[int, Path]:
     """A run of the profile smoke; how many trainings this process began, and the run's folder."""
-    from viewnet.config import make_config
+    from viewnet.recipes import make_config
     from viewnet.training import run_store
 
     trained: list[Path] = []
@@ -57,9 +57,9 @@ def ask_for_run(root: Path) -> tuple[int, Path]:
 
 def ask_for_views(root: Path) -> tuple[int, Path]:
     """A view store and its CAD models; how many models this process drew, and the store's folder."""
-    from viewnet.config import make_config
     from viewnet.data import rendered_store
     from viewnet.data.build import view_store
+    from viewnet.recipes import make_config
 
     drawn: list[int] = []
     draw = rendered_store.draw_chunk

@@ -27,7 +27,7 @@ VOLATILE = {"started", "finished", "seconds", "resumed", "git"}
 GROWING = {"log.csv", "result.json"}
 
 DRAWING = """
-from viewnet.config import make_config
+from viewnet.recipes import make_config
 from viewnet.data.prepare import view_store
 view_store(make_config(category="car", profile="smoke", models={models}, image_size=64).data, {workers}, False)
 """

@@ -10,10 +10,11 @@ import torch
 from helpers.boxes import box_store
 from safetensors.torch import load_file, save_file
 
-from viewnet.config import RunConfig, make_config
+from viewnet.config import RunConfig
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.model import checkpoint
+from viewnet.recipes import make_config
 from viewnet.training import run_store
 from viewnet.training import train as training
 from viewnet.training.train import train

@@ -11,12 +11,13 @@ from helpers.cad_files import real_data
 from hypothesis import given
 from hypothesis import strategies as st
 
-from viewnet.config import TrainConfig, make_config
+from viewnet.config import ComparisonConfig, CycleConfig, SelectionConfig, TrainConfig
 from viewnet.data.pairs import resize
 from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation, look_at, view_vector
 from viewnet.model.losses import PerceptualLoss, composite, cycle_loss, head_errors, pixel_loss
 from viewnet.model.viewnet import Hypotheses, ViewNet
+from viewnet.recipes import make_config
 from viewnet.training import step
 from viewnet.training.step import (
     Reconstruction,
@@ -290,7 +291,7 @@ def test_the_cycle_pulls_the_selected_head_or_the_closest():
     moved = {}
     for head in ("selected", "closest"):
         v, s = vectors.clone().requires_grad_(), logits.clone().requires_grad_()
-        loss = cycle_loss(Hypotheses(v, s), truth, TrainConfig(cycle_head=head))
+        loss = cycle_loss(Hypotheses(v, s), truth, TrainConfig(cycle=CycleConfig(head=head)))
         loss.backward()
         moved[head] = (v.grad.abs().sum(-1) > 0).flatten().tolist()
         assert s.grad[0, 0] < 0 < s.grad[0, 1]  # either way the right head's logit is to rise
@@ -407,7 +408,10 @@ def test_other_images_of_a_target_learn_what_its_one_drawing_taught():
     others = Hypotheses(view_vector(azimuth, torch.zeros(1, 3)), logits)
     drawn, label = first.vectors[:, 0], torch.tensor([0])
     found = Reconstruction(first, others, torch.zeros(1, 3), label, drawn, label, *[torch.zeros(())] * 4)
-    loss = _sightings(found, TrainConfig(pull_weight=1.0, selection_weight=0.5, selection_angle=0.0))
+    loss = _sightings(
+        found,
+        TrainConfig(comparison=ComparisonConfig(pull_weight=1.0), selection=SelectionConfig(weight=0.5, angle=0.0)),
+    )
     distance = (view_vector(torch.tensor(10.0), torch.tensor(0.0)) - others.vectors[0, 2]).square().sum()
     assert torch.allclose(loss, distance + 0.5 * torch.tensor(3.0).log())
     loss.backward()

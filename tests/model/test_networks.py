@@ -8,12 +8,13 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from viewnet.config import ModelConfig, make_config
+from viewnet.config import ModelConfig
 from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation
 from viewnet.model.networks import AdaIN, Doubling, Encoder, Generator, Opening, gaussian_prior, parameters
 from viewnet.model.viewnet import ViewNet, ViewpointNetwork
 from viewnet.model.volume import joined
+from viewnet.recipes import make_config
 
 SMALL = make_config(profile="smoke").model
 

@@ -5,8 +5,9 @@ import torch
 from test_tables import assert_tabular
 from torch import nn
 
-from viewnet.config import ModelConfig, make_config
+from viewnet.config import ModelConfig
 from viewnet.model.networks import Stage
+from viewnet.recipes import make_config
 from viewnet.tables.architecture import architectures, layers
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from helpers.fake_steps import STEPS, views
 
-from viewnet.config import make_config
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
+from viewnet.recipes import make_config
 from viewnet.tables import figures
 from viewnet.training.run_store import ensure, untrained
 

@@ -12,10 +12,11 @@ import pytest
 from helpers.evaluation_data import make_index, noisy
 from helpers.fake_steps import STEPS
 
-from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES, make_config
+from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.evaluate import align
+from viewnet.recipes import make_config
 from viewnet.tables import published
 from viewnet.tables.latex import escape
 from viewnet.tables.layouts import LAYOUTS

@@ -16,9 +16,10 @@ from helpers.boxes import box_store
 from safetensors.torch import load_file
 from torch import nn
 
-from viewnet.config import RunConfig, make_config
+from viewnet.config import RunConfig
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
+from viewnet.recipes import make_config
 from viewnet.runtime import distributed, random
 
 HERE = Path(__file__).parents[1]

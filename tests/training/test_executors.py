@@ -17,10 +17,11 @@ from helpers import fake_steps
 from helpers.cad_files import write_box
 from helpers.fake_steps import STEPS, calls, plan
 
-from viewnet.config import SYNSETS, RunConfig, make_config
+from viewnet.config import SYNSETS, RunConfig
 from viewnet.data.readers.shapenet import find_models
 from viewnet.data.rendered_store import render_views
 from viewnet.errors import ViewnetError
+from viewnet.recipes import make_config
 from viewnet.training import dask_cluster
 from viewnet.training.run_store import ensure
 from viewnet.training.worker_pool import TRIES, LocalPool, WorkerDied

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from viewnet.config import make_config
 from viewnet.model.viewnet import ViewNet
+from viewnet.recipes import make_config
 from viewnet.training.muon import Muon, orthogonal
 from viewnet.training.train import make_optimisers
 

@@ -16,10 +16,11 @@ import pytest
 from helpers import fake_steps
 from helpers.fake_steps import STEPS, calls, plan
 
-from viewnet.config import RunConfig, VideoConfig, make_config
+from viewnet.config import RunConfig, VideoConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines
 from viewnet.evaluation.predictions import Predictions
+from viewnet.recipes import make_config
 from viewnet.runtime import provenance
 from viewnet.training import run_store
 from viewnet.training.run_store import ensure

@@ -22,13 +22,14 @@ from PIL import Image
 from safetensors import safe_open
 from safetensors.torch import load_file
 
-from viewnet.config import RunConfig, make_config
+from viewnet.config import RunConfig
 from viewnet.data.augment import crop_and_rotate, jitter
 from viewnet.data.pairs import viewed
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predict import candidates, load_model, predict
 from viewnet.model.precision import autocast
+from viewnet.recipes import make_config
 from viewnet.training import train as training
 from viewnet.training.train import train
 

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from viewnet.config import make_config
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predict import predict
 from viewnet.model.viewnet import ViewNet
+from viewnet.recipes import make_config
 from viewnet.training.train import train
 
 

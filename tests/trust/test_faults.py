@@ -24,11 +24,12 @@ from helpers.faulty import can_mount, file_limit, read_only
 from helpers.tasks import Task, undisturbed
 from helpers.works import differences, leftovers
 
-from viewnet.config import DataConfig, VideoConfig, make_config
+from viewnet.config import DataConfig, VideoConfig
 from viewnet.data import build
 from viewnet.data.rendered_store import drawn_so_far
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
+from viewnet.recipes import make_config
 from viewnet.runtime.parallel import pool
 from viewnet.training.run_store import STATE, ensure
 

@@ -17,11 +17,11 @@ from helpers.survival import Broken, survives
 from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
-from viewnet.config import VARIANTS, make_config
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predict import _least
 from viewnet.experiments.request import experiment
 from viewnet.model.viewnet import ViewNet
+from viewnet.recipes import VARIANTS, make_config
 
 EVERY = {reader.name: reader for reader in (*READERS, *KEPT)}
 

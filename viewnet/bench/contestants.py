@@ -22,12 +22,13 @@ import torch
 from torch import Tensor
 
 from viewnet.bench import textbook
-from viewnet.config import RunConfig, make_config
+from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import volume
 from viewnet.model.kernels import volume_cpu
 from viewnet.model.viewnet import ViewNet
+from viewnet.recipes import make_config
 from viewnet.training.step import step_loss
 from viewnet.training.train import make_optimisers
 
@@ -174,7 +175,7 @@ def _step(work: Work, contestant: str, device: torch.device) -> Callable[[], Non
         net.load(model.state_dict())
         net.prior = model.prior
         net.to(device)
-        adam = torch.optim.Adam(net.parameters(), lr=settings.learning_rate, betas=settings.betas)
+        adam = torch.optim.Adam(net.parameters(), lr=settings.optimiser.learning_rate, betas=settings.optimiser.betas)
 
         def call() -> None:
             loss = module.step_loss(net, batch, settings)

@@ -21,10 +21,11 @@ import torch
 from viewnet.bench import contestants, textbook
 from viewnet.bench.contestants import BOTH, CONTESTANTS, EXACT, FORWARD, STEP, VIEWS, Work
 from viewnet.bench.roofline import Need, Rates, drawing_need, lit_samples, step_need
-from viewnet.config import RunConfig, make_config
+from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.model import volume
 from viewnet.model.kernels import volume_cpu
+from viewnet.recipes import make_config
 from viewnet.runtime import provenance
 from viewnet.runtime.progress import bar
 

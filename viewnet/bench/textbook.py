@@ -179,7 +179,7 @@ def step_loss(
     errors = (drawn[:, :, :3] - wanted[:, None, :3]).square().mean((2, 3, 4))  # equation 2
     best = errors.argmin(1)
     image = drawn[torch.arange(len(best), device=best.device), best][:, :3]
-    loss = config.selection_weight * F.cross_entropy(logits, best)
+    loss = config.selection.weight * F.cross_entropy(logits, best)
     if config.pixel_weight:
         filled = target[:, 3].mean().clamp(min=0.01)
         loss = loss + config.pixel_weight * pixel_loss(image, wanted[:, :3]) / filled

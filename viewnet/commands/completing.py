@@ -9,8 +9,9 @@ from typing import Any
 
 from viewnet import paths
 from viewnet.commands import shared
-from viewnet.config import CATEGORIES, PROFILES, RECIPES, VARIANTS
+from viewnet.config import CATEGORIES
 from viewnet.errors import ViewnetError
+from viewnet.recipes import PROFILES, RECIPES, VARIANTS
 
 COMPLETING = """
 eval "$(viewnet completion bash)"                               in ~/.bashrc

@@ -7,8 +7,9 @@ import json
 import os
 from typing import Any
 
-from viewnet.config import CATEGORIES, PROFILES, RECIPES, VARIANTS, RunConfig, make_config
+from viewnet.config import CATEGORIES, RunConfig
 from viewnet.errors import ViewnetError
+from viewnet.recipes import PROFILES, RECIPES, VARIANTS, make_config
 from viewnet.training.dask_cluster import VARIABLE
 
 

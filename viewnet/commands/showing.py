@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from viewnet.commands import shared
-from viewnet.config import PROFILES
 from viewnet.errors import ViewnetError
+from viewnet.recipes import PROFILES
 
 NOTEBOOK = """
 viewnet notebook table2_ablation                                the copy goes to runs/notebooks/

@@ -92,11 +92,11 @@ def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: R
     count, size, device = len(crops), crops.shape[-1], crops.device
     crops = _shifted(crops, config, generator)
     images = over(crops, behind(scenery, count, size, generator, device))[:, :3]
-    if config.occlude:
-        before = _patch(count, size, config.occlude, generator).to(device)
+    if config.photo.occlude:
+        before = _patch(count, size, config.photo.occlude, generator).to(device)
         images = torch.where(before, behind(scenery, count, size, generator, device), images)
-    if config.exposure:
-        images = expose(images, config.exposure, generator)
+    if config.photo.exposure:
+        images = expose(images, config.photo.exposure, generator)
     return torch.cat([images, torch.ones_like(crops[:, 3:])], 1)
 
 
@@ -120,9 +120,9 @@ def expose(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
 def _shifted(crops: Tensor, config: TrainConfig, generator: RandomSource) -> Tensor:
     """Crops (N, 4, S, S) larger or smaller, moved and tilted; what comes in from outside is empty."""
     count = len(crops)
-    scale = (1 + config.box_error * _uniform(-1, 1, (2, count), generator, dim=1)) / (1 + 2 * CROP_MARGIN)
-    shift = config.box_error * _uniform(-1, 1, (count, 2), generator)
-    angle = torch.deg2rad(config.tilt * _uniform(-1, 1, (count,), generator))
+    scale = (1 + config.photo.box_error * _uniform(-1, 1, (2, count), generator, dim=1)) / (1 + 2 * CROP_MARGIN)
+    shift = config.photo.box_error * _uniform(-1, 1, (count, 2), generator)
+    angle = torch.deg2rad(config.photo.tilt * _uniform(-1, 1, (count,), generator))
     rows = [
         torch.stack([scale[0] * angle.cos(), -scale[0] * angle.sin(), shift[:, 0]], 1),
         torch.stack([scale[1] * angle.sin(), scale[1] * angle.cos(), shift[:, 1]], 1),

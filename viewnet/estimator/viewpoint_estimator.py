@@ -2,7 +2,7 @@
 
 `ViewpointEstimator.from_pretrained` gives one of a finished run. Here is one that has learned nothing yet:
 
->>> from viewnet.config import make_config
+>>> from viewnet.recipes import make_config
 >>> config = make_config(profile="smoke", recipe="photos", backgrounds=None)
 >>> estimator = ViewpointEstimator(ViewNet(config.model).eval(), config)
 >>> photograph = np.full((300, 400, 3), 128, np.uint8)

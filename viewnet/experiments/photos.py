@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from viewnet.config import RECIPES, VARIANTS, PhotoConfig, RunConfig, known, make_config
+from viewnet.config import PhotoConfig, RunConfig, known
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, features
 from viewnet.evaluation.predictions import Predictions
 from viewnet.experiments.request import DESIGNS, CommonParameters, Experiment, folder_named, label_of, shared
+from viewnet.recipes import RECIPES, VARIANTS, make_config
 from viewnet.runtime import provenance
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry, Table, entries

@@ -13,20 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from viewnet import paths
-from viewnet.config import (
-    CATEGORIES,
-    PROFILE_RECIPE,
-    PROFILES,
-    RECIPES,
-    SHAPENET_CATEGORIES,
-    VARIANTS,
-    DataConfig,
-    RunConfig,
-    known,
-    make_config,
-)
+from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES, DataConfig, RunConfig, known
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Predictions
+from viewnet.recipes import PROFILE_RECIPE, PROFILES, RECIPES, VARIANTS, make_config
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry, Table, own_predictions
 from viewnet.training.run_store import UNTRAINED, Run, ensure, transferred, untrained

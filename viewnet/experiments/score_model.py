@@ -17,7 +17,7 @@ import numpy as np
 from safetensors.torch import save_file
 
 from viewnet import paths
-from viewnet.config import PhotoConfig, RunConfig, known, make_config
+from viewnet.config import PhotoConfig, RunConfig, known
 from viewnet.data import catalogue
 from viewnet.data.build import photo_views
 from viewnet.errors import ViewnetError
@@ -28,6 +28,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.experiments.photos import SMOKE_COUNT, SMOKE_MODELS
 from viewnet.experiments.request import folder_named
 from viewnet.model import checkpoint
+from viewnet.recipes import make_config
 from viewnet.runtime.files import read_json, write_json
 from viewnet.training import run_store
 from viewnet.training.run_store import Run, Steps

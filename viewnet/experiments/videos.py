@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from viewnet.config import VARIANTS, RunConfig, VideoConfig, known, make_config
+from viewnet.config import RunConfig, VideoConfig, known
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, features
@@ -21,6 +21,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.experiments.photos import PROFILE_RECIPE, PhotoExperiment, photographs_of, scenery_of
 from viewnet.experiments.request import DESIGNS, folder_named, label_of, shared
 from viewnet.model.checkpoint import locate
+from viewnet.recipes import VARIANTS, make_config
 from viewnet.training.run_store import Run, ensure
 
 SHAPENET = "shapenet"

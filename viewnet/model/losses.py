@@ -90,5 +90,5 @@ def cycle_loss(found: Hypotheses, truth: Tensor, config: TrainConfig) -> Tensor:
     """
     with torch.no_grad():
         closest = (found.vectors - truth[:, None]).square().sum(-1).argmin(1)
-        pulled = closest if config.cycle_head == "closest" else found.logits.argmax(1)
+        pulled = closest if config.cycle.head == "closest" else found.logits.argmax(1)
     return F.mse_loss(found.pick(pulled), truth) + F.cross_entropy(found.logits, closest)

@@ -168,7 +168,7 @@ class Run:
 def name(config: RunConfig) -> str:
     """How messages call a run.
 
-    >>> from viewnet.config import make_config
+    >>> from viewnet.recipes import make_config
     >>> name(make_config("viewnet_cycle", "chair", seed=1))
     'viewnet_cycle chair seed 1 (tiny, matting)'
     """
@@ -260,7 +260,7 @@ def _planned(
     folders = {config: locate(config, stores[config.data].identity, _scenery(config, progress)) for config in wanted}
     missing = [config for config in wanted if not is_complete(folders[config])]
     # What takes longest is begun first and what is soonest done last, so that no core waits long at the end.
-    missing.sort(key=lambda c: (c.model.decoder != "hologan", not c.train.cycle, c.model.heads == 1))
+    missing.sort(key=lambda c: (c.model.decoder != "hologan", not c.train.cycle.on, c.model.heads == 1))
     # Another machine's process has another working directory.
     jobs = [Job(_placed(c), folders[c].absolute(), Path(stores[c.data].folder).absolute()) for c in missing]
     return folders, jobs

@@ -128,11 +128,11 @@ def _choose(
         grid = stage.search.grid(len(target), limits).to(vectors)
         tried, found = _compare_grid(model, shape, code, grid, target, config)
         better, score = torch.cat([better, tried], 1), stage.search.perturb(torch.cat([score, found], 1))
-    if config.balance and score.shape[1] > 1:
-        score = _balanced(score, better, model.viewpoint.shares, limits, config.balance)
+    if config.search.balance and score.shape[1] > 1:
+        score = _balanced(score, better, model.viewpoint.shares, limits, config.search.balance)
     winner = score.argmin(1)
     view = better[rows, winner]
-    if config.balance:
+    if config.search.balance:
         shares = model.viewpoint.shares
         counts = torch.bincount(_part(view, limits, shares.shape[1]), minlength=shares.numel())
         shares.lerp_(distributed.mean(counts / len(view)).view_as(shares), 0.02)
@@ -151,8 +151,8 @@ def _compare_heads(
     heads are compared at the full one.
     """
     better = hypotheses.vectors
-    if model.training and config.neighbours:
-        tried = _neighbours(better, config.neighbours)
+    if model.training and config.comparison.neighbours:
+        tried = _neighbours(better, config.comparison.neighbours)
         coarse, small = _half(model, shape, target)
         better, errors = compare(model, coarse, code, tried, hypotheses.ups, small, config)
         if coarse is shape or better.shape[1] == 1:
@@ -223,7 +223,7 @@ def compare(
         drawn = model.draw(shape, code, look_at(tried.flatten(0, 2), ups), target.shape[-1])
     drawn = drawn.unflatten(0, (-1, heads * count))
     image = config.target == "image"
-    weights = (config.compare_colours if image else 0.0, config.compare_masks if image else 1.0)
+    weights = (config.comparison.colours if image else 0.0, config.comparison.masks if image else 1.0)
     found = drawn.new_zeros(drawn.shape[:2])
     for channels, weight in zip((slice(0, 3), slice(3, 4)), weights, strict=True):
         if weight:
@@ -269,8 +269,8 @@ def step_loss(
         seen, target = (torch.where(mirrored, images.flip(-1), images) for images in (seen, target))
     behind = None
     if scenery is not None:
-        several = repeated(generator, config.sightings)
-        seen = augment.photograph(seen.repeat(config.sightings, 1, 1, 1), scenery, config, several)
+        several = repeated(generator, config.photo.views_per_target)
+        seen = augment.photograph(seen.repeat(config.photo.views_per_target, 1, 1, 1), scenery, config, several)
         behind = augment.behind(scenery, len(appearance), appearance.shape[-1], generator, device)
     stage = _stage(model, config, progress, generator)
     found = reconstruct(model, appearance, target, seen, config, stage, behind)
@@ -288,31 +288,31 @@ def step_loss(
         terms["pixels"] = config.pixel_weight * pixel_loss(image, wanted) / filled
     if config.mask_weight:
         terms["masks"] = config.mask_weight * pixel_loss(found.drawn[:, 3:], found.target[:, 3:]) / filled
-    if config.pull_weight:
+    if config.comparison.pull_weight:
         pulled = found.hypotheses.pick(found.best)
-        terms["pull"] = config.pull_weight * (found.better - pulled).square().sum(-1).mean()
+        terms["pull"] = config.comparison.pull_weight * (found.better - pulled).square().sum(-1).mean()
     if model.config.heads > 1:
         wanted = found.hypotheses.pick(found.label).detach()
-        terms["selection"] = config.selection_weight * _selection(
-            found.hypotheses, found.label, wanted, config.selection_angle
+        terms["selection"] = config.selection.weight * _selection(
+            found.hypotheses, found.label, wanted, config.selection.angle
         )
     if len(found.others.logits):
         terms["sightings"] = _sightings(found, config)
-    ramp = min(1.0, (progress - config.cycle_start) / 0.1) if config.cycle_start else 1.0
-    if config.cycle and ramp > 0:
-        terms["cycle"] = ramp * config.cycle_weight * _cycle(model, found, config, generator, scenery)
+    ramp = min(1.0, (progress - config.cycle.start) / 0.1) if config.cycle.start else 1.0
+    if config.cycle.on and ramp > 0:
+        terms["cycle"] = ramp * config.cycle.weight * _cycle(model, found, config, generator, scenery)
     return terms
 
 
 def _stage(model: ViewNet, config: TrainConfig, progress: float, generator: RandomSource) -> Stage:
     """What is at work when the share `progress` of training is done."""
     # The noise is gone half-way through the search.
-    noise = max(0.0, 1 - 2 * progress / config.search) if config.search else 0.0
+    noise = max(0.0, 1 - 2 * progress / config.search.share) if config.search.share else 0.0
     return Stage(
-        search=Search(config.search_views, noise, generator) if progress < config.search else None,
+        search=Search(config.search.views, noise, generator) if progress < config.search.share else None,
         own=min(1.0, progress / config.shared_shape) if config.shared_shape else 1.0,
         # A selection that has seen little says little.
-        trust=config.trust if progress >= 0.5 else 0.0,
+        trust=config.selection.trust if progress >= 0.5 else 0.0,
     )
 
 
@@ -324,9 +324,9 @@ def _sightings(found: Reconstruction, config: TrainConfig) -> Tensor:
     times = len(found.others.logits) // len(found.label)
     drawn, wanted = (view.detach().repeat(times, 1) for view in (found.better, found.hypotheses.pick(found.label)))
     closest, label = ((found.others.vectors - view[:, None]).square().sum(-1).argmin(1) for view in (drawn, wanted))
-    loss = config.pull_weight * (drawn - found.others.pick(closest)).square().sum(-1).mean()
+    loss = config.comparison.pull_weight * (drawn - found.others.pick(closest)).square().sum(-1).mean()
     if found.others.logits.shape[1] > 1:
-        loss = loss + config.selection_weight * _selection(found.others, label, wanted, config.selection_angle)
+        loss = loss + config.selection.weight * _selection(found.others, label, wanted, config.selection.angle)
     return times * loss
 
 
@@ -351,7 +351,7 @@ def _cycle(
 ) -> Tensor:
     """Section 3.4: new views of the same objects at random viewpoints, and what the viewpoint network says of them."""
     count = len(found.appearance)
-    low, high = config.cycle_elevation
+    low, high = config.cycle.elevation
     azimuth = 360 * rand(count, generator=generator)
     elevation = low + (high - low) * rand(count, generator=generator)
     truth = view_vector(azimuth, elevation).to(found.appearance.device)

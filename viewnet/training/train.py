@@ -96,18 +96,7 @@ def train(
     if threads:
         torch.set_num_threads(threads)
     settings = config.train
-    if settings.batch_size % settings.targets_per_object:
-        raise ViewnetError(
-            f"batch_size {settings.batch_size} is no multiple of targets_per_object {settings.targets_per_object}"
-        )
-    if settings.epochs < 1:
-        raise ViewnetError(f"epochs {settings.epochs}: expected 1 or more")
-    if settings.batch_size // settings.targets_per_object < 2:
-        raise ViewnetError(
-            f"batch_size {settings.batch_size} with targets_per_object {settings.targets_per_object} is one object a "
-            "step: batch normalisation needs two or more"
-        )
-    objects, processes = settings.batch_size // settings.targets_per_object, distributed.size()
+    objects, processes = settings.objects, distributed.size()
     if objects % processes:
         raise ViewnetError(
             f"batch_size {settings.batch_size} with targets_per_object {settings.targets_per_object} is {objects} "
@@ -253,7 +242,11 @@ INNER_LAYERS = (torch.nn.Conv2d, torch.nn.ConvTranspose3d)
 
 def make_optimisers(model: ViewNet, config: TrainConfig) -> list[torch.optim.Optimizer]:
     """Adam, and Muon for the inner convolutions of encoders and generator where the configuration wants it."""
-    parts = [*model.viewpoint.encoder, *model.appearance, *getattr(model.decoder, "stages", [])] if config.muon else []
+    parts = (
+        [*model.viewpoint.encoder, *model.appearance, *getattr(model.decoder, "stages", [])]
+        if config.optimiser.muon
+        else []
+    )
     # Neither a first layer, which sees colours, nor any last one: those are no maps from features to features.
     matrices = [
         layer.weight
@@ -264,10 +257,10 @@ def make_optimisers(model: ViewNet, config: TrainConfig) -> list[torch.optim.Opt
     taken = {id(weight) for weight in matrices}
     others = [weight for weight in model.parameters() if id(weight) not in taken]
     optimisers: list[torch.optim.Optimizer] = [
-        torch.optim.Adam(others, lr=config.learning_rate, betas=config.betas, fused=True)
+        torch.optim.Adam(others, lr=config.optimiser.learning_rate, betas=config.optimiser.betas, fused=True)
     ]
     if matrices:
-        optimisers.append(Muon(matrices, config.muon, half=half_precision(matrices[0].device, config)))
+        optimisers.append(Muon(matrices, config.optimiser.muon, half=half_precision(matrices[0].device, config)))
     for optimiser in optimisers:
         for group in optimiser.param_groups:
             group["initial_lr"] = group["lr"]
@@ -289,9 +282,9 @@ def _board(folder: Path) -> Any:
 
 def _schedule(config: TrainConfig, done: float) -> float:
     """The learning rate's factor when the share `done` of the training is behind."""
-    if config.schedule == "constant":
+    if config.optimiser.schedule == "constant":
         return 1.0
-    held = 0.6 if config.schedule == "hold" else 0.0
+    held = 0.6 if config.optimiser.schedule == "hold" else 0.0
     return 0.5 * (1 + math.cos(math.pi * max(0.0, done - held) / (1 - held)))
 
 

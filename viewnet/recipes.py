@@ -1,0 +1,227 @@
+"""Recipes (how a run is trained), variants (rows of the tables) and profiles (how big), as changes to viewnet.config.
+
+Each is a dictionary of changes to the base configuration, so Table 2 is literally `VARIANTS`, and there is one place
+where each setting is decided: recipe, then profile, then variant, then what the user sets.
+
+>>> config = make_config("single_head", "chair", profile="smoke", epochs=3)
+>>> config.model.heads, config.train.epochs, config.data.models, config.recipe
+(1, 3, 30, 'matting')
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from viewnet.config import CATEGORIES, FORMER_NAMES, RunConfig, build, known, settings
+from viewnet.errors import ViewnetError
+
+Changes = dict[str, Any]
+"""Section ("data", "model", "train") -> field -> value; for groups of training's settings one level deeper."""
+
+
+def merged(*changes: Changes) -> Changes:
+    """One dictionary of all changes; of two values of one setting the later one counts."""
+    result: Changes = {}
+    for change in changes:
+        for name, value in change.items():
+            both = isinstance(value, dict) and isinstance(result.get(name), dict)
+            result[name] = merged(result[name], value) if both else value
+    return result
+
+
+RECIPES: dict[str, Changes] = {
+    # As reported, and as released where the paper is silent: black background, VGG16 perceptual loss, a learned focal
+    # length, the viewpoint network's input cropped to the object, stopping by validation accuracy.
+    "paper": {"model": {"crop": "square"}, "train": {"augment": True}},
+    # Ours: masks first, colours over a random background; a search for viewpoints to begin with; heads that start
+    # apart; elevations within a plausible camera range; stopping without labels. See docs/recipes.md.
+    "matting": {
+        "model": {
+            "encoder_padding": "zeros",
+            "head_spread": 0.5,
+            "elevation_limits": (-22.0, 42.0),
+            # The camera that rendered the views: a learned focal length shrinks where depth is mirrored, which hides it.
+            "focal": 0.268,
+            "learn_focal": False,
+            "colour_prior": True,
+            "balance_bands": 4,
+        },
+        "train": {
+            "shared_shape": 0.15,
+            "background": "random",
+            "perceptual": "none",
+            "pixel_weight": 0.3,
+            "mask_weight": 1.0,
+            "jitter": 0.6,
+            "mirror": True,
+            "select_by": "reconstruction",
+            "comparison": {"colours": 0.1, "masks": 1.0, "neighbours": 8.0, "pull_weight": 1.0},
+            "search": {"share": 0.3, "views": 32, "balance": 1.0},
+            "selection": {"weight": 0.2, "angle": 30.0, "trust": 0.5},
+            "cycle": {"weight": 0.3, "start": 0.15, "elevation": (-20.0, 40.0), "head": "closest"},
+            "optimiser": {"learning_rate": 1e-3, "betas": (0.9, 0.99), "muon": 0.02, "schedule": "hold"},
+        },
+    },
+}
+
+# Section 4.3: training for photographs. Ten views a model, and a background behind both inputs.
+RECIPES["paper_photos"] = merged(RECIPES["paper"], {"data": {"views": 10, "backgrounds": "drawn"}})
+RECIPES["photos"] = merged(
+    RECIPES["matting"],
+    {
+        # A view cropped to its object should still have as many pixels as the networks see.
+        "data": {"views": 10, "image_size": 128, "supersample": 1, "backgrounds": "drawn"},
+        "model": {"crop": "stretched"},
+        "train": {"photo": {"views_per_target": 3, "box_error": 0.05, "tilt": 5.0, "exposure": 1.0}},
+    },
+)
+
+VARIANTS: dict[str, Changes] = {
+    "viewnet": {},
+    "viewnet_cycle": {"train": {"cycle": {"on": True}}},
+    "single_head": {"model": {"heads": 1}},
+    "segmentation_target": {"train": {"target": "mask"}},
+    "no_shape_prior": {"model": {"shape_prior": False}},
+    "encoder_decoder": {"model": {"decoder": "encoder_decoder"}},
+    # Nothing separates object and background after learned layers: trained on black, as reported, and without masks.
+    "hologan_decoder": {
+        "model": {"decoder": "hologan"},
+        "train": {
+            "background": "black",
+            "mask_weight": 0.0,
+            "comparison": {"masks": 0.0, "neighbours": 0.0},
+            "search": {"share": 0.0},
+        },
+    },
+}
+"""The trained rows of Tables 1 and 2."""
+
+_TINY: Changes = {
+    "data": {"models": 1000},
+    "model": {
+        "volume_size": 32,
+        "render_size": 32,
+        "encoder_channels": (16, 32, 64, 128, 256, 128),
+        "code_size": 64,
+        "generator_channels": (64, 32, 16),
+        "generator_refine": False,
+        "generator_last_kernel": 2,
+        "appearance_size": 64,
+    },
+    "train": {"epochs": 14, "batch_size": 32, "targets_per_object": 2, "validate_every": 5},
+}
+
+PROFILES: dict[str, Changes] = {
+    "smoke": {
+        "data": {"models": 30, "image_size": 32, "supersample": 1},
+        "model": {
+            "input_size": 32,
+            "volume_size": 16,
+            "render_size": 16,
+            "encoder_channels": (8, 16, 16, 32, 32, 32),
+            "code_size": 16,
+            "generator_channels": (16, 8),
+            "generator_refine": False,
+            "appearance_size": 16,
+        },
+        "train": {"epochs": 2, "batch_size": 16, "patience": 2},
+    },
+    "tiny": _TINY,
+    # Three categories fit in five megabytes of half precision, small enough to come with the package.
+    "pocket": merged(
+        _TINY,
+        {
+            "model": {
+                "encoder_channels": (16, 32, 64, 128, 128, 128),
+                "code_size": 32,
+                "generator_channels": (32, 32, 16),
+            },
+            "train": {"epochs": 24, "validate_every": 6},
+        },
+    ),
+    "small": {
+        "data": {"models": 2000},
+        "model": {"encoder_channels": (64, 128, 256, 512, 512, 512), "generator_channels": (256, 128, 64, 32)},
+        "train": {"epochs": 60},
+    },
+    "paper": {"data": {"models": 0}},
+}
+
+PROFILE_RECIPE = {"smoke": "matting", "tiny": "matting", "pocket": "photos", "small": "matting", "paper": "paper"}
+"""The recipe of a profile unless another is named."""
+
+TOGETHER: dict[tuple[str, str], Changes] = {("tiny", "photos"): {"train": {"epochs": 6}}}
+"""What a profile and a recipe change only together: twice the views a model are half as many epochs, or less."""
+
+# Shapes and viewpoints are there already, so neither is searched for again.
+STARTED: Changes = {"train": {"shared_shape": 0.0, "search": {"share": 0.0}}}
+"""What changes for a run that starts from another one's weights."""
+
+FILMED: dict[str, Changes] = {
+    # All frames of the 48 Freiburg cars, 5800 views: with and without cycles side by side in about ten minutes.
+    # So few cars are told front from rear only while they share a shape.
+    "tiny": {"train": {"epochs": 14, "shared_shape": 0.4}},
+}
+"""What a profile changes only for videos."""
+
+
+def make_config(
+    variant: str = "viewnet",
+    category: str = "car",
+    profile: str = "tiny",
+    recipe: str | None = None,
+    seed: int = 0,
+    data_root: str | None = None,
+    splits: str | None = None,
+    **overrides: Any,
+) -> RunConfig:
+    """The configuration of one run. Overrides are settings by name, e.g. `epochs=3` or `search_views=16`.
+
+    Raises ViewnetError naming the valid choices for an unknown variant, category, profile, recipe or setting, and for a
+    value that a setting cannot have.
+
+    >>> make_config(category="car", recipe="photos", heads=5).model.heads
+    5
+    >>> make_config(profile="huge")
+    Traceback (most recent call last):
+    viewnet.errors.ViewnetError: unknown profile 'huge': choose one of smoke, tiny, pocket, small, paper
+    """
+    known(variant, VARIANTS, "variant")
+    known(category, CATEGORIES, "category")
+    known(profile, PROFILES, "profile")
+    recipe = PROFILE_RECIPE[profile] if recipe is None else known(recipe, RECIPES, "recipe")
+    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+        raise ViewnetError(f"seed {seed!r}: expected a whole number of 0 or more")
+    changes = [
+        {"data": {"category": category, "root": data_root, "splits": splits}, "model": {}, "train": {}},
+        RECIPES[recipe],
+        PROFILES[profile],
+        TOGETHER.get((profile, recipe), {}),
+        FILMED.get(profile, {}) if overrides.get("video") is not None else {},
+        STARTED if overrides.get("start") is not None else {},
+        VARIANTS[variant],
+        overridden(overrides),
+    ]
+    if data_root is not None and profile != "smoke" and "models" not in overrides:
+        changes.append({"data": {"models": 0}})
+    run = {"variant": variant, "category": category, "profile": profile, "recipe": recipe, "seed": seed}
+    return build(RunConfig, {**run, **merged(*changes)}, "config")
+
+
+def overridden(overrides: dict[str, Any]) -> Changes:
+    """Settings by name as changes. ViewnetError naming them all for an unknown one.
+
+    >>> overridden({"heads": 2, "search_views": 16})
+    {'model': {'heads': 2}, 'train': {'search': {'views': 16}}}
+    """
+    places = dict(settings())
+    changes: Changes = {}
+    for name, value in overrides.items():
+        name = FORMER_NAMES.get(name, name)
+        if name not in places:
+            raise ViewnetError(f"unknown setting {name!r}: choose one of {', '.join(sorted(places))}")
+        change: Any = value
+        for step in reversed(places[name]):
+            change = {step: change}
+        changes = merged(changes, change)
+    return changes
