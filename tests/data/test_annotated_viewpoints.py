@@ -71,7 +71,7 @@ def test_a_missing_list_is_named(tmp_path):
 
 
 def test_the_stand_in_is_spread_as_the_published_histogram():
-    frame = annotated_viewpoints.drawn(np.random.default_rng(0), 4000)
+    frame = annotated_viewpoints.sample(np.random.default_rng(0), 4000)
     assert sorted(frame["category"].unique()) == sorted(CATEGORIES)
     for category, row in annotated_viewpoints.histogram().iterrows():
         mine = frame[(frame["category"] == category) & (frame["split"] == "val")]

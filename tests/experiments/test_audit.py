@@ -135,7 +135,7 @@ def test_a_list_without_test_viewpoints_is_refused():
 
 
 def test_the_command(tmp_path, capsys):
-    views = annotated_viewpoints.drawn(np.random.default_rng(0), 60).query("category == 'bus'")
+    views = annotated_viewpoints.sample(np.random.default_rng(0), 60).query("category == 'bus'")
     path = tmp_path / "list.csv"
     views.rename(columns={"azimuth": "azimuth_deg", "elevation": "elevation_deg"}).assign(
         annotated=[0, *[1] * (len(views) - 1)]

@@ -186,7 +186,7 @@ def _read_published(folder: Path) -> object:
         tables = [published.load(table) for table in published.TABLES]
         layers = [published.architecture(part) for part in ("encoder", "generator")]
         counts = annotated_viewpoints.histogram()
-        assert annotated_viewpoints.drawn(np.random.default_rng(0), 2)["azimuth"].between(0, 360).all()
+        assert annotated_viewpoints.sample(np.random.default_rng(0), 2)["azimuth"].between(0, 360).all()
     return tables, layers, counts
 
 

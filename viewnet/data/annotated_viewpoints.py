@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from viewnet import paths
 from viewnet.config import CATEGORIES
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import read_csv
-from viewnet.tables.published import folder
 
 REQUIRED = ("category", "azimuth_deg", "elevation_deg")
 OPTIONAL = {"subset": "all", "split": "val", "easy": 0, "annotated": 1}
@@ -63,13 +63,18 @@ def read(path: Path) -> tuple[pd.DataFrame, dict[str, int]]:
     return kept[~left].reset_index(drop=True), {reason: count for reason, count in counts.items() if count}
 
 
+def histogram_file() -> Path:
+    """The published histogram. Raises ViewnetError where the project's folders are missing."""
+    return paths.part("paper_tables", "published") / "pascal3d_viewpoints.csv"
+
+
 def histogram() -> pd.DataFrame:
     """How viewpoints are spread over PASCAL3D+'s ImageNet training images, a row a category (its index).
 
     Columns "0", "30" ... "330" count azimuths in bins of 30 degrees from there; elevation_mean and elevation_sd are in
     degrees. Raises ViewnetError for a file with other columns or rows.
     """
-    path = folder() / "pascal3d_viewpoints.csv"
+    path = histogram_file()
     frame = read_csv(path)
     bins = [str(azimuth) for azimuth in range(0, 360, 30)]
     named = frame.reindex(columns=[*bins, "elevation_mean", "elevation_sd"])
@@ -82,7 +87,7 @@ def histogram() -> pd.DataFrame:
     return frame.set_index("category").loc[list(CATEGORIES)]
 
 
-def drawn(rng: np.random.Generator, count: int = 600) -> pd.DataFrame:
+def sample(rng: np.random.Generator, count: int = 600) -> pd.DataFrame:
     """A stand-in for an annotated list: `count` viewpoints a category and split, with the columns of `read`.
 
     Drawn from `histogram`: uniform within a bin of azimuth, elevations normal, within 89 degrees.

@@ -18,7 +18,7 @@ import torch
 
 from viewnet import geometry
 from viewnet.config import known
-from viewnet.data.annotated_viewpoints import drawn, read
+from viewnet.data.annotated_viewpoints import read, sample
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.predictions import Floats, true_vectors
@@ -91,7 +91,7 @@ class Audit:
 def audit_list(path: Path | None = None) -> Audit:
     """`audit` of the list at `path` (viewnet.data.annotated_viewpoints.read); without one, of a stand-in that is always the same."""
     if path is None:
-        return replace(audit(drawn(np.random.default_rng(0))), stand_in=True)
+        return replace(audit(sample(np.random.default_rng(0))), stand_in=True)
     return audit(*read(path))
 
 

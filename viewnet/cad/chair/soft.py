@@ -7,7 +7,8 @@ import numpy as np
 from viewnet.cad.builder import Builder
 from viewnet.cad.chair.frames import four_legs, pedestal_base, seat_grid, star_base
 from viewnet.cad.finishes import Finishes
-from viewnet.cad.furniture.upholstery import (
+from viewnet.cad.parts import BackSurface, block, choose, patch, pillow, shell, sweep
+from viewnet.cad.upholstery import (
     SOFT,
     Body,
     add_arms,
@@ -17,7 +18,6 @@ from viewnet.cad.furniture.upholstery import (
     tufts,
     upholstered,
 )
-from viewnet.cad.parts import BackSurface, block, choose, patch, pillow, shell, sweep
 
 
 def armchair(builder: Builder, rng: np.random.Generator, fin: Finishes) -> None:

@@ -11,7 +11,8 @@ from viewnet.cad.builder import Builder
 from viewnet.cad.chair.frames import cross_bar, four_legs, stretchers
 from viewnet.cad.chair.soft import tub
 from viewnet.cad.finishes import Finishes
-from viewnet.cad.furniture.upholstery import (
+from viewnet.cad.parts import BackSurface, bar, block, choose, cushion, patch, pillow, rail, shell, sweep
+from viewnet.cad.upholstery import (
     Body,
     add_arms,
     add_back,
@@ -22,7 +23,6 @@ from viewnet.cad.furniture.upholstery import (
     soft_legs,
     upholstered,
 )
-from viewnet.cad.parts import BackSurface, bar, block, choose, cushion, patch, pillow, rail, shell, sweep
 
 Kind = Callable[[Builder, np.random.Generator, Finishes], None]
 

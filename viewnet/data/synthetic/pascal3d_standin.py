@@ -21,7 +21,7 @@ from PIL import Image, ImageDraw, ImageFilter
 from viewnet import cad
 from viewnet.cad.writer import write_model
 from viewnet.config import CATEGORIES, known
-from viewnet.data.annotated_viewpoints import drawn
+from viewnet.data.annotated_viewpoints import histogram_file, sample
 from viewnet.data.backgrounds import list_images
 from viewnet.data.readers.pascal3d import EXTENSIONS, LISTS, SPLITS, VOC, annotation_file, image_file, parts
 from viewnet.data.readers.shapenet import ModelFile, load_model
@@ -35,7 +35,6 @@ from viewnet.runtime.files import write_text
 from viewnet.runtime.image_files import opened
 from viewnet.runtime.parallel import as_done, processors
 from viewnet.runtime.progress import bar
-from viewnet.tables import published
 
 VERSION = 1
 """Raise it when a change alters images or annotations."""
@@ -81,7 +80,7 @@ def describe(
     """What decides a stand-in, as JSON values, without making it. Backgrounds are known by their paths and sizes."""
     values: dict[str, Any] = {
         "version": [VERSION, cad.VERSION, RENDER_VERSION, scenes.VERSION],
-        "viewpoints": hashlib.sha256((published.folder() / "pascal3d_viewpoints.csv").read_bytes()).hexdigest(),
+        "viewpoints": hashlib.sha256(histogram_file().read_bytes()).hexdigest(),
         "category": category,
         "subset": subset,
         "models": models,
@@ -108,7 +107,7 @@ def write_stand_in(
     """`count` photographs of each category and split under `root`, in the layout of PASCAL3D+ 1.1.
 
     Each split ("train", "val") shows `models` built-in models of its own, in equal shares. Viewpoints are drawn from
-    the published histogram of the real ones (viewnet.data.annotated_viewpoints.drawn). What is behind comes from a folder of images,
+    the published histogram of the real ones (viewnet.data.annotated_viewpoints.sample). What is behind comes from a folder of images,
     or is drawn (viewnet.data.synthetic.scenes). Some objects are cut by the edge or hidden in part, and say so. `subset` is
     "imagenet", "pascal" (more of them are) or "both".
 
@@ -137,7 +136,7 @@ def write_stand_in(
 
 def _plan(category: str, subset: str, models: int, count: int, seed: int) -> dict[int, tuple[_Photograph, ...]]:
     """Which photographs each model is on. Models of the first split are numbered before those of the second."""
-    viewpoints = drawn(np.random.default_rng(seed), count)
+    viewpoints = sample(np.random.default_rng(seed), count)
     mine = viewpoints[viewpoints["category"] == category]
     planned: dict[int, list[_Photograph]] = {}
     for place, split in enumerate(SPLITS):
