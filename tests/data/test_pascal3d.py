@@ -12,7 +12,7 @@ from PIL import Image
 
 from viewnet import cad
 from viewnet.config import CATEGORIES
-from viewnet.data.annotated_viewpoints import drawn
+from viewnet.data.annotated_viewpoints import sample
 from viewnet.data.readers import pascal3d
 from viewnet.data.synthetic import pascal3d_standin
 from viewnet.data.synthetic.pascal3d_standin import describe, write_stand_in
@@ -64,7 +64,7 @@ def read(root: Path, **filters):
 
 
 def test_what_is_written_is_read(stand_in):
-    wanted = drawn(np.random.default_rng(0), 12).query("category == 'bus' and split == 'val'")
+    wanted = sample(np.random.default_rng(0), 12).query("category == 'bus' and split == 'val'")
     for subset in pascal3d.SUBSETS:
         found, report = pascal3d.read(stand_in, "bus", subset, "val")
         assert [a.azimuth for a in found] == pytest.approx(wanted["azimuth"].tolist())
