@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import importlib.metadata
+import inspect
 import os
 import sys
+import textwrap
 import traceback
 from collections.abc import Sequence
 from typing import NoReturn
 
-from viewnet.commands import checking, completing, estimating, serving, showing, training
 from viewnet.errors import ViewnetError
 
-OUTCOMES = """exit codes:
+COMMANDS = (
+    *("notebook", "tables", "render", "train", "evaluate", "predict", "turntable", "save", "demo"),
+    *("data", "audit", "bench", "completion"),
+)
+"""The modules of viewnet.commands, in the order of the help."""
+EXIT_CODES = """exit codes:
   0    done
   1    viewnet tables: some notebooks failed, the others are done; elsewhere a defect, with its traceback
-  2    something to mend, told in one line
-  130  interrupted: the same command goes on where it was
+  2    a mistake in the input, explained in one line
+  130  interrupted: the same command continues where it stopped
 
 Results go to the standard output, progress and errors to the standard error. TQDM_DISABLE=1 silences progress.
 viewnet COMMAND --help has examples.
@@ -25,26 +32,24 @@ viewnet COMMAND --help has examples.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; the exit code (see OUTCOMES)."""
+    """Run the command line and return the exit code (see EXIT_CODES)."""
     options = parser().parse_args(arguments)
     try:
         return options.run(options) or 0
     except ViewnetError as error:
-        if os.environ.get("WORLD_SIZE", "1") != "1":
-            _fail_together(f"viewnet: {error}")
+        _fail_together(f"viewnet: {error}")
         print(f"viewnet: {error}", file=sys.stderr)
         return 2
     except Exception:
-        if os.environ.get("WORLD_SIZE", "1") != "1":
-            _fail_together(traceback.format_exc())
+        _fail_together(traceback.format_exc())
         raise
     except KeyboardInterrupt:
-        print("viewnet: interrupted: the same command goes on where it was", file=sys.stderr)
+        print("viewnet: interrupted: the same command continues where it stopped", file=sys.stderr)
         return 130
 
 
 class _Parser(argparse.ArgumentParser):
-    """One that tells what is wrong in one line."""
+    """A parser that reports a mistake in one line."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"viewnet: {message} (see {self.prog} --help)\n")
@@ -52,25 +57,39 @@ class _Parser(argparse.ArgumentParser):
 
 def parser() -> argparse.ArgumentParser:
     """The parser of the whole command line."""
-    found = _Parser(
+    whole = _Parser(
         prog="viewnet",
         description="ViewNet, replicated: tables and figures of the paper, and viewpoints of your own images.",
-        epilog=OUTCOMES,
+        epilog=EXIT_CODES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    whole.set_defaults(parser=whole)
     version = f"viewnet {importlib.metadata.version('viewnet')}"
-    found.add_argument("--version", action="version", version=version)
-    commands = found.add_subparsers(required=True, metavar="COMMAND")
-    for group in (showing, training, estimating, serving, checking, completing):
-        group.add(commands)
-    return found
+    whole.add_argument("--version", action="version", version=version)
+    commands = whole.add_subparsers(required=True, metavar="COMMAND")
+    for name in COMMANDS:
+        module = importlib.import_module(f"viewnet.commands.{name}")
+        text, _, examples = (inspect.getdoc(module) or "").partition("\n\nExamples:\n\n")
+        summary, _, description = text.partition("\n\n")
+        command = commands.add_parser(
+            name,
+            help=summary[:1].lower() + summary[1:].rstrip("."),
+            description=description,
+            epilog="examples:\n" + textwrap.indent(textwrap.dedent(examples), "  "),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+    return whole
 
 
 def _fail_together(message: str) -> None:
-    from viewnet.runtime import distributed
+    """End all processes of a training that spans several; return where there is only this one."""
+    if os.environ.get("WORLD_SIZE", "1") != "1":
+        from viewnet.runtime import distributed
 
-    if distributed.size() > 1:
-        distributed.fail(message)
+        if distributed.size() > 1:
+            distributed.fail(message)
 
 
 if __name__ == "__main__":

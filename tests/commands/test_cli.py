@@ -166,7 +166,7 @@ def test_an_interruption_is_told(capsys, monkeypatch):
 
     monkeypatch.setattr(notebook, "run", interrupted)
     assert cli.main(["notebook", "table2_ablation"]) == 130
-    assert capsys.readouterr().err == "viewnet: interrupted: the same command goes on where it was\n"
+    assert capsys.readouterr().err == "viewnet: interrupted: the same command continues where it stopped\n"
 
 
 @pytest.fixture
@@ -178,7 +178,7 @@ def completed(tmp_path, capsys):
     script = tmp_path / "completion.bash"
     script.write_text(capsys.readouterr().out)
     (tmp_path / "place" / "photographs").mkdir(parents=True)
-    (tmp_path / "place" / "image.png").write_bytes(b"")
+    (tmp_path / "place" / "photo.png").write_bytes(b"")
 
     def complete(*words: str) -> set[str]:
         ask = f'source {script}; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _shtab_viewnet; '
@@ -197,7 +197,7 @@ def test_bash_completes_commands_options_names_and_files(completed):
     assert completed("train", "car", "--prof") == {"--profile"}
     assert completed("train", "car", "--profile", "s") == {"smoke", "small"}
     assert completed("tables", "--only", "table1_shapenet", "table2") == {"table2_ablation"}
-    assert completed("predict", "p") == {"photographs", "image.png"}
+    assert completed("predict", "p") == {"photographs", "photo.png"}
     assert completed("train", "car", "--data-root", "p") == {"photographs"}
     assert completed("completion", "z") == {"zsh"}
 

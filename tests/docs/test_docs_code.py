@@ -118,7 +118,7 @@ def obeyed(words: list[str], world: Path, monkeypatch) -> None:
     """Give a command to `viewnet` with what takes long replaced: training, kernels, measurements and serving."""
     asked = []
     page = SimpleNamespace(local_url="here", share_url=None, block_thread=lambda: None)
-    monkeypatch.setattr("viewnet.commands.serving.start", lambda options: asked.append(options) or page)
+    monkeypatch.setattr("viewnet.commands.demo.start", lambda options: asked.append(options) or page)
     monkeypatch.setattr("viewnet.training.run_store.ensure", lambda configs, workers=None: asked.extend(configs) or [])
     monkeypatch.setattr("papermill.execute_notebook", lambda source, *_, **__: asked.append(source))
     monkeypatch.setattr("viewnet.bench.measure.measure", lambda settings: asked.append(settings))

@@ -152,7 +152,7 @@ def test_a_box_is_typed_as_four_edges_or_none():
 
 
 def test_examples_are_drawn_as_the_network_was_trained_to_see_them():
-    cutouts, photographs = examples.drawn(untrained()), examples.drawn(untrained(**PHOTOS))
+    cutouts, photographs = examples.rendered(untrained()), examples.drawn(untrained(**PHOTOS))
     assert len(cutouts) == len(photographs) == len(examples.VIEWPOINTS)
     assert len({example.image.tobytes() for example in cutouts}) == len(cutouts)
     for cutout, photo in zip(cutouts, photographs, strict=True):

@@ -20,7 +20,7 @@ from safetensors.torch import save_file
 from test_estimator import PHOTOS, photograph, untrained
 
 from viewnet import cli
-from viewnet.commands import serving
+from viewnet.commands import demo
 from viewnet.estimator.demo import examples
 from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 from viewnet.model.checkpoint import load_model
@@ -74,7 +74,7 @@ def estimator(folder):
 
 @pytest.fixture(scope="module")
 def page(estimator):
-    return app.Page(estimator, examples.drawn(estimator)[:1])
+    return app.Page(estimator, examples.rendered(estimator)[:1])
 
 
 def sent(file, name=None):
@@ -190,7 +190,7 @@ def address(folder, reached):
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     options = cli.parser().parse_args(["demo", "--model", str(folder / "run"), "--port", str(port)])
-    served = serving.start(options)
+    served = demo.start(options)
     yield served.local_url
     served.close()
 
@@ -411,7 +411,7 @@ def pixels(element):
 @pytest.mark.slow
 def test_examples_answer_at_one_click(visit, estimator):
     visit.tab.locator("#examples button").first.click()
-    example = examples.drawn(estimator)[0]
+    example = examples.rendered(estimator)[0]
     assert visit.answer() == spoken(estimator.predict(example.image, boxes=example.box)[0])
     assert [float(word) for word in visit.box.input_value().split()] == list(example.box)
 

@@ -26,7 +26,7 @@ def test_models_see_what_they_have_not_been_trained_on(category):
     estimator = ViewpointEstimator.from_pretrained(category, device="cpu")
     assert estimator.aligned
     assert (estimator.config.category, estimator.config.profile) == (category, "pocket")
-    drawn = examples.drawn(estimator)
+    drawn = examples.rendered(estimator)
     found = estimator.predict([one.image for one in drawn], boxes=[one.box for one in drawn])
     truth = view_vector(*(torch.tensor([getattr(one, name) for one in drawn]) for name in ("azimuth", "elevation")))
     said = torch.tensor(np.array([one.vector for one in found]), dtype=truth.dtype)

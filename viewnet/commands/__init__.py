@@ -1,5 +1,6 @@
-"""The commands of `viewnet`, by purpose: what each takes, and what it does with that.
+"""The commands of `viewnet`, a module each.
 
-A command is a function of the parsed arguments that prints its outcome and returns an exit code, None for 0. Whatever
-takes time to import is imported by the command that needs it.
+A module's docstring is the command's help: a summary, a description and examples. `add_arguments` adds its options to a
+parser; `run` takes the parsed arguments, prints the results and returns an exit code (None is 0). What takes long to
+import is imported inside of `run`.
 """

@@ -1,6 +1,6 @@
 """The page of `viewnet demo`: an image and where its object is, and what a trained network makes of it.
 
-Needs gradio, which is imported here: viewnet.commands.serving tells those who do not have it. What a visitor has
+Needs gradio, which is imported here: viewnet.commands.demo tells those who do not have it. What a visitor has
 chosen is kept for that visitor alone (gr.State); the network is everybody's, and asked by one at a time.
 """
 

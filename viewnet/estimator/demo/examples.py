@@ -32,7 +32,7 @@ class Example:
     elevation: float
 
 
-def drawn(estimator: ViewpointEstimator) -> list[Example]:
+def rendered(estimator: ViewpointEstimator) -> list[Example]:
     """Images as the network was trained to see them: cut out, or before a background with the object's box.
 
     None of a category that is not built in.

@@ -1,6 +1,4 @@
-"""What several commands have in common."""
-
-from __future__ import annotations
+"""Options and output that several commands share."""
 
 import argparse
 import json
@@ -12,39 +10,31 @@ from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS, make_config
 from viewnet.training.dask_cluster import VARIABLE
 
-
-def add(commands: Any, name: str, help: str, description: str, examples: str) -> argparse.ArgumentParser:
-    """A command's parser; its help ends with the examples, a line each."""
-    return commands.add_parser(
-        name,
-        help=help,
-        description=description,
-        epilog="examples:\n" + "".join(f"  {line}\n" for line in examples.strip().splitlines()),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+MODEL = (
+    "the category of a model that comes with viewnet, a finished run's key or folder (viewnet train prints it), "
+    "a saved model's folder, or NAME/MODEL of the hub"
+)
 
 
-def add_json(parser: argparse.ArgumentParser, help: str = "as JSON") -> None:
+def add_json(parser: argparse.ArgumentParser, help: str = "print the results as JSON") -> None:
     """The option --json."""
     parser.add_argument("--json", action="store_true", help=help)
 
 
-def add_model(parser: argparse.ArgumentParser) -> None:
-    """The options --model and --device."""
-    where = "a category whose model comes along, a finished run's key or folder (viewnet train prints it), a saved "
-    where += "model's folder, or NAME/MODEL of the hub"
-    parser.add_argument("--model", required=True, metavar="WHERE", help=where)
-    parser.add_argument("--device", help="cpu, cuda, cuda:1 ... (default: a GPU if there is one)")
-
-
 def print_json(value: Any) -> None:
-    """JSON values, indented."""
+    """Print JSON values, indented."""
     print(json.dumps(value, indent=2, allow_nan=False))
 
 
 def records(frame: Any) -> list[dict[str, Any]]:
-    """The rows of a data frame as JSON values; NaN is null."""
+    """The rows of a data frame as JSON values; NaN becomes null."""
     return json.loads(frame.to_json(orient="records"))
+
+
+def add_model(parser: argparse.ArgumentParser) -> None:
+    """The options --model and --device."""
+    parser.add_argument("--model", required=True, metavar="WHERE", help=MODEL)
+    parser.add_argument("--device", help="cpu, cuda, cuda:1 ... (default: a GPU if there is one)")
 
 
 def add_configuration(parser: argparse.ArgumentParser) -> None:
@@ -59,21 +49,21 @@ def add_configuration(parser: argparse.ArgumentParser) -> None:
 
 
 def configurations(options: argparse.Namespace, seed: int = 0) -> list[RunConfig]:
-    """One a category. Raises ViewnetError as make_config does."""
+    """One configuration for each category. Raises ViewnetError as make_config does."""
     from viewnet.experiments.request import folder_named
 
-    given = dict(_setting(text) for text in options.set)
+    settings = dict(_setting(text) for text in options.set)
     root, splits = (folder_named(getattr(options, name) or "", name) for name in ("data_root", "splits"))
     return [
-        make_config(options.variant, name, options.profile, options.recipe, seed, root, splits, **given)
+        make_config(options.variant, name, options.profile, options.recipe, seed, root, splits, **settings)
         for name in options.categories
     ]
 
 
 def _setting(text: str) -> tuple[str, Any]:
-    """NAME=VALUE; what is no JSON is text."""
-    name, found, value = text.partition("=")
-    if not found:
+    """Name and value of NAME=VALUE; a value that is not JSON is text."""
+    name, separator, value = text.partition("=")
+    if not separator:
         raise ViewnetError(f"-s {text}: expected NAME=VALUE, such as epochs=3")
     try:
         return name, json.loads(value)
@@ -83,14 +73,15 @@ def _setting(text: str) -> tuple[str, Any]:
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
     """The option --cluster."""
+    address = "tcp://HOST:PORT or scheduler-file:PATH"
     parser.add_argument(
         "--cluster",
         metavar="ADDRESS",
-        help=f"a Dask scheduler that renders and trains: tcp://HOST:PORT or scheduler-file:PATH (default: ${VARIABLE})",
+        help=f"a Dask scheduler that renders and trains: {address} (default: ${VARIABLE})",
     )
 
 
 def choose_cluster(options: argparse.Namespace) -> None:
-    """For this process and the kernels that it starts."""
+    """Set the cluster for this process and the kernels that it starts."""
     if options.cluster:
         os.environ[VARIABLE] = options.cluster

@@ -1,35 +1,34 @@
-"""`viewnet demo`: a page on this machine, to try a trained network in a browser."""
+"""Try a trained network in a browser.
 
-from __future__ import annotations
+Open a page on which to drop an image, mark its object and see the viewpoint on a compass, every hypothesis, and the
+object rendered from there, from anywhere else, and as a 3-D model. Nothing is fetched from the network or sent to it;
+files that visitors send are deleted after an hour, and when the page ends.
+
+Examples:
+
+    viewnet demo --model 0123456789ab --open
+    viewnet demo --model saved/car --host 0.0.0.0 --port 8080         for everybody who can reach this machine
+"""
 
 import argparse
 import socket
 from typing import Any
 
-from viewnet.commands import shared
+from viewnet.commands.options import add_model
 from viewnet.errors import ViewnetError
 
 LARGEST_FILE = "20mb"
-DESCRIPTION = """\
-Open a page where an image is dropped, its object marked, and the answer seen: the viewpoint on a compass, every
-hypothesis, the object drawn from there and from anywhere else, and as a 3-D model. Nothing is fetched from the network
-and nothing sent to it; files that visitors send are deleted after an hour, and when the page ends."""
-EXAMPLES = """
-viewnet demo --model 0123456789ab --open
-viewnet demo --model saved/car --host 0.0.0.0 --port 8080         for everybody who can reach this machine
-"""
 
 
-def add(commands: Any) -> None:
-    """Its parser."""
-    demo = shared.add(commands, "demo", "try a trained network in a browser", DESCRIPTION, EXAMPLES)
-    shared.add_model(demo)
-    demo.add_argument("--host", default="127.0.0.1", help="the address to listen at (default: 127.0.0.1, this machine)")
-    demo.add_argument("--port", type=int, default=7860, help="default: 7860")
-    demo.add_argument("--share", choices=["no", "yes"], default="no",
-                      help="yes: a public address too, by a tunnel through gradio's servers (default: no)")  # fmt: skip
-    demo.add_argument("--open", action="store_true", help="open the page in the browser")
-    demo.set_defaults(run=run)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of viewnet demo."""
+    add = parser.add_argument
+    add_model(parser)
+    add("--host", default="127.0.0.1", help="the address to listen at (default: 127.0.0.1, this machine)")
+    add("--port", type=int, default=7860, help="default: 7860")
+    share = "yes: a public address too, by a tunnel through gradio's servers (default: no)"
+    add("--share", choices=["no", "yes"], default="no", help=share)
+    add("--open", action="store_true", help="open the page in the browser")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -42,7 +41,10 @@ def run(options: argparse.Namespace) -> None:
 
 
 def start(options: argparse.Namespace) -> Any:
-    """The page (gradio.Blocks), served by a thread. ViewnetError without gradio, a model, or where it cannot listen."""
+    """The page (gradio.Blocks), served by a thread.
+
+    ViewnetError without gradio or a model, and for an address where it cannot listen or does not answer.
+    """
     try:
         import gradio  # noqa: F401
     except ImportError:
@@ -50,11 +52,11 @@ def start(options: argparse.Namespace) -> Any:
     if not 0 < options.port < 65536:
         raise ViewnetError(f"--port {options.port}: expected 1 to 65535")
     _check_free(options.host, options.port)
+    from viewnet.estimator import ViewpointEstimator
     from viewnet.estimator.demo import app, examples
-    from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 
     estimator = ViewpointEstimator.from_pretrained(options.model, device=options.device)
-    page = app.build(estimator, examples.drawn(estimator))
+    page = app.build(estimator, examples.rendered(estimator))
     try:
         page.launch(
             server_name=options.host,
@@ -81,7 +83,7 @@ def start(options: argparse.Namespace) -> Any:
 
 
 def _check_free(host: str, port: int) -> None:
-    """ViewnetError for an address at which nothing can listen; gradio's server would die of it in its own thread."""
+    """Raise ViewnetError for an address at which nothing can listen; gradio's server would fail in its own thread."""
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         socket.create_server(address[:2], family=family).close()

@@ -1,0 +1,63 @@
+"""Print a script that completes commands in a shell.
+
+Print a script that completes commands, options, names and files.
+
+Examples:
+
+    eval "$(viewnet completion bash)"                               in ~/.bashrc
+    viewnet completion zsh > ~/.zfunc/_viewnet                      with fpath+=~/.zfunc before compinit in ~/.zshrc
+    viewnet completion tcsh > ~/.viewnet.tcsh                       with source ~/.viewnet.tcsh in ~/.tcshrc
+"""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+from viewnet import paths
+from viewnet.config import CATEGORIES
+from viewnet.errors import ViewnetError
+from viewnet.recipes import PROFILES, RECIPES, VARIANTS
+
+SHELLS = ("bash", "zsh", "tcsh")
+VALUES = {"categories": CATEGORIES, "variant": VARIANTS, "profile": PROFILES, "recipe": RECIPES}
+"""The values of arguments that have few; whatever uses an argument checks it."""
+FILES, FOLDERS = ("FILE", "IMAGE", "WHERE"), ("FOLDER",)
+"""Metavars of arguments that take files and folders."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of viewnet completion."""
+    parser.add_argument("shell", choices=SHELLS)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the script for `options.parser`, the parser of the whole command line."""
+    import shtab
+
+    for action in _actions(options.parser):
+        if action.metavar in FOLDERS:
+            action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]
+        elif action.type is Path or action.metavar in FILES:
+            action.complete = shtab.FILE  # type: ignore[attr-defined]
+        elif action.metavar == "NOTEBOOK":
+            action.choices = _notebooks()
+        elif action.dest in VALUES:
+            action.choices = list(VALUES[action.dest])
+    print(shtab.complete(options.parser, options.shell))
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """The arguments of a parser and of its commands."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                yield from _actions(command)
+        else:
+            yield action
+
+
+def _notebooks() -> list[str]:
+    try:
+        return sorted(path.stem for path in paths.part("notebooks").glob("*.ipynb"))
+    except ViewnetError:  # installed without them
+        return []

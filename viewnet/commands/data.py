@@ -1,0 +1,39 @@
+"""List the data that the project reads, and check what a copy of it holds.
+
+List the data sets and weights that can be used, how a copy is named, its terms and where to get it; with `check`,
+report what a folder holds. Nothing is downloaded.
+
+Examples:
+
+    viewnet data                                                    what can be used, and where to get it
+    viewnet data check /data/PASCAL3D+_release1.1                   what a copy holds
+    viewnet data check /data/ShapeNetCore.v1 --json
+"""
+
+import argparse
+from pathlib import Path
+
+from viewnet.commands.options import add_json, print_json
+from viewnet.errors import ViewnetError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of viewnet data."""
+    parser.add_argument("what", nargs="?", choices=["check"], help="check: read a folder instead")
+    parser.add_argument("folder", nargs="?", type=Path, metavar="FOLDER", help="the folder to check")
+    add_json(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    """List data sets or check a folder. ViewnetError without a folder to check, and where nothing in it can be used."""
+    from viewnet.data import catalogue
+
+    if options.what and options.folder is None:
+        raise ViewnetError("data check: name the folder to check")
+    report = catalogue.check(options.folder) if options.what else None
+    if options.json:
+        print_json(catalogue.as_dict(report))
+    else:
+        print(catalogue.as_text(report))
+    if report is not None and report.problems and not any(report.counts.values()):
+        raise ViewnetError(f"{report.folder}: nothing in it can be used")

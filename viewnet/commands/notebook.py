@@ -1,0 +1,46 @@
+"""Make a table or figure: run its notebook.
+
+Run a notebook with papermill. Views and runs that it needs and that are missing are rendered and trained first.
+
+Examples:
+
+    viewnet notebook table2_ablation                                the copy goes to runs/notebooks/
+    viewnet notebook table2_ablation -p profile smoke -p categories car -p seeds 3
+    viewnet notebook table3_pascal3d -p data_root /data/PASCAL3D+_release1.1 -p cad_root /data/ShapeNetCore.v1
+    viewnet notebook table2_ablation --parameters                   what can be set
+"""
+
+import argparse
+from pathlib import Path
+
+from viewnet.commands.options import add_cluster, choose_cluster
+from viewnet.errors import ViewnetError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of viewnet notebook."""
+    add = parser.add_argument
+    add("name", metavar="NOTEBOOK", help="for example table2_ablation")
+    add("-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), dest="values", help="a parameter")
+    copy = "the executed copy (default: runs/notebooks/NOTEBOOK.ipynb)"
+    add("-o", "--output", type=Path, metavar="FILE", help=copy)
+    add("--parameters", action="store_true", help="list the parameters and stop")
+    add("--refresh", action="store_true", help="run with the defaults and keep the outputs in place")
+    add_cluster(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Run the notebook and print the path of its copy. ViewnetError for --refresh with other values."""
+    from viewnet.experiments import notebook
+
+    if options.parameters:
+        for name, known in notebook.parameters(notebook.find(options.name)).items():
+            print(f"{name} = {known['default']}  ({known['inferred_type_name']}) {known['help']}")
+        return
+    if options.refresh:
+        if options.values or options.output:
+            raise ViewnetError("--refresh takes neither -p nor --output: set VIEWNET_PROFILE for another profile")
+        print(notebook.refresh(options.name))
+        return
+    choose_cluster(options)
+    print(notebook.run(options.name, [(name, value) for name, value in options.values], options.output))

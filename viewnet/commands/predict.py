@@ -1,0 +1,56 @@
+"""Predict the viewpoints of images.
+
+Print the viewpoint of each image: azimuth (0 shows the object's front, 90 its left side), elevation, and the
+probability that the network gives to it. The object's mask or box decides which part of an image the network sees;
+transparency is a mask.
+
+Examples:
+
+    viewnet predict car.jpg --model 0123456789ab                    the object fills the image
+    viewnet predict car.jpg --model 0123456789ab --box 40 60 380 250
+    viewnet predict a.jpg b.jpg --masks a_mask.png b_mask.png --model runs/viewnet/0123456789ab
+    viewnet predict car.jpg --model car --all                       every hypothesis, the most probable first
+    viewnet predict *.png --json --model saved/car                  cut-outs: transparency is a mask
+"""
+
+import argparse
+from pathlib import Path
+
+from viewnet.commands.options import add_json, add_model, print_json
+
+BOX = ("X0", "Y0", "X1", "Y1")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of viewnet predict."""
+    parser.add_argument("images", nargs="+", type=Path, metavar="IMAGE")
+    parser.add_argument("--masks", nargs="+", type=Path, metavar="FILE", help="one for each image, in their order")
+    edges = "the object's edges in pixels; once for all images, or once for each"
+    parser.add_argument("--box", nargs=4, type=float, action="append", dest="boxes", metavar=BOX, help=edges)
+    parser.add_argument("--all", action="store_true", help="every hypothesis, not only the most probable")
+    add_json(parser, "every hypothesis, as JSON")
+    add_model(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print a line for each image, or JSON: {"frame": "annotated" or "own", "pictures": [...]}."""
+    from viewnet.estimator import ViewpointEstimator
+
+    images, boxes = options.images, options.boxes
+    if boxes is not None and len(boxes) == 1:
+        boxes = boxes * len(images)
+    estimator = ViewpointEstimator.from_pretrained(options.model, device=options.device)
+    viewpoints = estimator.predict(images, options.masks, boxes)
+    if options.json:
+        rows = viewpoints.to_frame().to_dict("records")
+        pictures = [{"file": str(path), **row} for path, row in zip(images, rows, strict=True)]
+        print_json({"frame": "annotated" if viewpoints.aligned else "own", "pictures": pictures})
+        return
+    width = max(len(str(path)) for path in images)
+    print(f"{'':{width}}  azimuth  elevation  confidence")
+    for path, viewpoint in zip(images, viewpoints, strict=True):
+        for each in viewpoint.ranked() if options.all else viewpoint.ranked()[:1]:
+            name = str(path) if each.chosen else ""
+            print(f"{name:{width}}  {each.azimuth:7.1f}  {each.elevation:9.1f}  {100 * each.probability:8.0f} %")
+    if not viewpoints.aligned:
+        print("in the network's own frame, whose azimuth 0 and up are arbitrary: the model has no alignment")

@@ -1,0 +1,69 @@
+"""Render the views that training uses.
+
+Make what viewnet train learns from with the same arguments: models, views and backgrounds. What is there is reused.
+Prints where each view store lies, how many views it has, and which models could not be used.
+
+Examples:
+
+    viewnet render car chair                                        what viewnet train car chair learns from
+    viewnet render car --recipe photos --json                       over backgrounds, as for photographs
+    viewnet render car --profile paper --data-root /data/ShapeNetCore.v1 --cluster tcp://HOST:8786
+"""
+
+import argparse
+import contextlib
+from pathlib import Path
+from typing import Any
+
+from viewnet.commands import options as shared
+from viewnet.config import RunConfig
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of viewnet render."""
+    shared.add_configuration(parser)
+    processes = "processes that render (default: the machine's cores)"
+    parser.add_argument("--workers", type=int, metavar="N", help=processes)
+    shared.add_cluster(parser)
+    shared.add_json(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Render what is missing and print what is there."""
+    from viewnet.training import dask_cluster, run_store
+
+    configs = shared.configurations(options)
+    shared.choose_cluster(options)
+    views = run_store.default_steps().views
+    with dask_cluster.executor() if dask_cluster.named() else contextlib.nullcontext() as executor:
+        stores = [
+            _described(config, views(config.data, workers=options.workers, progress=True, executor=executor))
+            for config in configs
+        ]
+    if options.json:
+        shared.print_json(stores)
+        return
+    for store in stores:
+        splits = [f"{part['views']} {split} ({part['models']} models)" for split, part in store["splits"].items()]
+        print(f"{store['category']}: {store['folder']}\n  {store['views']} views: {', '.join(splits)}")
+        if store["backgrounds"]:
+            print(f"  {store['backgrounds']} backgrounds")
+        if store["rejected"]:
+            print(f"  {len(store['rejected'])} models left out: {Path(store['folder']) / 'rejected.csv'}")
+
+
+def _described(config: RunConfig, store: Any) -> dict[str, Any]:
+    """A view store as JSON values, with the number of backgrounds that its configuration asks for."""
+    from viewnet.data import augment
+
+    backgrounds = augment.wanted(config.data, config.model.input_size)
+    splits = store.index.groupby("split", sort=False)
+    return {
+        "category": config.category,
+        "folder": str(store.folder),
+        "identity": store.identity,
+        "views": len(store.index),
+        "splits": {str(name): {"models": int(rows["model_id"].nunique()), "views": len(rows)} for name, rows in splits},
+        "backgrounds": 0 if backgrounds is None else len(backgrounds.images),
+        "rejected": shared.records(store.rejected),
+    }

@@ -1,0 +1,48 @@
+"""Train categories, one run each.
+
+Train the runs that are missing, and print where each lies and how it scores on its test views.
+
+Examples:
+
+    viewnet train car chair                                         on this machine: GPUs, or cores without any
+    viewnet train car --profile paper --data-root /data/ShapeNetCore.v1 --seed 1
+    viewnet train car -s epochs=3 -s muon=0.01                      any setting of viewnet.config
+    torchrun --nproc-per-node 4 -m viewnet train car --profile paper          one run over four GPUs
+    torchrun --nnodes 2 --nproc-per-node 4 --rdzv-backend c10d --rdzv-endpoint HOST:29500 -m viewnet train car
+    viewnet train car chair boat --cluster tcp://HOST:8786          many runs on a Dask cluster
+"""
+
+import argparse
+
+from viewnet.commands import options as shared
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of viewnet train."""
+    shared.add_configuration(parser)
+    parser.add_argument("--seed", type=int, default=0, metavar="N")
+    parser.add_argument("--workers", type=int, metavar="N", help="runs side by side (default: what there is room for)")
+    shared.add_cluster(parser)
+    shared.add_json(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Train what is missing and print the runs; of several processes the first one prints."""
+    from viewnet.runtime import distributed
+    from viewnet.training import run_store
+
+    distributed.start()
+    configs = shared.configurations(options, options.seed)
+    shared.choose_cluster(options)
+    runs = run_store.ensure(configs, options.workers)
+    if distributed.rank() == 0:
+        if options.json:
+            shared.print_json([{"folder": str(run.folder), **run.result} for run in runs])
+        for run in runs if not options.json else ():
+            print(f"{run_store.name(run.config)}: {run.folder}")
+            if not run.scored:
+                print(f"  not scored: {run_store.NOT_SCORED}")
+                continue
+            score = run.result["metrics"][run.alignment]
+            print(f"  test: within 30 degrees {score['acc30']:.1f} %, median {score['median']:.1f} degrees")
+    distributed.stop()
