@@ -1,4 +1,4 @@
-"""The README.md of a saved model: what it is, how well it does and how it is used, in the hub's form."""
+"""The README.md of a saved model, a model card with the hub's front matter: training, scores, usage."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 from viewnet.config import DataConfig, RunConfig
 from viewnet.errors import ViewnetError
 
-METRICS = {"acc30": "within 30 degrees, %", "median": "median error, degrees", "dva": "DVA, %"}
+METRICS = {"acc30": "Acc@30, %", "median": "median error, degrees", "dva": "DVA, %"}
 URL = "https://openaccess.thecvf.com/content/ICCV2021/html/Mariotti_ViewNet_Unsupervised_Viewpoint_Estimation_From_Conditional_Generation_ICCV_2021_paper.html"
 
 
 def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str | None = None) -> str:
-    """Markdown with the hub's front matter. `about` is what viewnet.estimator.hub keeps of a run's result and scores."""
+    """Markdown with the hub's front matter. `about` is what a saved model keeps of its run's result and scores."""
     name = f"{config.variant} {config.category}"
     scores = (about.get("metrics") or {}).get("procrustes")
     licence = license or ("mit" if _ours(config.data) else "other")
@@ -26,30 +26,30 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
         front["model-index"] = [{"name": name, "results": [_result(config, scores)]}]
     lines = [
         "---",
-        # JSON is YAML, and there is nothing in it to be mistaken.
+        # JSON is valid YAML, without YAML's ambiguous scalars.
         *(f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in front.items()),
         "---",
         "",
-        f"# ViewNet: the viewpoint of a {config.category}",
+        f"# ViewNet: viewpoint estimation for the category {config.category}",
         "",
-        f"From which direction an image shows a {config.category}, learned without viewpoints from pairs of images "
-        f"of the same object ([ViewNet, ICCV 2021]({URL})). Trained with `viewnet`, a replication.",
+        f"Estimates the camera viewpoint of an image of one {config.category}. Trained without viewpoint labels, on "
+        f"pairs of images of the same object ([ViewNet, ICCV 2021]({URL})), with `viewnet`, a replication.",
         "",
         "| | |",
         "|---|---|",
         f"| trained on | {_data(config.data)} |",
         f"| variant, recipe, profile, seed | {config.variant}, {config.recipe}, {config.profile}, {config.seed} |",
-        f"| sees | {config.model.input_size} x {config.model.input_size} pixels, crop {config.model.crop} |",
-        f"| answers in | {'the annotated frame' if aligned else 'its own frame: it is aligned to none'} |",
+        f"| input | {config.model.input_size} x {config.model.input_size} pixels, crop {config.model.crop} |",
+        f"| frame of predictions | {'annotated' if aligned else 'its own, not aligned'} |",
         f"| run | {about.get('key', 'unknown')} |",
         f"| licence of the weights | {licence} |",
         "",
-        "## How well it does",
+        "## Scores",
         "",
         *_scores(scores),
         *[line for found in about.get("scores") or [] for line in _elsewhere(found)],
         "",
-        "## How to use it",
+        "## Usage",
         "",
         "```python",
         "from viewnet.estimator.viewpoint_estimator import ViewpointEstimator",
@@ -58,10 +58,10 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
         'print(estimator.predict("image.jpg", boxes=(40, 60, 380, 250)))',
         "```",
         "",
-        "Azimuth 0 shows the object's front and 90 its left side; elevation is the height above the horizon; degrees."
+        "Angles are in degrees. Azimuth 0 shows the object's front, 90 its left side; elevation is above the horizon."
         if aligned
-        else "Azimuth 0 and the up of its own frame are arbitrary: only differences between viewpoints tell something.",
-        "It knows this category alone, and answers for any image.",
+        else "The model's own frame is arbitrary: only differences between viewpoints mean anything.",
+        "The model was trained on this category only, and gives a prediction for any image.",
     ]
     return "\n".join([*lines, ""])
 
@@ -109,9 +109,9 @@ def with_interval(scores: dict[str, Any], metric: str) -> str:
 
 def _scores(scores: dict[str, Any] | None) -> list[str]:
     if not scores:
-        return ["Its own views have no annotated viewpoints: it was not scored."]
+        return ["Not scored: the test views have no annotated viewpoints."]
     views, objects, fitted = scores["images"], scores["objects"], scores["alignment"]["images"]
-    told = f"On {views} test views of {objects} objects that it has not seen, after a rotation fitted on {fitted} "
+    told = f"{views} test views of {objects} objects not used in training, aligned by a rotation fitted on {fitted} "
     told += "annotated validation views. In brackets 95 % intervals over objects."
     return [*_table({"": scores}), "", told]
 
@@ -121,19 +121,17 @@ def _elsewhere(found: dict[str, Any]) -> list[str]:
     columns = found["alignments"]
     scores = next(iter(columns.values()))
     fitted = scores["alignment"]["images"]
-    told = f"On {found['on']}: {scores['images']} images of {scores['objects']} objects, after each of these "
-    told += f"alignments, fitted on {fitted} other annotated images"
-    told += (
-        "; but for `own`, the rotation of the model as it is, which has seen none of them." if "own" in columns else "."
-    )
+    told = f"On {found['on']}: {scores['images']} images of {scores['objects']} objects. A column for each alignment, "
+    told += f"fitted on {fitted} other annotated images"
+    told += "; `own` is the rotation saved with the model, fitted on none of them." if "own" in columns else "."
     return ["", *_table(columns), "", told]
 
 
 def _table(columns: dict[str, dict[str, Any]]) -> list[str]:
     """The scores of a dictionary, each below its name."""
     rows = {told: [with_interval(scores, metric) for scores in columns.values()] for metric, told in METRICS.items()}
-    rows["half turns, %"] = [f"{scores['flips']:.1f}" for scores in columns.values()]
-    rows["the best hypothesis within 30 degrees, %"] = [f"{s['oracle']['acc30']:.1f}" for s in columns.values()]
+    rows["180-degree flips, %"] = [f"{scores['flips']:.1f}" for scores in columns.values()]
+    rows["best hypothesis, Acc@30, %"] = [f"{s['oracle']['acc30']:.1f}" for s in columns.values()]
     head = [f"| | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}"]
     return [*head, *(f"| {told} | {' | '.join(cells)} |" for told, cells in rows.items())]
 
@@ -146,7 +144,7 @@ def _ours(data: DataConfig) -> bool:
 
 def _data(data: DataConfig) -> str:
     if data.video is not None:
-        return f"videos of a {data.category} each ({data.video.root or 'a stand-in that comes with viewnet'})"
-    models = "CAD models that come with viewnet" if data.root is None else f"CAD models ({data.root})"
-    before = f" before backgrounds ({data.backgrounds})" if data.backgrounds else ""
-    return f"{models}{', and more' if data.extra else ''}{before}"
+        return f"videos of one {data.category} each ({data.video.root or 'the built-in stand-in'})"
+    models = "viewnet's built-in CAD models" if data.root is None else f"CAD models ({data.root})"
+    behind = f" over backgrounds ({data.backgrounds})" if data.backgrounds else ""
+    return f"{models}{', and more' if data.extra else ''}{behind}"
