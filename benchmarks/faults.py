@@ -48,7 +48,7 @@ from viewnet import paths
 from viewnet.data import rendered_store as rendering
 from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 from viewnet.runtime.files import replacing
-from viewnet.training.run_store import STATE
+from viewnet.training.make_run import STATE
 
 SIZES = [4**power for power in range(3, 14)]
 """Of files and disks: 64 bytes to 64 MiB."""

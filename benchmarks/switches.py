@@ -29,6 +29,7 @@ from viewnet.model import volume
 from viewnet.recipes import make_config
 from viewnet.runtime import provenance
 from viewnet.runtime.files import replacing, write_json
+from viewnet.runtime.parallel import cores
 from viewnet.runtime.progress import bar
 
 USUAL = "as it is"
@@ -140,7 +141,7 @@ def main() -> None:
     parser.add_argument("--epochs", type=int, default=6)
     parser.add_argument("--seeds", type=int, default=2, help="of each switch")
     parser.add_argument("--usual", type=int, default=4, help="seeds of the training as it is")
-    parser.add_argument("--processes", type=int, default=provenance.cores())
+    parser.add_argument("--processes", type=int, default=cores())
     parser.add_argument("--switches", nargs="*", default=list(SWITCHES), choices=list(SWITCHES), metavar="SWITCH")
     parser.add_argument("-o", "--output", type=Path, default=Path("paper_tables/benchmarks"))
     given = parser.parse_args()

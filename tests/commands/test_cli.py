@@ -12,11 +12,13 @@ import pytest
 from helpers.fake_steps import STEPS
 
 from viewnet import cli
+from viewnet.config import RunConfig
 from viewnet.data import build
 from viewnet.data.store import ViewStore
 from viewnet.experiments import notebook
 from viewnet.recipes import make_config
-from viewnet.training import run_store
+from viewnet.runtime.files import read_json
+from viewnet.training import make_run
 
 COMMANDS = (
     *("notebook", "tables", "render", "train", "evaluate", "predict", "turntable", "save", "demo"),
@@ -29,7 +31,7 @@ def folders(tmp_path, monkeypatch):
     monkeypatch.setenv("VIEWNET_RUNS", str(tmp_path / "runs"))
     monkeypatch.setenv("VIEWNET_DATA", str(tmp_path / "data"))
     monkeypatch.delenv("VIEWNET_CLUSTER", raising=False)
-    monkeypatch.setattr(run_store, "default_steps", lambda: STEPS)
+    monkeypatch.setattr(make_run, "default_steps", lambda: STEPS)
     return tmp_path
 
 
@@ -43,7 +45,7 @@ def test_train_prints_runs_and_scores(folders, capsys):
         "viewnet chair seed 3 (smoke, matting)",
     ]
     (config,) = folders.glob(f"runs/viewnet/{lines[0].rpartition('/')[2]}/config.json")
-    made = run_store.RunConfig.from_dict(run_store.read_json(config))
+    made = RunConfig.from_dict(read_json(config))
     assert (made.train.epochs, made.train.amp, made.train.optimiser.betas) == (5, "off", (0.8, 0.9))
     assert lines[1].startswith("  test: within 30 degrees ")
 
@@ -52,7 +54,7 @@ def test_train_as_json_has_every_metric(folders, capsys):
     assert cli.main(["train", "car", "--profile", "smoke", "--workers", "1", "--json"]) == 0
     (told,) = json.loads(capsys.readouterr().out)
     (result,) = folders.glob(f"runs/viewnet/{told['key']}/result.json")
-    assert told == {"folder": str(result.parent), **run_store.read_json(result)}
+    assert told == {"folder": str(result.parent), **read_json(result)}
 
 
 def test_train_says_what_is_trained_and_not_scored(capsys, monkeypatch):
@@ -60,7 +62,7 @@ def test_train_says_what_is_trained_and_not_scored(capsys, monkeypatch):
         store = STEPS.open(folder)
         return replace(store, index=store.index[store.index["split"] == "train"])
 
-    monkeypatch.setattr(run_store, "default_steps", lambda: replace(STEPS, open=opened))
+    monkeypatch.setattr(make_run, "default_steps", lambda: replace(STEPS, open=opened))
     assert cli.main(["train", "car", "--profile", "smoke", "--workers", "1"]) == 0
     assert "  not scored: its own views have no annotated val and test split" in capsys.readouterr().out
 

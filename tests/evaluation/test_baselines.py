@@ -53,7 +53,7 @@ def test_all_around_an_object_one_mean_points_to_the_sky_and_the_other_keeps_the
     azimuths = np.arange(0, 360, 1.0)
     truth = true_vectors(photographs(azimuths, np.where(azimuths % 2, 10.0, 20.0)))
     assert angles(baselines.mean_vector(truth))[1] > 89
-    assert angles(baselines.mean_rotation(truth))[1] == pytest.approx(15, abs=0.1)
+    assert angles(baselines.mean_level_view(truth))[1] == pytest.approx(15, abs=0.1)
 
 
 def test_the_mean_rotation_is_the_closest_level_frame():
@@ -66,7 +66,7 @@ def test_the_mean_rotation_is_the_closest_level_frame():
         frame = geometry.look_at(geometry.view_vector(torch.as_tensor(azimuth), torch.as_tensor(elevation)))
         return float((frames - frame).square().sum())
 
-    azimuth, elevation = angles(baselines.mean_rotation(truth))
+    azimuth, elevation = angles(baselines.mean_level_view(truth))
     best = distance(azimuth, elevation)
     grid = [distance(float(a), float(e)) for a in range(0, 360, 6) for e in range(-90, 91, 6)]
     assert best < min(grid)

@@ -185,7 +185,7 @@ def test_the_study_of_an_experiment_has_every_predictor_of_the_table(tmp_path, m
     store = make_photos(tmp_path / "photos", 100, size=16)
     monkeypatch.setattr("viewnet.data.build.photo_views", lambda *a: store, raising=False)
     monkeypatch.setitem(sys.modules, "viewnet.data.photo_store", types.SimpleNamespace(summary=str))
-    monkeypatch.setattr("viewnet.training.run_store.default_steps", lambda: STEPS)
+    monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
     monkeypatch.setattr("viewnet.evaluation.features.SIZE", 16)
     asked = experiment("alignment_study", profile="smoke", categories="car", backbone="pixels", seeds=2)
     found = study(asked, ensure(asked.configs, workers=1, progress=False, steps=STEPS))

@@ -27,7 +27,8 @@ from viewnet.experiments.own_method_request import MethodExperiment
 from viewnet.experiments.request import accepted, experiment
 from viewnet.tables.published import DASH
 from viewnet.tables.table import Entry, Table
-from viewnet.training.run_store import ensure, on_photographs
+from viewnet.training.other_views import on_photographs
+from viewnet.training.run_store import ensure
 
 SCORES = ("measured", "low", "high", "images", "objects")
 
@@ -82,7 +83,7 @@ def trained(tmp_path_factory):
 def apart(tmp_path, monkeypatch, trained):
     keep_apart(tmp_path, monkeypatch)
     monkeypatch.setenv("VIEWNET_RUNS", str(trained))
-    monkeypatch.setattr("viewnet.training.run_store.default_steps", lambda: STEPS)
+    monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
 
 
 @pytest.fixture

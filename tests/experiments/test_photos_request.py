@@ -17,7 +17,8 @@ from viewnet.experiments import photos
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.experiments.request import accepted, experiment
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.training.run_store import ensure, on_photographs
+from viewnet.training.other_views import on_photographs
+from viewnet.training.run_store import ensure
 
 
 @pytest.fixture(autouse=True)
@@ -52,7 +53,7 @@ def run(asked: PhotoExperiment):
 
 @pytest.fixture
 def steps(monkeypatch):
-    monkeypatch.setattr("viewnet.training.run_store.default_steps", lambda: STEPS)
+    monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
 
 
 def test_defaults_train_over_backgrounds_and_make_a_stand_in(folders):

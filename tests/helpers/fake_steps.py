@@ -16,7 +16,7 @@ from viewnet.config import DataConfig, RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Predictions
 from viewnet.runtime.files import replacing
-from viewnet.training.run_store import Steps
+from viewnet.training.make_run import Steps
 
 EPOCHS = 4
 

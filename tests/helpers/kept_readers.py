@@ -26,6 +26,7 @@ from viewnet.data.render_chunk import read_chunk
 from viewnet.data.store import ViewStore, write_store
 from viewnet.evaluation import features
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import Run
 from viewnet.experiments import notebook
 from viewnet.model import checkpoint
 from viewnet.model.checkpoint import load_model
@@ -33,7 +34,7 @@ from viewnet.recipes import make_config
 from viewnet.runtime.files import write_json
 from viewnet.tables import published
 from viewnet.tables.run_renderer import Drawer
-from viewnet.training import run_store, worker_pool
+from viewnet.training import make_run, worker_pool
 
 INDEX = make_index(8, 2).assign(source="model.obj")
 
@@ -68,20 +69,20 @@ def _run(folder: Path) -> None:
     noisy(make_index(8, 2)).to_parquet(folder / "predictions.parquet")
     metrics = {"procrustes": {"acc30": 50.0, "median": 10.0}}
     result = {
-        "schema": run_store.SCHEMA,
+        "schema": make_run.SCHEMA,
         "views": "0",
         "metrics": metrics,
-        "code": run_store._codes(),
+        "code": make_run.code_identities(),
         "training": {"seconds": 1},
     }
     write_json(folder / "result.json", result)
 
 
 def _read_run(folder: Path) -> object:
-    run = run_store.Run(CONFIG, folder)
-    told = worker_pool._latest(run_store.Job(CONFIG, folder, folder))
+    run = Run(CONFIG, folder)
+    told = worker_pool.progress_line(make_run.Job(CONFIG, folder, folder))
     assert "\n" not in told and len(told) < 500
-    complete = run_store.is_complete(folder)
+    complete = make_run.is_complete(folder)
     log = run.log
     assert log.empty or (log["seconds"].dtype.kind in "if" and log["val_accuracy"].dtype.kind in "if")
     return complete, run.scored, log, run.predictions if complete else None

@@ -40,10 +40,10 @@ class Pair:
 def ask_for_run(root: Path) -> tuple[int, Path]:
     """A run of the profile smoke; how many trainings this process began, and the run's folder."""
     from viewnet.recipes import make_config
-    from viewnet.training import run_store
+    from viewnet.training import make_run, run_store
 
     trained: list[Path] = []
-    steps = run_store.default_steps()
+    steps = make_run.default_steps()
 
     def train(config, views, folder, **options):
         trained.append(folder)

@@ -18,7 +18,7 @@ import torch
 from safetensors import safe_open
 
 from viewnet.runtime.files import PART
-from viewnet.training.run_store import STATE
+from viewnet.training.make_run import STATE
 
 PLACES = {"data": "VIEWNET_DATA", "runs": "VIEWNET_RUNS", "tables": "VIEWNET_TABLES"}
 VOLATILE = {"started", "finished", "seconds", "resumed", "git"}

@@ -14,11 +14,12 @@ from viewnet.evaluation.alignment import Identity
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predict import predict
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import Run
 from viewnet.geometry import azimuth_elevation, look_at, view_vector
 from viewnet.model import rendering
 from viewnet.runtime.files import write_json
 from viewnet.tables import run_renderer
-from viewnet.training.run_store import Run, untrained
+from viewnet.training.run_store import untrained
 
 
 def turned(degrees: float) -> np.ndarray:

@@ -142,7 +142,7 @@ def test_the_local_pool_is_an_executor(folders):
         waiting = [pool.submit(time.sleep, 0.2) for _ in range(3)]
         pool.shutdown(cancel_futures=True)
     assert waiting[-1].cancelled()
-    with pytest.raises(RuntimeError, match="shut down"):
+    with pytest.raises(RuntimeError, match="after shutdown"):
         pool.submit(int)
 
 

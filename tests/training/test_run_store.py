@@ -19,10 +19,12 @@ from helpers.fake_steps import STEPS, calls, plan
 from viewnet.config import RunConfig, VideoConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines
+from viewnet.evaluation.evaluate import evaluate
 from viewnet.evaluation.predictions import Predictions
 from viewnet.recipes import make_config
 from viewnet.runtime import provenance
-from viewnet.training import run_store
+from viewnet.runtime.parallel import cores
+from viewnet.training import make_run, other_views, run_store, worker_pool
 from viewnet.training.run_store import ensure
 
 
@@ -54,7 +56,7 @@ def test_a_run_is_made_once_and_then_reused(folders):
 def test_the_result_tells_where_it_comes_from():
     (run,) = ensure([config()], steps=STEPS)
     result = run.result
-    assert result["metrics"]["procrustes"] == run_store.evaluate.evaluate(run.predictions)
+    assert result["metrics"]["procrustes"] == evaluate(run.predictions)
     assert result["metrics"]["linear"]["alignment"]["kind"] == "linear"
     assert result["views"] == "car-0"
     training = result["training"]
@@ -85,7 +87,7 @@ def test_the_key_follows_config_views_and_code(monkeypatch):
     monkeypatch.setattr(provenance, "code_identity", lambda modules: "edited")
     others.append(run_store.locate(config(), "views"))
     assert len({base, *others}) == 6
-    assert all((provenance.PACKAGE / module).is_file() for module in run_store.PREDICTING + run_store.EVALUATING)
+    assert all((provenance.PACKAGE / module).is_file() for module in make_run.PREDICTING + make_run.EVALUATING)
 
 
 def test_code_identity_ignores_comments_and_docstrings_only():
@@ -161,7 +163,7 @@ def test_side_by_side_a_failure_or_a_death_costs_its_run_only(folders):
     assert "; viewnet car seed 1 (smoke, matting): its process was ended (signal 9): run again" in message
     assert calls(folders) == ["car-0", "car-1", "car-2", "chair-3"]
     notes = [p.read_text().split() for p in (folders / "data" / "calls").glob("*")]
-    assert {threads for _, threads in notes} == {str(max(1, provenance.cores() // 2))}
+    assert {threads for _, threads in notes} == {str(max(1, cores() // 2))}
     assert str(os.getpid()) not in {pid for pid, _ in notes}
     plan(folders)
     made = ensure(wanted, workers=1, progress=False, steps=STEPS)
@@ -228,7 +230,7 @@ def test_a_run_on_views_that_cannot_be_scored_is_trained_only(folders, lost):
     with pytest.raises(ViewnetError, match=r"viewnet car seed 0 .* no annotated val and test split: score it on photo"):
         _ = run.predictions
     photographs = fake_steps.views(config(category="chair").data)
-    assert len(run_store.on_photographs(run, photographs, STEPS).subset("test")) > 0
+    assert len(other_views.on_photographs(run, photographs, STEPS).subset("test")) > 0
     with pytest.raises(ViewnetError, match=r"constant car .* no annotated val and test split"):
         ensure([run_store.untrained("constant", config())], workers=1, steps=steps)
 
@@ -236,16 +238,16 @@ def test_a_run_on_views_that_cannot_be_scored_is_trained_only(folders, lost):
 def test_scoring_on_other_views_keeps_the_run_s_own_alignment(tmp_path):
     trained, constant = ensure([config(), run_store.untrained("constant", config())], workers=1, steps=STEPS)
     other = fake_steps.views(make_config(profile="smoke", data_root=str(tmp_path)).data)
-    found = run_store.score_on(trained, other, steps=STEPS)
+    found = other_views.score_on(trained, other, steps=STEPS)
     assert found["images"] == len(other.index)
     own = trained.result["metrics"]["procrustes"]["alignment"]
     assert found["alignment"] == own
-    assert run_store.score_on(constant, other, steps=STEPS)["images"] == len(other.index)
+    assert other_views.score_on(constant, other, steps=STEPS)["images"] == len(other.index)
     with pytest.raises(ViewnetError, match="views it was trained on"):
-        run_store.score_on(trained, fake_steps.views(config().data), steps=STEPS)
+        other_views.score_on(trained, fake_steps.views(config().data), steps=STEPS)
     seen = fake_steps.FakeStore(other.folder, other.index.assign(model_id=other.index["model_id"].str[5:]), "x")
     with pytest.raises(ViewnetError, match="model 00000 was seen in training"):
-        run_store.score_on(trained, seen, steps=STEPS)
+        other_views.score_on(trained, seen, steps=STEPS)
 
 
 def test_bad_requests_are_said():
@@ -255,13 +257,11 @@ def test_bad_requests_are_said():
 
 
 def test_progress_tells_the_last_line_of_a_log(folders):
-    from viewnet.training.worker_pool import _latest
-
     (run,) = ensure([config()], steps=STEPS)
-    job = run_store.Job(run.config, run.folder, Path())
-    assert _latest(job) == "viewnet car 0 4/2 loss 0.25 acc 40"
+    job = make_run.Job(run.config, run.folder, Path())
+    assert worker_pool.progress_line(job) == "viewnet car 0 4/2 loss 0.25 acc 40"
     (run.folder / "log.csv").write_text("")
-    assert _latest(job) == "viewnet car 0"
+    assert worker_pool.progress_line(job) == "viewnet car 0"
 
 
 def test_parquet_of_a_run_opens_with_pandas():

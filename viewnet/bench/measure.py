@@ -27,6 +27,7 @@ from viewnet.model import volume
 from viewnet.model.kernels import volume_cpu
 from viewnet.recipes import make_config
 from viewnet.runtime import provenance
+from viewnet.runtime.parallel import cores
 from viewnet.runtime.progress import bar
 
 SCHEMA = 1
@@ -89,7 +90,7 @@ class Settings:
             "sizes": QUICK_SIZES if quick else SIZES,
             "batch": BATCH_QUICK if quick else BATCH_GPU if gpu else BATCH,
             "repeat": 2 if quick else 5,
-            "threads": provenance.cores(),
+            "threads": cores(),
         }
         return cls(**usual | {name: value for name, value in given.items() if value is not None})
 

@@ -30,11 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Render what is missing and print what is there."""
-    from viewnet.training import dask_cluster, run_store
+    from viewnet.training import dask_cluster, make_run
 
     configs = shared.configurations(options)
     shared.choose_cluster(options)
-    views = run_store.default_steps().views
+    views = make_run.default_steps().views
     with dask_cluster.executor() if dask_cluster.named() else contextlib.nullcontext() as executor:
         stores = [
             _described(config, views(config.data, workers=options.workers, progress=True, executor=executor))

@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Train what is missing and print the runs; of several processes the first one prints."""
+    from viewnet.evaluation.run import NOT_SCORED
     from viewnet.runtime import distributed
     from viewnet.training import run_store
 
@@ -39,9 +40,9 @@ def run(options: argparse.Namespace) -> None:
         if options.json:
             shared.print_json([{"folder": str(run.folder), **run.result} for run in runs])
         for run in runs if not options.json else ():
-            print(f"{run_store.name(run.config)}: {run.folder}")
+            print(f"{run.name}: {run.folder}")
             if not run.scored:
-                print(f"  not scored: {run_store.NOT_SCORED}")
+                print(f"  not scored: {NOT_SCORED}")
                 continue
             score = run.result["metrics"][run.alignment]
             print(f"  test: within 30 degrees {score['acc30']:.1f} %, median {score['median']:.1f} degrees")

@@ -33,7 +33,7 @@ from viewnet.data.readers.shapenet import SPLITS
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import scratch
-from viewnet.runtime.parallel import processors
+from viewnet.runtime.parallel import cores
 from viewnet.runtime.progress import bar
 
 VERSION = 1
@@ -115,7 +115,7 @@ def clip_store(
                 np.save(waiting / f"{number}.npy", np.stack([view.pixels for view in views]))
             return [_row(clip, view, root) for view in views], lost
 
-        parallel = (workers or processors()) if masks is None or masks.parallel else 1
+        parallel = (workers or cores()) if masks is None or masks.parallel else 1
         with ThreadPoolExecutor(parallel) as pool:
             results = bar(
                 progress,

@@ -27,7 +27,7 @@ from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import read_csv
 from viewnet.runtime.image_files import opened
-from viewnet.runtime.parallel import processors
+from viewnet.runtime.parallel import cores
 from viewnet.runtime.progress import bar
 
 VERSION = 1
@@ -117,7 +117,7 @@ def photo_store(
             return error
 
     # Decoding and resizing happen outside of the interpreter, so threads do.
-    with ThreadPoolExecutor(workers or processors()) as pool:
+    with ThreadPoolExecutor(workers or cores()) as pool:
         results = list(
             bar(
                 progress,

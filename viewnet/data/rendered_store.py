@@ -23,7 +23,7 @@ from viewnet.errors import ViewnetError
 from viewnet.render import VERSION, Backend, choose_backend
 from viewnet.render.camera import DISTANCE, FOCAL, camera_frames
 from viewnet.runtime.files import locked, write_text
-from viewnet.runtime.parallel import pool, processors
+from viewnet.runtime.parallel import cores, pool
 from viewnet.runtime.progress import bar as progress_bar
 
 CHUNK = 16
@@ -227,7 +227,7 @@ def _draw(
 ) -> None:
     left = sum(len(job.models) for job in jobs)
     if workers is None:
-        workers = 1 if left * views < _WORTH_PROCESSES else processors()
+        workers = 1 if left * views < _WORTH_PROCESSES else cores()
     workers = min(workers, len(jobs))
     with progress_bar(progress, total=total, initial=total - left, desc="render", unit="model") as bar:
         try:

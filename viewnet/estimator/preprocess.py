@@ -19,7 +19,7 @@ from viewnet.data.crop import Crop, bounds, cut
 from viewnet.data.pairs import resize, tight_crop
 from viewnet.errors import ViewnetError
 from viewnet.estimator.inputs import Given, ImageLike, ImagesLike, boxes_of, listed, masks_of, opened
-from viewnet.runtime.parallel import processors
+from viewnet.runtime.parallel import cores
 
 log = logging.getLogger(__name__)
 
@@ -171,7 +171,7 @@ def batches(
     for start in range(0, len(each), _count(batch_size)):
         rows = range(start, min(start + batch_size, len(each)))
         # ImagesLike are decoded and resized outside of the interpreter, so threads help.
-        with ThreadPoolExecutor(min(processors(), len(rows))) as pool:
+        with ThreadPoolExecutor(min(cores(), len(rows))) as pool:
             found = shown(list(pool.map(view, rows)), framing, device)
         if not warned:
             unlike = _bright(found.seen[:, :3]).cpu() & ~torch.from_numpy(found.cutout)

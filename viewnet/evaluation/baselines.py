@@ -1,6 +1,10 @@
-"""Predictors that need no training. Each returns Predictions, to be scored by the same function as ViewNet."""
+"""Predictors that need no training. Each returns Predictions, scored by the same function as those of ViewNet."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -46,7 +50,7 @@ def mean_vector(truth: Floats) -> Floats:
     return mean / length
 
 
-def mean_rotation(truth: Floats) -> Floats:
+def mean_level_view(truth: Floats) -> Floats:
     """The view vector (3,) of the level camera frame closest to those of view vectors (N, 3), in squared entries.
 
     With M the mean of the frames, right, up and back in columns, the closest level frame has the largest sum of
@@ -64,7 +68,7 @@ def mean_rotation(truth: Floats) -> Floats:
     return np.array([np.cos(elevation) * c[best], np.cos(elevation) * s[best], np.sin(elevation)])
 
 
-MEANS = {"vector": mean_vector, "rotation": mean_rotation}
+MEANS = {"vector": mean_vector, "rotation": mean_level_view}
 
 
 def view_regression(
@@ -163,3 +167,26 @@ def _rows(index: pd.DataFrame, splits: tuple[str, ...]) -> pd.DataFrame:
 def _same(index: pd.DataFrame, splits: tuple[str, ...], vector: Floats) -> Predictions:
     ids = _rows(index, splits)
     return Predictions(ids, np.broadcast_to(vector, (len(ids), 1, 3)), np.zeros((len(ids), 1)))
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A predictor that needs no training, and the alignments it is scored by: that of its row in the tables first."""
+
+    predict: Callable[[pd.DataFrame], Predictions]  # index of a view store -> predictions of "val" and "test"
+    alignments: tuple[str, ...] = ("none", "procrustes")  # what is fitted on labels is in the annotated frame already
+
+
+UNTRAINED = {
+    "constant": Baseline(constant),
+    "best_constant": Baseline(best_constant),
+    "random": Baseline(random),
+}
+"""Baselines fitted on training views, by variant: runs of the run store (viewnet.training.run_store.untrained)."""
+ON_CALIBRATION = {
+    "constant": Baseline(partial(constant, source="val")),
+    "constant_rotation": Baseline(partial(constant, source="val", mean="rotation")),
+    "photographs": Baseline(oracle),
+    "random": Baseline(random),
+}
+"""Baselines fitted on calibration photographs, the split "val"; "photographs" is the truth, to describe the set."""

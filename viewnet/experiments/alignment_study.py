@@ -21,10 +21,10 @@ from viewnet.evaluation import baselines, metrics
 from viewnet.evaluation.alignment import Linear
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import Run
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.runtime.files import write_text
 from viewnet.tables.layouts import HEADLINE, LAYOUTS
-from viewnet.training.run_store import Run
 
 TABLE = "table3_pascal3d"
 KINDS = ("procrustes", "robust", "linear", "per_angle")

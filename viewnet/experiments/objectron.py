@@ -16,12 +16,13 @@ from viewnet.data.store import ViewStore
 from viewnet.data.synthetic.objectron_standin import WEAK
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines
+from viewnet.evaluation.run import Run
 from viewnet.experiments.photos import PROFILE_RECIPE, photographs_of, scenery_of
 from viewnet.experiments.request import DESIGNS, folder_named, label_of, shared
 from viewnet.experiments.videos import MASKS, SHAPENET, SMOKE_SIZE, VideoExperiment
 from viewnet.tables.layouts import LAYOUTS, unaligned
 from viewnet.tables.table import Entry
-from viewnet.training.run_store import Run, ensure
+from viewnet.training.run_store import ensure
 
 FRAMES = 10
 """Of every video, drawn at random, as in print."""

@@ -33,12 +33,12 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, submitted_predictions
 from viewnet.evaluation.alignment import ALIGNMENTS
 from viewnet.evaluation.predictions import ID_COLUMNS, UNIT_TOLERANCE, Floats, Predictions, joined, true_vectors
+from viewnet.evaluation.run import Run
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.experiments.request import Experiment
 from viewnet.runtime import provenance
 from viewnet.tables.layouts import ADDED, LAYOUTS
 from viewnet.tables.table import Entry, Table
-from viewnet.training.run_store import Run
 
 BATCH = 256
 """Images that a method is shown at once, at most."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from viewnet.config import RunConfig
+from viewnet.evaluation.run import Run
 from viewnet.experiments.own_method import Submission, with_methods
 from viewnet.experiments.photos import PROFILE_RECIPE
 from viewnet.experiments.request import DESIGNS, Experiment, experiment, label_of, shared
 from viewnet.tables.table import Table
-from viewnet.training.run_store import Run
 
 
 @dataclass(frozen=True)

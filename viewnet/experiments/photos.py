@@ -8,26 +8,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from viewnet.config import PhotoConfig, RunConfig, known
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, features
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import Run
 from viewnet.experiments.request import DESIGNS, CommonParameters, Experiment, folder_named, label_of, shared
 from viewnet.recipes import RECIPES, VARIANTS, make_config
 from viewnet.runtime import provenance
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry, Table, entries
-from viewnet.training import run_store
-from viewnet.training.run_store import Run
+from viewnet.training import other_views
 
 PROFILE_RECIPE = {"smoke": "photos", "tiny": "photos", "pocket": "photos", "small": "photos", "paper": "paper_photos"}
 """The recipe a profile uses unless another is named: backgrounds behind what is trained on, ten views a model."""
@@ -141,7 +140,7 @@ class PhotoExperiment(Experiment):
         name = name or self.name
         identities = {category: {"photographs": store.identity} for category, store in stores.items()}
         trained = entries(
-            name, runs_, lambda run: run_store.on_photographs(run, stores[run.config.category]), self.calibration
+            name, runs_, lambda run: other_views.on_photographs(run, stores[run.config.category]), self.calibration
         )
         found = [replace(e, origin=e.origin | identities[e.category]) for e in trained]
         for category, store in stores.items():
@@ -176,16 +175,7 @@ class PhotoExperiment(Experiment):
         if variant == "view_regression":
             settings = {"backbone": self.chosen, "size": features.SIZE, "ridge": self.ridge}
             return baselines.view_regression(index, features.extract(store, self.chosen)[rows], self.ridge), settings
-        return UNTRAINED[variant](index), {}
-
-
-UNTRAINED: dict[str, Callable[[pd.DataFrame], Predictions]] = {
-    "constant": lambda index: baselines.constant(index, source="val"),
-    "constant_rotation": lambda index: baselines.constant(index, source="val", mean="rotation"),
-    "photographs": baselines.oracle,
-    "random": baselines.random,
-}
-"""Predictors fitted on the split "val" of an index; "photographs" is the truth, for what is said of the set itself."""
+        return baselines.ON_CALIBRATION[variant].predict(index), {}
 
 
 def photo_experiment(

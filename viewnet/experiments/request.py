@@ -15,11 +15,14 @@ from typing import Any
 from viewnet import paths
 from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES, DataConfig, RunConfig, known
 from viewnet.errors import ViewnetError
+from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import Run
 from viewnet.recipes import PROFILE_RECIPE, PROFILES, RECIPES, VARIANTS, make_config
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry, Table, own_predictions
-from viewnet.training.run_store import UNTRAINED, Run, ensure, transferred, untrained
+from viewnet.training.other_views import transferred
+from viewnet.training.run_store import ensure, untrained
 
 DEFAULT_PROFILE = "tiny"
 MOST_SEEDS = 1000

@@ -25,20 +25,19 @@ from viewnet.estimator import hub
 from viewnet.estimator.model_card import METRICS, with_interval
 from viewnet.evaluation import evaluate, features
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import Run
 from viewnet.experiments.photos import SMOKE_COUNT, SMOKE_MODELS
 from viewnet.experiments.request import folder_named
 from viewnet.model import checkpoint
 from viewnet.recipes import make_config
 from viewnet.runtime.files import read_json, write_json
-from viewnet.training import run_store
-from viewnet.training.run_store import Run, Steps
+from viewnet.training import make_run, other_views
+from viewnet.training.make_run import Steps
 
 LEARNED = ("procrustes", "robust", "linear")
 """What predictions of a trained network are aligned by."""
 OWN = "own"
 """The rotation that the estimator answers by: fitted on the model's own validation views, whatever is scored."""
-UNTRAINED = ("none", "procrustes")
-"""What those of a predictor are that speaks in the annotated frame."""
 SUBSETS = ("imagenet", "pascal", "both")
 
 
@@ -73,20 +72,20 @@ def scores(
     calibrate: on `calibration` of either (all, if None). Raises ViewnetError where there is no model, for data of no
     layout that is scored, for views that are not those that the model was trained with, and as `evaluate` does.
     """
-    on, steps = on or Elsewhere(), steps or run_store.default_steps()
+    on, steps = on or Elsewhere(), steps or make_run.default_steps()
     known(on.subset, SUBSETS, "subset")
     with tempfile.TemporaryDirectory(prefix="viewnet-") as folder:
         run = _run(where, on.cad_root, Path(folder))
         told, predictions, calibrated_elsewhere = _predictions(run, on, steps)
         result = run.result
-    kinds = LEARNED if run.trained else UNTRAINED
+    kinds = LEARNED if run.trained else run.alignments
     found = {kind: evaluate.evaluate(predictions, kind, calibration) for kind in kinds}
     if calibrated_elsewhere and result["metrics"] is not None:
         rotation = np.array(result["metrics"]["procrustes"]["alignment"]["rotation"])
         found = {OWN: evaluate.evaluate(_turned(predictions, rotation), "none", calibration), **found}
     return {
         "model": where,
-        "name": run_store.name(run.config),
+        "name": run.name,
         "key": result.get("key"),
         "on": told,
         "alignments": found,
@@ -156,7 +155,7 @@ def _predictions(run: Run, on: Elsewhere, steps: Steps) -> tuple[str, Prediction
             data = make_config(
                 category=config.category, profile=config.profile, recipe=config.recipe, data_root=root
             ).data
-            return f"all models of {name}", run_store.transferred(_own(run, steps), steps.views(data), steps), False
+            return f"all models of {name}", other_views.transferred(_own(run, steps), steps.views(data), steps), False
         if kind not in ("pascal3d", "photographs"):
             raise ViewnetError(
                 f"data_root {on.data_root}: is {kind}, whose viewpoints are not scored: name PASCAL3D+, a folder with "
@@ -171,7 +170,7 @@ def _predictions(run: Run, on: Elsewhere, steps: Steps) -> tuple[str, Prediction
     )
     if root is None and config.profile == "smoke":
         photographs = replace(photographs, models=SMOKE_MODELS, count=SMOKE_COUNT)
-    return named, run_store.on_photographs(run, photo_views(photographs), steps), True
+    return named, other_views.on_photographs(run, photo_views(photographs), steps), True
 
 
 def _own(run: Run, steps: Steps) -> Run:
@@ -180,7 +179,7 @@ def _own(run: Run, steps: Steps) -> Run:
         views = steps.views(run.config.data)
         if views.identity != run.result.get("views"):
             raise ViewnetError(
-                f"{run_store.name(run.config)}: the views of its configuration are not those it was trained with: name the "
+                f"{run.name}: the views of its configuration are not those it was trained with: name the "
                 "collection it was trained on (cad_root), or other data (data_root)"
             )
         steps.predict(run.folder, views, splits=("val", "test")).to_parquet(run.folder / "predictions.parquet")

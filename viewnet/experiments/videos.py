@@ -18,11 +18,12 @@ from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, features
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import Run
 from viewnet.experiments.photos import PROFILE_RECIPE, PhotoExperiment, photographs_of, scenery_of
 from viewnet.experiments.request import DESIGNS, folder_named, label_of, shared
 from viewnet.model.checkpoint import locate
 from viewnet.recipes import VARIANTS, make_config
-from viewnet.training.run_store import Run, ensure
+from viewnet.training.run_store import ensure
 
 SHAPENET = "shapenet"
 """The start that is trained here: ViewNet on CAD models of the category, with the same seed."""

@@ -9,12 +9,26 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TypeVar
 
 from viewnet.errors import ViewnetError
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
+
+QUOTA = Path("/sys/fs/cgroup/cpu.max")
+"""A container's share of the CPU: microseconds allowed in a period, and the period; "max" for no limit."""
+
+
+def cores() -> int:
+    """CPU cores this process may use: its affinity and, in a container, its quota; 1 or more."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if QUOTA.exists():
+        allowed, _, period = QUOTA.read_text().partition(" ")
+        if allowed.isdigit():
+            count = min(count, max(1, int(allowed) // int(period)))
+    return count
 
 
 @contextmanager
@@ -23,7 +37,7 @@ def pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
     A script must start its work under `if __name__ == "__main__":`, or processes die (BrokenProcessPool).
     """
-    with _one_thread_each():
+    with environment(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1"):
         # Spawned, not forked: forking a process with threads (torch, BLAS) can hang, and other systems have nothing
         # else.
         context = multiprocessing.get_context("spawn")
@@ -35,7 +49,7 @@ def pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def follow_parent() -> None:
-    """Has this process end with the one that started it: a killed notebook leaves nothing running behind."""
+    """Make this process end with the one that started it: a killed notebook leaves nothing running."""
     parent = multiprocessing.parent_process()
 
     def follow() -> None:
@@ -47,7 +61,7 @@ def follow_parent() -> None:
 
 
 def as_done(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, what: str) -> Iterator[Result]:
-    """The results of `work` on every job, in the order in which they are done; with one worker, in this process.
+    """The results of `work` on every job, in the order of their completion; with one worker, in this process.
 
     Raises ViewnetError, saying that it makes `what`, where a process dies.
     """
@@ -56,9 +70,9 @@ def as_done(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, wh
         yield from map(work, jobs)
         return
     try:
-        with pool(workers) as crew:
-            for done in as_completed([crew.submit(work, job) for job in jobs]):
-                yield done.result()
+        with pool(workers) as executor:
+            for future in as_completed([executor.submit(work, job) for job in jobs]):
+                yield future.result()
     except BrokenProcessPool:
         raise ViewnetError(
             f"a process that makes {what} died: call again with fewer workers if memory ran out; a script must start"
@@ -67,21 +81,15 @@ def as_done(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, wh
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Child processes started inside use one thread each for linear algebra; they are one a processor already."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
+def environment(**values: str) -> Iterator[None]:
+    """Set environment variables for a block; processes started in it inherit them."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
     try:
         yield
     finally:
         for name, value in before.items():
             if value is None:
-                del os.environ[name]
+                os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def processors() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

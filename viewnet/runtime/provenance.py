@@ -7,13 +7,14 @@ import functools
 import hashlib
 import importlib.metadata
 import io
-import os
 import platform
 import subprocess
 import tokenize
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
+
+from viewnet.runtime.parallel import cores
 
 PACKAGE = Path(__file__).resolve().parent.parent
 LIBRARIES = ("torch", "numpy", "scipy", "pandas", "numba", "safetensors", "trimesh", "embreex")
@@ -91,17 +92,6 @@ def _processor() -> str:
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
     return platform.processor() or platform.machine()
-
-
-def cores() -> int:
-    """Processor cores this process may use: its affinity, and its container's quota where there is one."""
-    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    quota = Path("/sys/fs/cgroup/cpu.max")
-    if quota.exists():
-        allowed, _, period = quota.read_text().partition(" ")
-        if allowed.isdigit():
-            count = min(count, max(1, int(allowed) // int(period)))
-    return count
 
 
 def versions(libraries: Sequence[str] = LIBRARIES) -> dict[str, str]:

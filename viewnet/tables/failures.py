@@ -13,9 +13,9 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.evaluate import Aligned
 from viewnet.evaluation.predictions import Floats
+from viewnet.evaluation.run import Run
 from viewnet.tables.image_grids import image_grid
 from viewnet.tables.run_renderer import Stores, drawers, own_views
-from viewnet.training.run_store import Run, name
 
 THRESHOLD = 30.0
 """Degrees: an error of so much or more is a failure, and a cause explains an azimuth to within so much."""
@@ -63,7 +63,7 @@ def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
     (drawer,) = drawers([run], stores)
     groups = by_cause(drawer.aligned)
     if not groups:
-        raise ViewnetError(f"{name(run.config)}: no error of {THRESHOLD:g} degrees or more: there is nothing to show")
+        raise ViewnetError(f"{run.name}: no error of {THRESHOLD:g} degrees or more: there is nothing to show")
     true, said = (_angles(vectors) for vectors in (drawer.aligned.predictions.truth, drawer.aligned.selected))
     lines, captions, labels = [], [], []
     for group in groups:

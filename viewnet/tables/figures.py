@@ -16,8 +16,8 @@ from viewnet import geometry
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Floats
+from viewnet.evaluation.run import Run
 from viewnet.runtime.files import replacing
-from viewnet.training.run_store import Run
 
 STYLE: Any = {
     "font.size": 8,

@@ -19,11 +19,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from viewnet.errors import ViewnetError
+from viewnet.evaluation.run import Run, run_name
 from viewnet.geometry import look_at, view_vector
 from viewnet.tables.figures import STYLE
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import Drawer, Stores, drawers, own_views
-from viewnet.training.run_store import Run, name
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Told apart by colour-blind readers too (Okabe and Ito 2008)."""
@@ -130,7 +130,7 @@ def training_curves(runs: Sequence[Run]) -> Figure:
     logs = [run.log for run in runs]
     for run, log in zip(runs, logs, strict=True):
         if log.empty:
-            raise ViewnetError(f"{name(run.config)}: its log is empty: wait for the first validation")
+            raise ViewnetError(f"{run.name}: its log is empty: wait for the first validation")
     terms = dict.fromkeys(column for log in logs for column in log.columns if column not in LOGGED)
     titles = {
         "val_accuracy": "validation accuracy (%)",
@@ -228,7 +228,7 @@ def _views(drawer: Drawer, count: int) -> list[int]:
 def _check_same(one: Drawer, other: Drawer) -> None:
     if one.store.identity != other.store.identity:
         raise ViewnetError(
-            f"{name(one.config)} and {name(other.config)} have other views: they cannot be shown the same images"
+            f"{run_name(one.config)} and {run_name(other.config)} have other views: they cannot be shown the same images"
         )
 
 

@@ -32,12 +32,12 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.alignment import fit_rotation
 from viewnet.evaluation.predictions import Floats, true_vectors
+from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
 from viewnet.runtime.files import write_text
 from viewnet.tables import latex
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import BATCH, Drawer, Stores, drawers, own_views
-from viewnet.training.run_store import Run, name
 
 FIDELITY = ("psnr", "ssim", "iou")
 NAMES = {
@@ -178,7 +178,7 @@ def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -
     order = {variant: i for i, variant in enumerate((*VARIANTS, *LABELS))}
     for run in runs:
         if run.config.variant not in LABELS:
-            raise ViewnetError(f"novel views: {name(run.config)} is no row: choose one of {', '.join(VARIANTS)}")
+            raise ViewnetError(f"novel views: {run.name} is no row: choose one of {', '.join(VARIANTS)}")
     groups: dict[tuple[str, str], list[Run]] = {}
     for run in sorted(runs, key=lambda r: order[r.config.variant]):
         groups.setdefault((run.config.category, run.config.variant), []).append(run)

@@ -20,12 +20,12 @@ from viewnet.evaluation.alignment import Procrustes
 from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predict import predict
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
 from viewnet.model.checkpoint import load_model
 from viewnet.model.rendering import Imagined, Painter, shown
 from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import read_json
-from viewnet.training.run_store import Run, name
 
 BATCH = 64
 SPLIT = "test"
@@ -148,5 +148,5 @@ def drawers(runs: Sequence[Run], stores: Stores = own_views) -> list[Drawer]:
         raise ViewnetError("no runs to draw with: train some first")
     for run in runs:
         if not run.trained:
-            raise ViewnetError(f"{name(run.config)} draws nothing: choose a trained variant")
+            raise ViewnetError(f"{run.name} draws nothing: choose a trained variant")
     return [Drawer.of(run.folder, stores(run)) for run in runs]

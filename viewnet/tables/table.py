@@ -15,11 +15,11 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import Run
 from viewnet.runtime.files import write_json, write_text
 from viewnet.tables import latex, published
 from viewnet.tables.layouts import HEADLINE, LAYOUTS, Layout, alignment_of
 from viewnet.tables.published import DASH, DIGITS, text
-from viewnet.training.run_store import Run
 
 NAMES = {"acc30": "acc@30, %", "median": "median, degrees", "dva": "DVA, %"}
 DRAWS = 1000

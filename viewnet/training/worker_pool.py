@@ -4,54 +4,58 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import multiprocessing
 import os
 import queue
+import signal
 import threading
 import time
-import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
 from dataclasses import replace
-from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, TypeVar
 
 import torch
 
-from viewnet.errors import ViewnetError
-from viewnet.runtime import distributed, provenance
-from viewnet.runtime.files import write_text
-from viewnet.runtime.parallel import follow_parent
+from viewnet.runtime import distributed
+from viewnet.runtime.parallel import cores, environment, follow_parent
 from viewnet.runtime.progress import bar as progress_bar
-from viewnet.training import run_store
+from viewnet.training.make_run import Job, Steps, attempt, make, one_line
 
 T = TypeVar("T")
 
 POLL = 1.0  # seconds between looks at the logs
 TRIES = 3
-"""So often a run is begun on an executor whose workers die."""
+"""How often a run is begun on an executor whose workers die."""
 
 
 def run_all(
-    jobs: Sequence[run_store.Job],
-    steps: run_store.Steps,
+    jobs: Sequence[Job],
+    steps: Steps,
     workers: int | None,
     progress: bool,
     executor: Executor | None = None,
 ) -> list[str]:
-    """Make every job; the failures' messages, in the order of the jobs.
+    """Make every job; the messages of those that failed, in the order of the jobs.
 
     Without an executor: with one worker, or one job, everything happens in this process, otherwise in a LocalPool.
     What dies there has mostly run out of memory and would do so again, so it is left to the next call. On an executor,
-    whose workers come and go, a run whose worker died is begun up to `TRIES` times and goes on from its last state.
+    whose workers come and go, a run whose worker died is begun up to `TRIES` times and resumes from its last state.
     """
     if executor is not None:
         return _collect(executor, jobs, steps, None, progress, TRIES)
-    workers = min(workers or torch.cuda.device_count() or provenance.cores(), len(jobs))
+    workers = min(workers or torch.cuda.device_count() or cores(), len(jobs))
     if workers <= 1:
-        return [failure for job in jobs if (failure := attempt(job, steps, provenance.cores(), progress))]
+        return [failure for job in jobs if (failure := attempt(job, steps, cores(), progress))]
     with LocalPool(workers) as pool:
         try:
             return _collect(pool, jobs, steps, pool.threads, progress, tries=1)
@@ -60,12 +64,12 @@ def run_all(
             raise
 
 
-def make_together(jobs: Sequence[run_store.Job], steps: run_store.Steps, progress: bool) -> None:
-    """Make one job after another, each trained by all processes of a torchrun; what fails ends all.
+def make_together(jobs: Sequence[Job], steps: Steps, progress: bool) -> None:
+    """Make one job after another, each trained by all processes of a torchrun; the first failure ends all.
 
     The first process does everything else: it holds the run's lock, predicts and evaluates.
     """
-    threads = max(1, provenance.cores() // distributed.local_size())
+    threads = max(1, cores() // distributed.local_size())
 
     def train(*arguments: Any, **options: Any) -> None:
         distributed.first(lambda: True)
@@ -73,72 +77,86 @@ def make_together(jobs: Sequence[run_store.Job], steps: run_store.Steps, progres
 
     for job in jobs:
         if distributed.rank() == 0:
-            run_store.make(job, replace(steps, train=train), threads, progress)
+            make(job, replace(steps, train=train), threads, progress)
             distributed.first(lambda: False)
         else:
-            while distributed.first(lambda: False):  # as the first process says
+            while distributed.first(lambda: False):  # the value is the first process's
                 steps.train(job.config, steps.open(job.views), job.folder, threads=threads, progress=False)
 
 
 def _collect(
-    executor: Executor,
-    jobs: Sequence[run_store.Job],
-    steps: run_store.Steps,
-    threads: int | None,
-    progress: bool,
-    tries: int,
+    executor: Executor, jobs: Sequence[Job], steps: Steps, threads: int | None, progress: bool, tries: int
 ) -> list[str]:
-    """What went wrong in jobs on an executor; see `run_all`."""
+    """The messages of jobs that failed on an executor; see `run_all`."""
     failures: dict[int, str] = {}
-    begun, tried = time.time(), Counter(range(len(jobs)))
-    left = {executor.submit(attempt, job, steps, threads): number for number, job in enumerate(jobs)}
+    started, attempts = time.time(), Counter(range(len(jobs)))
+    pending = {executor.submit(attempt, job, steps, threads): number for number, job in enumerate(jobs)}
     bar = progress_bar(progress, total=len(jobs), unit="run")
     try:
-        while left:
-            for future in wait(left, POLL, FIRST_COMPLETED).done:
-                number = left.pop(future)
-                failure = _outcome(future, jobs[number])
-                if isinstance(failure, BrokenExecutor) and tried[number] < tries:
-                    tried[number] += 1
-                    with contextlib.suppress(RuntimeError):  # one that is broken for good takes no more
-                        left[executor.submit(attempt, jobs[number], steps, threads)] = number
+        while pending:
+            for future in wait(pending, POLL, FIRST_COMPLETED).done:
+                number = pending.pop(future)
+                failure = _failure(future, jobs[number])
+                if isinstance(failure, BrokenExecutor) and attempts[number] < tries:
+                    attempts[number] += 1
+                    with contextlib.suppress(RuntimeError):  # an executor that is broken for good takes no more
+                        pending[executor.submit(attempt, jobs[number], steps, threads)] = number
                         continue
                 if failure:
                     failures[number] = str(failure)
                 bar.update()
-            shown = [_latest(jobs[number]) for future, number in left.items() if _going(future, jobs[number], begun)]
-            bar.set_postfix_str("; ".join(shown), refresh=True)
+            running = [jobs[number] for future, number in pending.items() if _is_running(future, jobs[number], started)]
+            bar.set_postfix_str("; ".join(map(progress_line, running)), refresh=True)
     finally:
-        for future in left:
+        for future in pending:
             future.cancel()
         bar.close()
     return [failures[number] for number in sorted(failures)]
 
 
-def _outcome(future: Future[str | None], job: run_store.Job) -> str | BrokenExecutor | None:
+def _failure(future: Future[str | None], job: Job) -> str | BrokenExecutor | None:
     """What went wrong in a job: a BrokenExecutor where its worker died."""
     try:
         return future.result()
     except BrokenExecutor as error:
-        what = str(error) if isinstance(error, WorkerDied) else f"its worker died ({_first_line(error)})"
-        return WorkerDied(f"{run_store.name(job.config)}: {what}: run again to go on where it was")
+        reason = str(error) if isinstance(error, WorkerDied) else f"its worker died ({one_line(error)})"
+        return WorkerDied(f"{job.name}: {reason}: run again to go on where it was")
     except Exception as error:
-        return f"{run_store.name(job.config)}: {type(error).__name__}: {_first_line(error)}"
+        return f"{job.name}: {one_line(error)}"
 
 
-def _going(future: Future[Any], job: run_store.Job, begun: float) -> bool:
-    """Whether a job is being made; some executors do not tell."""
+def _is_running(future: Future[Any], job: Job, started: float) -> bool:
+    """Whether a job is being made; for executors that do not know, whether its log has grown."""
     try:
-        return future.running() or (job.folder / "log.csv").stat().st_mtime >= begun
+        return future.running() or (job.folder / "log.csv").stat().st_mtime >= started
     except OSError:
         return False
+
+
+def progress_line(job: Job) -> str:
+    """A job and the last row of its log in some words: epoch, loss, Acc@30 on validation views."""
+    config = job.config
+    title = f"{config.variant} {config.category} {config.seed}"
+    try:
+        with (job.folder / "log.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, ValueError, csv.Error):  # a damaged log is reported where it is read for results
+        rows = []
+    if not rows or "epoch" not in rows[-1]:
+        return title
+    last = rows[-1]
+    line = f"{title} {str(last['epoch'])[:9].strip()}/{config.train.epochs}"
+    for column, label in (("loss", "loss"), ("val_accuracy", "acc")):
+        with contextlib.suppress(KeyError, TypeError, ValueError):
+            line += f" {label} {float(last[column]):.3g}"
+    return line
 
 
 class WorkerDied(BrokenExecutor):
     """A worker process ended in the middle of a job."""
 
 
-class LocalPool(Executor):
+class LocalPool(ThreadPoolExecutor):
     """Spawned processes of this machine, each with `threads` threads and, where there are GPUs, one of them in turn.
 
     `workers`: as many as there are GPUs, or cores without any. A process that dies fails its job with WorkerDied and is
@@ -147,175 +165,104 @@ class LocalPool(Executor):
 
     def __init__(self, workers: int | None = None):
         gpus = torch.cuda.device_count()
-        workers = workers or gpus or provenance.cores()
-        self.threads = max(1, provenance.cores() // workers)
-        self._tasks: queue.SimpleQueue[_Task | None] = queue.SimpleQueue()
-        self._crew = [_Worker(self._tasks, _gpu(i, gpus)) for i in range(workers)]
-        self._closed = threading.Event()
+        workers = workers or gpus or cores()
+        super().__init__(workers)  # a thread for each process, which waits for it
+        self.threads = max(1, cores() // workers)
+        self._workers = [_Worker(_gpu(number, gpus)) for number in range(workers)]
+        self._idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
+        for worker in self._workers:
+            self._idle.put(worker)
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         """As Executor.submit. RuntimeError once the pool is shut down."""
-        if self._closed.is_set():
-            raise RuntimeError("the pool is shut down")
-        future: Future[T] = Future()
-        self._tasks.put((future, (fn, args, kwargs)))
-        return future
+        return super().submit(self._call, fn, args, kwargs)
+
+    def _call(self, fn: Callable[..., T], args: tuple[Any, ...], kwargs: dict[str, Any]) -> T:
+        worker = self._idle.get()
+        try:
+            return worker.call(fn, args, kwargs)
+        finally:
+            self._idle.put(worker)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """As Executor.shutdown."""
-        self._closed.set()
-        if cancel_futures:
-            with contextlib.suppress(queue.Empty):
-                while True:
-                    if task := self._tasks.get_nowait():
-                        task[0].cancel()
-        for _ in self._crew:
-            self._tasks.put(None)
+        super().shutdown(wait, cancel_futures=cancel_futures)
         if wait:
-            for worker in self._crew:
-                worker.join()
+            for worker in self._workers:
+                worker.close()
 
     def terminate_workers(self) -> None:
-        """End all processes, whatever they are at."""
+        """End all processes, whatever they are doing."""
         self.shutdown(wait=False, cancel_futures=True)
-        for worker in self._crew:
+        for worker in self._workers:
             worker.terminate()
 
 
-_Task = tuple[Future[Any], tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]]
+class _Worker:
+    """A process for one task at a time, started when needed and again when it has died."""
 
+    def __init__(self, gpu: str | None):
+        self._gpu = gpu
+        self._context = _Context()
+        self._executor: ProcessPoolExecutor | None = None
 
-class _Worker(threading.Thread):
-    """Has a spawned process do one task after another, and another process when that has died."""
-
-    def __init__(self, tasks: queue.SimpleQueue[_Task | None], gpu: str | None):
-        super().__init__(daemon=True)
-        self.tasks, self.gpu = tasks, gpu
-        self.process: SpawnProcess | None = None
-        self.connection: Connection | None = None
-        self.start()
-
-    def run(self) -> None:
-        while (task := self.tasks.get()) is not None:
-            future, call = task
-            if not future.set_running_or_notify_cancel():
-                continue
-            try:
-                future.set_result(self._do(call))
-            except BaseException as error:
-                future.set_exception(error)
-        if self.process is not None:
-            assert self.connection is not None
-            self.connection.close()  # an idle process takes the hint
-            self.process.join()
-
-    def _do(self, call: Any) -> Any:
-        if self.process is None or not self.process.is_alive():
-            context = multiprocessing.get_context("spawn")
-            self.connection, theirs = context.Pipe()
-            self.process = context.Process(target=_serve, args=(theirs, self.gpu), daemon=False)
-            # Pages of 2 MiB for what is large, which volumes are: a step is faster by some per cent. Read at its start.
-            os.environ.setdefault("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")
-            self.process.start()
-            theirs.close()  # so that the process's end is noticed
-        assert self.connection is not None
-        self.connection.send(call)
+    def call(self, fn: Callable[..., T], args: tuple[Any, ...], kwargs: dict[str, Any]) -> T:
+        """The result of a function in the process. WorkerDied where the process ends before it returns."""
+        if self._executor is None:
+            self._executor = ProcessPoolExecutor(1, self._context, _initialise, (self._gpu,))
         try:
-            result, error = self.connection.recv()
-        except (EOFError, ConnectionError):
-            self.process.join()
-            raise WorkerDied(f"its process was ended ({_ending(self.process.exitcode)})") from None
-        if error is not None:
-            raise error
-        return result
+            return self._executor.submit(fn, *args, **kwargs).result()
+        except BrokenExecutor:
+            self.close()
+            process = self._context.process
+            code = process.exitcode if process is not None else None
+            ending = f"signal {-code}" if isinstance(code, int) and code < 0 else f"exit code {code}"
+            raise WorkerDied(f"its process was ended ({ending})") from None
+
+    def close(self) -> None:
+        """Wait until the process has ended, after its task."""
+        if self._executor is not None:
+            self._executor.shutdown()
+            self._executor = None
 
     def terminate(self) -> None:
-        if self.process is not None:
-            self.process.terminate()
+        """End the process at once."""
+        if self._context.process is not None:
+            self._context.process.terminate()
 
 
-def _serve(connection: Connection, gpu: str | None) -> None:
-    """The life of a worker process."""
+class _Context(SpawnContext):
+    """Spawns processes with large pages, and remembers the last one: executors do not tell how theirs ended."""
+
+    process: SpawnProcess | None = None
+
+    def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
+        self.process = _Process(*args, **kwargs)
+        return self.process
+
+
+_starting = threading.Lock()
+
+
+class _Process(SpawnProcess):
+    def start(self) -> None:
+        # Volumes on pages of 2 MiB make a step some per cent faster. The C library reads this when a process starts.
+        with _starting, environment(GLIBC_TUNABLES=os.environ.get("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")):
+            super().start()
+
+
+def _initialise(gpu: str | None) -> None:
+    """Prepare a worker process."""
     follow_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, which then ends its workers
     if gpu is not None:
-        os.environ["CUDA_VISIBLE_DEVICES"] = gpu  # heeded as long as CUDA has not been touched
-    while True:
-        try:
-            function, arguments, options = connection.recv()
-            answer: tuple[Any, Exception | None] = (function(*arguments, **options), None)
-        except (EOFError, KeyboardInterrupt):
-            return
-        except Exception as error:
-            answer = (None, error)
-        try:
-            connection.send(answer)
-        except (KeyboardInterrupt, BrokenPipeError):
-            return
-        except Exception as error:  # what cannot be pickled
-            connection.send((None, RuntimeError(f"{type(error).__name__}: {error}")))
-
-
-_busy = threading.Lock()
-
-
-def attempt(job: run_store.Job, steps: run_store.Steps, threads: int | None, progress: bool = False) -> str | None:
-    """Make a job; what went wrong in one line, the whole story in error.log.
-
-    A process makes one at a time, however many threads an executor gives it: seeds and thread counts are its own.
-    """
-    with _busy:
-        return _attempt(job, steps, threads, progress)
-
-
-def _attempt(job: run_store.Job, steps: run_store.Steps, threads: int | None, progress: bool) -> str | None:
-    before = torch.get_num_threads()
-    try:
-        run_store.make(job, steps, threads, progress)
-    except ViewnetError as error:
-        return f"{run_store.name(job.config)}: {error}"
-    except Exception as error:
-        report, where = job.folder / "error.log", ""
-        with contextlib.suppress(ViewnetError):  # it may be for want of a place to write to
-            write_text(report, traceback.format_exc())
-            where = f" (see {report})"
-        return f"{run_store.name(job.config)}: {type(error).__name__}: {_first_line(error)}{where}"
-    finally:
-        torch.set_num_threads(before)
-    return None
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).strip().splitlines() or [""])[0]
-
-
-def _latest(job: run_store.Job) -> str:
-    """The last line of a run's log in a few words."""
-    config = job.config
-    title = f"{config.variant} {config.category} {config.seed}"
-    try:
-        with (job.folder / "log.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, ValueError, csv.Error):  # or one that is damaged: this is only for display
-        rows = []
-    if not rows or "epoch" not in rows[-1]:
-        return title
-    last = rows[-1]
-    words = f"{title} {str(last['epoch'])[:9].strip()}/{config.train.epochs}"
-    for column, word in (("loss", "loss"), ("val_accuracy", "acc")):
-        try:
-            words += f" {word} {float(last[column]):.3g}"
-        except (KeyError, TypeError, ValueError):
-            continue
-    return words
+        os.environ["CUDA_VISIBLE_DEVICES"] = gpu  # takes effect as long as CUDA has not been initialised
 
 
 def _gpu(worker: int, gpus: int) -> str | None:
+    """The GPU of a worker, as CUDA_VISIBLE_DEVICES names it."""
     if not gpus:
         return None
     visible = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
     names = visible if len(visible) >= gpus and visible[0] else [str(i) for i in range(gpus)]
     return names[worker % gpus]
-
-
-def _ending(code: Any) -> str:
-    return f"signal {-code}" if isinstance(code, int) and code < 0 else f"exit code {code}"

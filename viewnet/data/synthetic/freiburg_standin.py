@@ -24,7 +24,7 @@ from viewnet.render import VERSION as RENDER_VERSION
 from viewnet.render import render_frames
 from viewnet.render.camera import camera_frames
 from viewnet.runtime.files import write_text
-from viewnet.runtime.parallel import as_done, processors
+from viewnet.runtime.parallel import as_done, cores
 from viewnet.runtime.progress import bar
 
 VERSION = 1
@@ -85,7 +85,7 @@ def write_stand_in(
         raise ViewnetError(f"{root}: is not empty: name another folder")
     jobs = [_Job(root, number, frames, seed) for number in numbers]
     if workers is None:
-        workers = 1 if len(numbers) * frames < 400 else processors()  # for a few, starting processes takes longer
+        workers = 1 if len(numbers) * frames < 400 else cores()  # for a few, starting processes takes longer
     with bar(progress, total=len(jobs), desc="stand-in", unit="sequence") as shown:
         for _ in as_done(_write_sequence, jobs, workers, "the stand-in"):
             shown.update()

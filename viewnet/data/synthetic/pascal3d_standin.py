@@ -33,7 +33,7 @@ from viewnet.render.camera import camera_frames
 from viewnet.render.mesh import Mesh
 from viewnet.runtime.files import write_text
 from viewnet.runtime.image_files import opened
-from viewnet.runtime.parallel import as_done, processors
+from viewnet.runtime.parallel import as_done, cores
 from viewnet.runtime.progress import bar
 
 VERSION = 1
@@ -152,7 +152,7 @@ def _plan(category: str, subset: str, models: int, count: int, seed: int) -> dic
 def _make(jobs: Sequence[_Job], workers: int | None, progress: bool) -> None:
     total = sum(len(job.photographs) for job in jobs)
     if workers is None:
-        workers = 1 if total < 200 else processors()  # for a few, starting processes takes longer
+        workers = 1 if total < 200 else cores()  # for a few, starting processes takes longer
     with bar(progress, total=total, desc="stand-in", unit="image") as shown:
         for photographs in as_done(_draw_model, jobs, workers, "the stand-in"):
             shown.update(photographs)

@@ -1,0 +1,212 @@
+"""Making one run: train, predict and evaluate whatever of it is missing in its folder."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from viewnet.config import RunConfig
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.baselines import UNTRAINED
+from viewnet.evaluation.evaluate import evaluate
+from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import NOT_SCORED, Run, can_be_scored, read_log, read_result, run_name
+from viewnet.model import checkpoint
+from viewnet.runtime import distributed, provenance
+from viewnet.runtime.files import locked, write_json, write_text
+
+SCHEMA = 1
+"""The version of result.json."""
+STATE = "state.pt"
+"""What an interrupted training resumes from (viewnet.training.train); removed when training has ended."""
+PREDICTING = ("evaluation/predict.py", "evaluation/predictions.py")
+EVALUATING = (
+    "evaluation/alignment.py",
+    "evaluation/evaluate.py",
+    "evaluation/metrics.py",
+    "evaluation/predictions.py",
+    "geometry.py",
+)
+"""A change in the statements of these modules repeats predictions and metrics of finished runs, not their training."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The functions a run is made of; spawned processes must be able to import them."""
+
+    views: Callable[..., Any]  # (DataConfig, workers=, progress=, executor=) -> ViewStore
+    open: Callable[[Path], Any]  # folder of a view store -> ViewStore
+    train: Callable[..., None]  # (RunConfig, ViewStore, folder, threads=, progress=), resumable
+    predict: Callable[..., Predictions]  # (folder of the run, ViewStore, splits=)
+
+
+def default_steps() -> Steps:
+    """Rendering, training and prediction of this package, imported only when needed."""
+    from viewnet.data.build import view_store
+    from viewnet.data.store import ViewStore
+    from viewnet.evaluation.predict import predict
+    from viewnet.training.train import train
+
+    return Steps(view_store, ViewStore.open, train, predict)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run that is not finished, and the folder of its view store."""
+
+    config: RunConfig
+    folder: Path
+    views: Path
+
+    @property
+    def name(self) -> str:
+        """What messages call the run."""
+        return run_name(self.config)
+
+
+_one_at_a_time = threading.Lock()
+
+
+def attempt(job: Job, steps: Steps, threads: int | None, progress: bool = False) -> str | None:
+    """Make a job. None, or what went wrong in one line, with the traceback of an unforeseen error in error.log.
+
+    A process makes one run at a time, however many threads an executor gives it: seeds and thread counts are global.
+    """
+    with _one_at_a_time:
+        threads_before = torch.get_num_threads()
+        try:
+            make(job, steps, threads, progress)
+        except ViewnetError as error:
+            return f"{job.name}: {error}"
+        except Exception as error:
+            report, where = job.folder / "error.log", ""
+            with contextlib.suppress(ViewnetError):  # the error may be that nothing can be written
+                write_text(report, traceback.format_exc())
+                where = f" (see {report})"
+            return f"{job.name}: {one_line(error)}{where}"
+        finally:
+            torch.set_num_threads(threads_before)
+    return None
+
+
+def one_line(error: BaseException) -> str:
+    """The type of an error and the first line of its message."""
+    return f"{type(error).__name__}: {(str(error).strip().splitlines() or [''])[0]}"
+
+
+def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = True) -> None:
+    """Train, predict and evaluate what is missing of a run; waits where another process is making it.
+
+    A run on views that cannot be scored (can_be_scored) is trained only. Raises ViewnetError for an untrained predictor
+    on such views.
+    """
+    config, folder, run = job.config, job.folder, Run(job.config, job.folder)
+    with locked(folder):
+        if is_complete(folder):
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(folder / "config.json", config.to_dict())
+        views = steps.open(job.views)
+        result = run.result if (folder / "result.json").is_file() else {}
+        predictions: Predictions | None = None
+        scored = can_be_scored(views.index)
+        if not run.trained:
+            if not scored:
+                raise ViewnetError(f"{run.name}: {NOT_SCORED}, and there is nothing to train: use an annotated store")
+            predictions = UNTRAINED[config.variant].predict(views.index)
+        else:
+            if not ("training" in result and (folder / checkpoint.CHECKPOINT).is_file()):
+                training = _train(config, views, folder, steps, threads, progress)
+                result = {"schema": SCHEMA, "training": training}
+                write_json(folder / "result.json", result)
+            current = result.get("code", {}).get("predicting") == code_identities()["predicting"]
+            if scored and not (current and (folder / "predictions.parquet").is_file()):
+                predictions = steps.predict(folder, views, splits=("val", "test"))
+        if predictions is not None:
+            predictions.to_parquet(folder / "predictions.parquet")
+        elif scored:
+            predictions = Predictions.from_parquet(folder / "predictions.parquet")
+        metrics = None if predictions is None else {kind: evaluate(predictions, kind) for kind in run.alignments}
+        result = {
+            "schema": SCHEMA,
+            "key": folder.name,
+            "variant": config.variant,
+            "category": config.category,
+            "profile": config.profile,
+            "recipe": config.recipe,
+            "seed": config.seed,
+            "views": views.identity,
+            "metrics": metrics,
+            "code": code_identities(),
+            "git": provenance.commit(),
+            "training": result.get("training"),
+        }
+        write_json(folder / "result.json", result)
+
+
+def is_complete(folder: Path) -> bool:
+    """Whether a run is finished, and predicted and evaluated by the present code."""
+    if not (folder / "result.json").is_file():
+        return False
+    result = read_result(folder / "result.json")
+    if not (result.get("schema") == SCHEMA and "metrics" in result and result.get("code") == code_identities()):
+        return False
+    return result["metrics"] is None or (folder / "predictions.parquet").is_file()
+
+
+def code_identities() -> dict[str, str]:
+    """The identities of the code that predicts and of the code that evaluates, as result.json has them."""
+    return {
+        "predicting": provenance.code_identity(PREDICTING),
+        "evaluating": provenance.code_identity(EVALUATING),
+    }
+
+
+def _train(
+    config: RunConfig, views: Any, folder: Path, steps: Steps, threads: int | None, progress: bool
+) -> dict[str, Any]:
+    """Train a run, or resume it; how that went, for result.json."""
+    resumed = (folder / "log.csv").is_file()
+    started, clock = datetime.datetime.now(datetime.UTC), time.perf_counter()
+    try:
+        steps.train(config, views, folder, threads=threads, progress=progress)
+    except ViewnetError as error:
+        raise ViewnetError(f"{error}{_saved_state(folder)}") from error
+    (folder / STATE).unlink(missing_ok=True)  # left by a process that was killed after it had saved the weights
+    if not (folder / checkpoint.CHECKPOINT).is_file():
+        raise ViewnetError(f"{folder}: training left no checkpoint")
+    seconds = time.perf_counter() - clock
+    if (folder / "log.csv").is_file() and len(log := read_log(folder / "log.csv")):
+        seconds = max(seconds, float(log["seconds"].iloc[-1]))  # time spent before an interruption counts too
+    return {
+        "started": started.isoformat(timespec="seconds"),
+        "finished": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "seconds": round(seconds, 1),
+        "resumed": resumed,
+        "start": checkpoint.identity(config.train.start) if config.train.start else None,
+        "seeds": {"run": config.seed, "data": (config.data.video or config.data).seed, "evaluation": 0},
+        "hardware": provenance.hardware(threads),
+        "processes": distributed.size(),
+        "git": provenance.commit(),
+        "versions": provenance.versions(),
+    }
+
+
+def _saved_state(folder: Path) -> str:
+    """The end of the message of a failed training: which state the next call resumes from, if any."""
+    if not (folder / STATE).is_file():
+        return ""
+    try:
+        epoch = f" of epoch {int(read_log(folder / 'log.csv')['epoch'].iloc[-1])}"
+    except (ViewnetError, LookupError):
+        epoch = ""
+    return f" (the state{epoch} is kept in {folder / STATE})"
