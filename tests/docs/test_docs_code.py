@@ -23,7 +23,7 @@ from helpers.fake_steps import STEPS
 from helpers.photo_data import keep_apart, make_photos
 from PIL import Image
 
-from viewnet import cli, config
+from viewnet import cli, config, recipes
 from viewnet.data import catalogue
 from viewnet.data.store import ViewStore
 from viewnet.experiments import notebook, request, score_model
@@ -232,15 +232,13 @@ CHECKS = {
     "pip": check_pip,
     "python": check_program,
 }
-FIELDS = {
-    name
-    for kind in (config.DataConfig, config.PhotoConfig, config.VideoConfig, config.ModelConfig, config.TrainConfig)
-    for name in kind.__dataclass_fields__
+FIELDS = {name for name, _ in config.settings()} | {
+    name for kind in (config.PhotoConfig, config.VideoConfig) for name in kind.__dataclass_fields__
 }
 PARAMETERS = {name for design in request.DESIGNS for name in request.accepted(design)}
 COLUMN = r"(h|up)\d_[xyz]|logit_\d"
 """Of predictions, whose number is that of a hypothesis."""
-CHOICES = {*config.RECIPES, *config.PROFILES, *config.VARIANTS, "code"}
+CHOICES = {*recipes.RECIPES, *recipes.PROFILES, *recipes.VARIANTS, "code"}
 
 
 def test_commands_within_sentences_exist():
