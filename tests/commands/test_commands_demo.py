@@ -5,7 +5,7 @@ import sys
 
 import pytest
 from helpers.boxes import box_store
-from helpers.drawn_models import finished_run
+from helpers.untrained_models import finished_run
 
 from viewnet import cli
 

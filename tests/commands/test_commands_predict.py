@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.boxes import box_store
-from helpers.drawn_models import finished_run
+from helpers.untrained_models import finished_run
 from PIL import Image
 
 from viewnet import cli

@@ -18,9 +18,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers.documents import NOTEBOOKS, PAGES, ROOT
-from helpers.drawn_models import finished_run
 from helpers.fake_steps import STEPS
 from helpers.photo_data import keep_apart, make_photos
+from helpers.untrained_models import finished_run
 from PIL import Image
 
 from viewnet import cli, config, recipes

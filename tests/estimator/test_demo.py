@@ -14,7 +14,7 @@ import pytest
 import torch
 import trimesh
 from helpers.boxes import box_store
-from helpers.drawn_models import finished_run
+from helpers.untrained_models import finished_run
 from PIL import Image
 from safetensors.torch import save_file
 from test_estimator import PHOTOS, photograph, untrained

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.boxes import box_store
-from helpers.drawn_models import finished_run, untrained_drawer
+from helpers.untrained_models import finished_run, untrained_renderer
 from PIL import Image
 from test_run_renderer import turned
 
@@ -70,7 +70,7 @@ def same(one, other, tolerance: float = 1e-6) -> bool:
 
 @pytest.mark.parametrize("overrides", [{}, SQUARE, STRETCHED], ids=["whole", "square", "stretched"])
 def test_views_get_the_answers_that_runs_are_scored_by(store, images, overrides):
-    drawer = untrained_drawer(store, **overrides)
+    drawer = untrained_renderer(store, **overrides)
     said = estimator_of(drawer).predict(images)
     assert np.allclose(said.hypotheses, drawer.aligned.hypotheses, atol=1e-6)
     assert np.array_equal(said.choice, drawer.aligned.predictions.choice)
@@ -233,7 +233,7 @@ def test_networks_that_see_whole_views_say_so_of_what_is_cut(caplog):
 
 
 def test_viewpoints_are_rows(store, images):
-    said = estimator_of(untrained_drawer(store)).predict(images)
+    said = estimator_of(untrained_renderer(store)).predict(images)
     assert len(said) == 9
     assert [one.azimuth for one in said] == said.azimuth.tolist()
     assert said[4].hypotheses.shape == (3, 3)
@@ -277,7 +277,7 @@ def test_without_alignment_the_frame_is_the_network_s(images):
 
 
 def test_volumes_and_meshes_are_those_of_the_run(store, images):
-    drawer = untrained_drawer(store)
+    drawer = untrained_renderer(store)
     estimator = estimator_of(drawer)
     volume = drawer.imagine([4]).shape[0]
     assert torch.allclose(estimator.volume(images[4]), volume, atol=1e-4)
@@ -285,7 +285,7 @@ def test_volumes_and_meshes_are_those_of_the_run(store, images):
     mesh = estimator.mesh(images[4], level=0.3)
     assert np.allclose(mesh.bounds, expected.bounds, atol=1e-3)
     assert mesh.is_watertight
-    hologan = estimator_of(untrained_drawer(store, variant="hologan_decoder"))
+    hologan = estimator_of(untrained_renderer(store, variant="hologan_decoder"))
     for ask in (hologan.volume, hologan.mesh):
         with pytest.raises(ViewnetError, match="HoloGAN decoder has no volume"):
             ask(images[4])
@@ -293,7 +293,7 @@ def test_volumes_and_meshes_are_those_of_the_run(store, images):
 
 
 def test_reconstructions_are_those_of_the_run(store, images):
-    drawer = untrained_drawer(store)
+    drawer = untrained_renderer(store)
     found = estimator_of(drawer).reconstruct(images, size=24)
     expected = drawer.painted(drawer.reconstruct(list(range(9)), 24))
     assert np.abs(found.astype(int) - expected).max() <= 1
@@ -315,7 +315,7 @@ def test_appearance_is_the_object_s_alone_before_what_is_there():
 
 
 def test_the_view_from_the_predicted_viewpoint_is_the_reconstruction(store, images):
-    estimator = estimator_of(untrained_drawer(store, turned(70)))
+    estimator = estimator_of(untrained_renderer(store, turned(70)))
     said = estimator.predict(images)
     again = estimator.novel_view(images, said.azimuth, said.elevation, size=24)
     assert np.abs(again.astype(int) - estimator.reconstruct(images, size=24)).max() <= 2
@@ -327,7 +327,7 @@ def test_the_view_from_the_predicted_viewpoint_is_the_reconstruction(store, imag
 
 
 def test_turntables_are_those_of_the_run(store, images, tmp_path):
-    drawer = untrained_drawer(store)
+    drawer = untrained_renderer(store)
     frames = estimator_of(drawer).turntable(images[5], tmp_path / "a.gif", steps=5, hold=0, size=64)
     expected = turntable.turntable(drawer, 5, steps=5, hold=0, size=64)
     assert len(frames) == len(expected) == 5

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 from helpers.boxes import box_store
-from helpers.drawn_models import untrained_drawer
+from helpers.untrained_models import untrained_renderer
 from PIL import Image
 
 from viewnet.errors import ViewnetError
@@ -14,7 +14,7 @@ from viewnet.estimator import turntable
 
 @pytest.fixture(scope="module")
 def drawer(tmp_path_factory):
-    return untrained_drawer(box_store(tmp_path_factory.mktemp("turn") / "views", {"val": 2, "test": 2}))
+    return untrained_renderer(box_store(tmp_path_factory.mktemp("turn") / "views", {"val": 2, "test": 2}))
 
 
 def marked(frame: np.ndarray) -> bool:

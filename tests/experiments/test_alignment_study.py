@@ -22,7 +22,7 @@ from viewnet.experiments.alignment_study import (
     spread,
     study,
 )
-from viewnet.tables import figures
+from viewnet.tables import plots
 
 
 @pytest.fixture(scope="module")
@@ -151,14 +151,14 @@ def test_checks_can_fail(found):
 
 
 def test_figures_show_every_predictor_and_category(found, tmp_path):
-    figure = figures.calibration_curves(found.scores)
+    figure = plots.calibration_curves(found.scores)
     assert len(figure.axes) == 3
     assert figure.axes[0].get_title() == "car"
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "ViewNet, linear" in labels and "Constant" in labels and "Constant, linear" not in labels
     assert len(figure.axes[0].lines) == 4 + 4 + 1
     assert list(figure.axes[0].lines[0].get_xdata()) == [16, 64, 600]
-    collapse = figures.collapse_curves(found.collapse)
+    collapse = plots.collapse_curves(found.collapse)
     assert [axes.get_title() for axes in collapse.axes] == [
         "spread left", "accuracy added, points", "DVA added, points",
     ]  # fmt: skip
@@ -167,7 +167,7 @@ def test_figures_show_every_predictor_and_category(found, tmp_path):
     assert np.allclose(line.get_ydata(), mine["spread_linear"])
     assert np.allclose(line.get_xdata(), mine["side"])
     for name, drawn in (("a", figure), ("b", collapse)):
-        assert all(file.stat().st_size > 1000 for file in figures.save(drawn, tmp_path, name))
+        assert all(file.stat().st_size > 1000 for file in plots.save(drawn, tmp_path, name))
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from viewnet.experiments import own_method
 from viewnet.experiments.own_method import Submission, angles, held_out, predictions, view_vectors, with_methods
 from viewnet.experiments.own_method_request import MethodExperiment
 from viewnet.experiments.request import accepted, experiment
-from viewnet.tables.published import DASH
+from viewnet.tables.columns import DASH
 from viewnet.tables.table import Entry, Table
 from viewnet.training.other_views import on_photographs
 from viewnet.training.run_store import ensure

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 import torch
 from helpers.boxes import box_store
-from helpers.drawn_models import finished_run
 from helpers.fake_steps import STEPS
+from helpers.untrained_models import finished_run
 from PIL import Image
 
 from viewnet import cli

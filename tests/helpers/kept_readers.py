@@ -14,9 +14,9 @@ from unittest import mock
 import numpy as np
 import torch
 from helpers.damage import hostile_values, other_array, other_json, other_table
-from helpers.drawn_models import untrained_run
 from helpers.evaluation_data import make_index, noisy
 from helpers.readers import Reader, check_store
+from helpers.untrained_models import untrained_run
 from hypothesis import strategies as st
 from torch import nn
 
@@ -32,8 +32,8 @@ from viewnet.model import checkpoint
 from viewnet.model.checkpoint import load_model
 from viewnet.recipes import make_config
 from viewnet.runtime.files import write_json
-from viewnet.tables import published
-from viewnet.tables.run_renderer import Drawer
+from viewnet.tables import reported
+from viewnet.tables.run_renderer import RunRenderer
 from viewnet.training import make_run, worker_pool
 
 INDEX = make_index(8, 2).assign(source="model.obj")
@@ -179,13 +179,13 @@ def other_weights(content: bytes) -> st.SearchStrategy[bytes]:
 
 
 def _published(folder: Path) -> None:
-    shutil.copytree(published.folder(), folder / "paper_tables/published")
+    shutil.copytree(reported.folder(), folder / "paper_tables/published")
 
 
 def _read_published(folder: Path) -> object:
     with mock.patch.dict(os.environ, VIEWNET_ROOT=str(folder)):
-        tables = [published.load(table) for table in published.TABLES]
-        layers = [published.architecture(part) for part in ("encoder", "generator")]
+        tables = [reported.load(table) for table in reported.TABLES]
+        layers = [reported.architecture(part) for part in ("encoder", "generator")]
         counts = annotated_viewpoints.histogram()
         assert annotated_viewpoints.sample(np.random.default_rng(0), 2)["azimuth"].between(0, 360).all()
     return tables, layers, counts
@@ -274,7 +274,7 @@ def _store_in(folder: Path) -> None:
 
 
 def _draw(folder: Path) -> object:
-    return Drawer.of(folder / "run", ViewStore.open(folder / "store")).aligned
+    return RunRenderer.of(folder / "run", ViewStore.open(folder / "store")).aligned
 
 
 KEPT: tuple[Reader, ...] = (

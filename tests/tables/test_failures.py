@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 from helpers.boxes import box_store
-from helpers.drawn_models import untrained_run
 from helpers.evaluation_data import make_index, noisy
+from helpers.untrained_models import untrained_run
 from test_image_grids import images, inside
 
 from viewnet.errors import ViewnetError
@@ -74,7 +74,7 @@ def test_gallery_tells_both_viewpoints(store, tmp_path):
     figure = failures.gallery(run, lambda run: store, count=3)
     shown = images(figure)
     assert all(len(line) == 6 for line in shown)
-    (drawer,) = failures.drawers([run], lambda run: store)
+    (drawer,) = failures.renderers([run], lambda run: store)
     groups = failures.by_cause(drawer.aligned)
     assert [axes.get_ylabel().replace("\n", " ") for axes in figure.axes[::6]] == [
         f"{g.cause} {len(g.rows)} of 16" for g in groups
@@ -88,6 +88,6 @@ def test_gallery_tells_both_viewpoints(store, tmp_path):
 def test_no_failures_are_nothing_to_show(store, tmp_path, monkeypatch):
     ids = store.index[store.index["split"] != "train"]
     right = Predictions(ids, true_vectors(ids)[:, None], np.zeros((len(ids), 1)))
-    monkeypatch.setattr(failures, "drawers", lambda runs, stores: [SimpleNamespace(aligned=align(right))])
+    monkeypatch.setattr(failures, "renderers", lambda runs, stores: [SimpleNamespace(aligned=align(right))])
     with pytest.raises(ViewnetError, match="no error of 30 degrees or more"):
         failures.gallery(untrained_run(tmp_path / "run"), lambda run: store)

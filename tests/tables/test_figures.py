@@ -7,7 +7,7 @@ from helpers.fake_steps import STEPS, views
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
 from viewnet.recipes import make_config
-from viewnet.tables import figures
+from viewnet.tables import plots
 from viewnet.training.run_store import ensure, untrained
 
 
@@ -31,7 +31,7 @@ def draw(folder, store, rows):
 
 def test_azimuths_are_those_of_the_aligned_selection(runs):
     aligned = align(runs[0].predictions)
-    true, predicted = figures.azimuths(aligned)
+    true, predicted = plots.azimuths(aligned)
     assert len(true) == len(aligned.predictions)
     right = aligned.selected_errors < 10
     assert right.any()
@@ -40,14 +40,14 @@ def test_azimuths_are_those_of_the_aligned_selection(runs):
 
 
 def test_scatter_has_a_panel_a_category_and_a_point_an_image(runs):
-    figure = figures.azimuth_scatter(runs[:2])
+    figure = plots.azimuth_scatter(runs[:2])
     assert [axes.get_title() for axes in figure.axes] == ["car", "chair"]
     for axes, run in zip(figure.axes, runs, strict=False):
         assert len(axes.collections[0].get_offsets()) == len(run.predictions.subset("test"))
 
 
 def test_candidates_show_each_head_with_its_error_and_angle(runs):
-    figure = figures.candidates(runs[:2], views, draw, count=2)
+    figure = candidates.candidates(runs[:2], views, draw, count=2)
     assert len(figure.axes) == 4 * 3
     aligned = align(runs[0].predictions)
     n = len(aligned.predictions)
@@ -59,8 +59,8 @@ def test_candidates_show_each_head_with_its_error_and_angle(runs):
 
 
 def test_files_are_the_same_bytes_each_time(runs, tmp_path):
-    first = figures.save(figures.azimuth_scatter(runs[:2]), tmp_path / "a", "figure3_azimuth")
-    again = figures.save(figures.azimuth_scatter(runs[:2]), tmp_path / "b", "figure3_azimuth")
+    first = plots.save(plots.azimuth_scatter(runs[:2]), tmp_path / "a", "figure3_azimuth")
+    again = plots.save(plots.azimuth_scatter(runs[:2]), tmp_path / "b", "figure3_azimuth")
     assert [f.name for f in first] == ["figure3_azimuth.png", "figure3_azimuth.pdf"]
     for one, other in zip(first, again, strict=True):
         assert one.read_bytes() == other.read_bytes()
@@ -72,8 +72,8 @@ def test_files_are_the_same_bytes_each_time(runs, tmp_path):
 
 
 def test_what_cannot_be_shown_is_said(runs):
-    for show in (figures.azimuth_scatter, figures.candidates):
+    for show in (plots.azimuth_scatter, candidates.candidates):
         with pytest.raises(ViewnetError, match="no runs to show"):
             show([])
     with pytest.raises(ViewnetError, match="constant draws nothing"):
-        figures.candidates(runs[2:], views, draw)
+        candidates.candidates(runs[2:], views, draw)

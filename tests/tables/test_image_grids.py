@@ -3,13 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.boxes import box_store
-from helpers.drawn_models import untrained_drawer, untrained_run
 from helpers.photo_data import make_photos
+from helpers.untrained_models import untrained_renderer, untrained_run
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from viewnet.errors import ViewnetError
 from viewnet.model import rendering
-from viewnet.tables import figures, image_grids, run_renderer
+from viewnet.tables import image_grids, plots, run_renderer
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_reconstructions_stand_beside_their_image(runs, store):
     shown = images(figure)
     assert [len(line) for line in shown] == [3, 3]
     assert [axes.get_title() for axes in figure.axes[:3]] == ["car", "ViewNet", "ViewNet +\ncycle"]
-    drawer = run_renderer.Drawer.of(runs[1].folder, store)
+    drawer = run_renderer.RunRenderer.of(runs[1].folder, store)
     assert np.array_equal(shown[1][0], drawer.shown([6])[0])
     assert np.array_equal(shown[1][2], rendering.shown(drawer.reconstruct([6]))[0])
     assert inside(figure)
@@ -86,13 +86,13 @@ def test_volumes_stand_below_their_images_from_one_viewpoint(runs, store):
     figure = image_grids.volumes(runs[:1], lambda run: store, count=4, columns=3)
     shown = images(figure)
     assert [[p is not None for p in line] for line in shown] == [[True] * 3] * 2 + [[True, False, False]] * 2
-    drawer = run_renderer.Drawer.of(runs[0].folder, store)
+    drawer = run_renderer.RunRenderer.of(runs[0].folder, store)
     assert np.array_equal(shown[2][0], drawer.shown([9])[0])
     assert inside(figure)
 
 
 def test_curves_are_the_logs(runs):
-    figure = image_grids.training_curves(runs)
+    figure = plots.training_curves(runs)
     titles = [axes.get_title() for axes in figure.axes]
     assert titles == [
         "validation accuracy (%)",
@@ -112,18 +112,18 @@ def test_a_run_without_a_log_is_named(tmp_path):
     run = untrained_run(tmp_path / "run")
     (run.folder / "log.csv").write_text("epoch,step,seconds,loss\n")
     with pytest.raises(ViewnetError, match=r"viewnet car seed 0 .* log is empty"):
-        image_grids.training_curves([run])
+        plots.training_curves([run])
     with pytest.raises(ViewnetError, match="no runs"):
-        image_grids.training_curves([])
+        plots.training_curves([])
 
 
 def test_figures_are_files(runs, store, tmp_path):
-    files = figures.save(image_grids.volumes(runs[:1], lambda run: store, count=2), tmp_path, "volumes")
+    files = plots.save(image_grids.volumes(runs[:1], lambda run: store, count=2), tmp_path, "volumes")
     assert files[0].read_bytes().startswith(b"\x89PNG")
     assert files[1].read_bytes().startswith(b"%PDF")
 
 
 def test_untrained_drawer_is_what_a_run_gives(store, tmp_path):
     """The two ways in which tests come by a drawer agree."""
-    one, other = run_renderer.Drawer.of(untrained_run(tmp_path / "run").folder, store), untrained_drawer(store)
+    one, other = run_renderer.RunRenderer.of(untrained_run(tmp_path / "run").folder, store), untrained_renderer(store)
     assert np.allclose(rendering.shown(one.reconstruct([0])), rendering.shown(other.reconstruct([0])), atol=2)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 from helpers.boxes import box_store
-from helpers.drawn_models import untrained_drawer, untrained_run
 from helpers.photo_data import make_photos
+from helpers.untrained_models import untrained_renderer, untrained_run
 
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.alignment import Identity
@@ -35,7 +35,7 @@ def store(tmp_path_factory):
 
 def test_a_run_is_aligned_as_in_the_tables(store, tmp_path):
     run = untrained_run(tmp_path / "run")
-    drawer = run_renderer.Drawer.of(run.folder, store)
+    drawer = run_renderer.RunRenderer.of(run.folder, store)
     assert len(drawer) == len(drawer.views.objects) == 9
     said = predict(run.folder, store)
     assert np.allclose(drawer.rotation, align(said).alignment.rotation)
@@ -44,19 +44,19 @@ def test_a_run_is_aligned_as_in_the_tables(store, tmp_path):
     kept.to_parquet(run.folder / "predictions.parquet")
     for views, expected in ((store.identity, kept), ("others", said)):
         write_json(run.folder / "result.json", {"views": views})
-        found = run_renderer.Drawer.of(run.folder, store).aligned.predictions
+        found = run_renderer.RunRenderer.of(run.folder, store).aligned.predictions
         assert np.allclose(found.hypotheses, expected.subset("test").hypotheses)
 
 
 def test_frames_are_taken_back_into_the_own_frame(store):
-    drawer = untrained_drawer(store, turned(90))
+    drawer = untrained_renderer(store, turned(90))
     azimuth, elevation = torch.tensor([120.0]), torch.tensor([20.0])
     own = drawer.own(look_at(view_vector(azimuth, elevation)))
     assert torch.allclose(own, look_at(view_vector(azimuth - 90, elevation)), atol=1e-6)
 
 
 def test_turn_is_what_own_azimuths_lack(store):
-    drawer = untrained_drawer(store)
+    drawer = untrained_renderer(store)
     ids = drawer.aligned.calibration.ids
     angles = (torch.tensor(ids[c].to_numpy()) for c in ("azimuth", "elevation"))
     said = view_vector(next(angles) - 70, next(angles) * 0.5).numpy()[:, None]
@@ -68,7 +68,7 @@ def test_turn_is_what_own_azimuths_lack(store):
 
 
 def test_answers_are_the_selected_frames(store):
-    drawer = untrained_drawer(store)
+    drawer = untrained_renderer(store)
     rows = [4, 1]
     found = drawer.network.viewpoint(drawer.network.see(drawer.images(rows, 32)))
     frames = found.frames[torch.arange(2), found.logits.argmax(1)]
@@ -76,18 +76,18 @@ def test_answers_are_the_selected_frames(store):
 
 
 def test_larger_drawings_show_the_same(store):
-    drawer = untrained_drawer(store)
+    drawer = untrained_renderer(store)
     imagined, frames = drawer.imagine([0, 3]), drawer.answers([0, 3])
     small, large = (drawer.draw(imagined, frames, size) for size in (None, 64))
     assert large.shape == (2, 4, 64, 64)
     pair = torch.stack([torch.nn.functional.avg_pool2d(large, 4).flatten(), small.flatten()])
     assert torch.corrcoef(pair)[0, 1] > 0.95
-    hologan = untrained_drawer(store, variant="hologan_decoder")
+    hologan = untrained_renderer(store, variant="hologan_decoder")
     assert hologan.draw(hologan.imagine([0]), frames[:1], 64).shape == (1, 4, 16, 16)
 
 
 def test_photographs_are_drawn_cut_to_their_object(tmp_path):
-    drawer = untrained_drawer(make_photos(tmp_path / "photos"), recipe="photos", backgrounds=None)
+    drawer = untrained_renderer(make_photos(tmp_path / "photos"), recipe="photos", backgrounds=None)
     drawn = drawer.reconstruct([0, 1])
     assert drawer.partners([0, 1]) == [0, 1]
     covered = drawn[:, 3] > 0.5
@@ -103,10 +103,10 @@ def test_shown_is_before_a_wall():
 
 
 def test_what_draws_nothing_is_said(store, tmp_path):
-    drawer = untrained_drawer(store)
+    drawer = untrained_renderer(store)
     with pytest.raises(ViewnetError, match="no runs to draw with"):
-        run_renderer.drawers([])
+        run_renderer.renderers([])
     with pytest.raises(ViewnetError, match=r"constant car seed 0 .* draws nothing"):
-        run_renderer.drawers([Run(untrained("constant", drawer.config), tmp_path)])
+        run_renderer.renderers([Run(untrained("constant", drawer.config), tmp_path)])
     with pytest.raises(ViewnetError, match="alignment none is no rotation"):
         _ = replace(drawer, aligned=replace(drawer.aligned, alignment=Identity())).rotation

@@ -17,10 +17,10 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.evaluate import align
 from viewnet.recipes import make_config
-from viewnet.tables import published
+from viewnet.tables import reported
+from viewnet.tables.columns import DASH
 from viewnet.tables.latex import escape
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.published import DASH
 from viewnet.tables.table import Entry, Table, entries
 from viewnet.training.run_store import ensure, untrained
 
@@ -260,9 +260,9 @@ def test_escape():
     assert escape("50 % & a_b #1 {x}") == r"50 \% \& a\_b \#1 \{x\}"
 
 
-@pytest.mark.parametrize("name", published.TABLES)
+@pytest.mark.parametrize("name", reported.TABLES)
 def test_printed_numbers_are_numbers_with_a_source(name):
-    frame = published.load(name)
+    frame = reported.load(name)
     assert not frame.duplicated(["row", "metric", "category"]).any()
     assert frame["source"].str.len().min() > 10
     values = pd.to_numeric(frame["value"].replace("", np.nan))
@@ -274,10 +274,10 @@ def test_printed_numbers_are_numbers_with_a_source(name):
 
 
 def test_printed_numbers_agree_with_each_other():
-    one, two = (published.load(name).set_index(["row", "metric", "category"])["value"] for name in published.TABLES[:2])
+    one, two = (reported.load(name).set_index(["row", "metric", "category"])["value"] for name in reported.TABLES[:2])
     assert (one.loc["ViewNet"] == two.loc["ViewNet"]).all()
     three = (
-        published.load("table3_pascal3d")
+        reported.load("table3_pascal3d")
         .set_index(["row", "metric", "category"])["value"]
         .sort_index()
         .replace("", np.nan)
@@ -292,7 +292,7 @@ def test_unreadable_prints_are_named(tmp_path, monkeypatch):
     (tmp_path / "paper_tables" / "published").mkdir(parents=True)
     monkeypatch.setenv("VIEWNET_ROOT", str(tmp_path))
     with pytest.raises(ViewnetError, match=r"table1_shapenet\.csv: no such file"):
-        published.load("table1_shapenet")
+        reported.load("table1_shapenet")
     (tmp_path / "paper_tables" / "published" / "table1_shapenet.csv").write_text("row,value\nMVC,1\n")
     with pytest.raises(ViewnetError, match=r"columns are row, value, expected row, metric"):
-        published.load("table1_shapenet")
+        reported.load("table1_shapenet")

@@ -32,7 +32,6 @@ from viewnet.recipes import make_config
 from viewnet.training.step import step_loss
 from viewnet.training.train import make_optimisers
 
-CONTESTANTS = ("textbook", "viewnet")
 FORWARD, BOTH, EXACT, STEP = (
     "renderer, forward",
     "renderer, forward + backward",

@@ -19,7 +19,7 @@ import pandas as pd
 import torch
 
 from viewnet.bench import contestants, textbook
-from viewnet.bench.contestants import BOTH, CONTESTANTS, EXACT, FORWARD, STEP, VIEWS, Work
+from viewnet.bench.contestants import BOTH, EXACT, FORWARD, STEP, VIEWS, Work
 from viewnet.bench.roofline import Need, Rates, drawing_need, lit_samples, step_need
 from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
@@ -29,6 +29,7 @@ from viewnet.recipes import make_config
 from viewnet.runtime import provenance
 from viewnet.runtime.parallel import cores
 from viewnet.runtime.progress import bar
+from viewnet.tables.benchmark import CONTESTANTS
 
 SCHEMA = 1
 SIZES = (32, 64, 128)

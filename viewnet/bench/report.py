@@ -13,27 +13,16 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from viewnet.bench.contestants import BOTH, CONTESTANTS
+from viewnet.bench.contestants import BOTH
 from viewnet.bench.measure import COLUMNS, Row
 from viewnet.runtime.files import write_json, write_text
-from viewnet.tables import figures
-from viewnet.tables.latex import escape
-from viewnet.tables.published import DASH
+from viewnet.tables import latex, plots
+from viewnet.tables.benchmark import CONTESTANTS, HEADINGS, NOT_MEASURED, cells, notes, number
+from viewnet.tables.columns import DASH
 
 COLOURS = {"textbook": "#d55e00", "viewnet": "#0072b2"}  # told apart by colour-blind readers, and by their markers
 MARKERS = {"textbook": "s", "viewnet": "o"}
 RATIOS = {"time": "#009e73", "memory": "#e69f00"}
-NOT_MEASURED = "not measured"
-
-# ---- text
-
-
-HEADINGS = (
-    ("", "", "", "", "time", "", "", "memory", "", "", "images/s", "", "growth", "", "", "x floor", ""),
-    ("work", "volume", "size", "on", "textbook", "viewnet", "ratio", "textbook", "viewnet", "ratio", "textbook",
-     "viewnet", "expected", "textbook", "viewnet", "textbook", "viewnet"),
-)  # fmt: skip
-"""The two lines above what `cells` has."""
 
 
 def as_text(result: dict[str, Any]) -> str:
@@ -49,76 +38,6 @@ def as_text(result: dict[str, Any]) -> str:
     return out.getvalue() + "\n" + "\n".join(notes(result)) + "\n"
 
 
-def cells(row: Row) -> tuple[str, ...]:
-    """A row as text, a cell for each of HEADINGS."""
-    measured = any(row[f"{name}_s"] is not None for name in CONTESTANTS)
-    return (
-        row["work"],
-        row["volume"],
-        "" if row["size"] is None else str(row["size"]),
-        row["device"],
-        *((_seconds(row["textbook_s"]), _seconds(row["viewnet_s"])) if measured else ("", NOT_MEASURED)),
-        _spread(row["speedup"], row["speedup_low"], row["speedup_high"]),
-        _bytes(row["textbook_bytes"]),
-        _bytes(row["viewnet_bytes"]),
-        _number(row["memory_ratio"]),
-        _number(row["textbook_images_per_s"]),
-        _number(row["viewnet_images_per_s"]),
-        _number(row["growth_expected"]),
-        _both(row["textbook_growth"], row["textbook_memory_growth"]),
-        _both(row["viewnet_growth"], row["viewnet_memory_growth"]),
-        _number(row["textbook_over_floor"]),
-        _number(row["viewnet_over_floor"]),
-    )
-
-
-def notes(result: dict[str, Any]) -> list[str]:
-    """What stands under the table."""
-    settings, machine, git = result["settings"], result["hardware"], result["git"]
-    rates = {name: f"{value / 1e9:.3g}" for name, value in result["rates"].items()}
-    commit = (git["commit"] or "none")[:12] + (" with changes" if git["dirty"] else "")
-    found = [
-        f"{machine['gpu'] or machine['processor']}, processor threads: {machine['threads']}; "
-        f"PyTorch {result['versions']['torch']}; commit {commit}",
-        f"renderer: {settings['volumes']} volumes, {settings['views']} images of each; training step: "
-        f"{settings['batch']} targets, pixel loss; medians of {settings['repeat']} measurements in turn",
-        "memory: the most held at once, beside weights and data; growth: over the row of half the size, time / memory; "
-        "expected of voxels and of points on rays, while pixels grow by 4",
-        "floor: multiply-adds and bytes that cannot be done without, at this machine's rates: "
-        f"{rates['float32_multiply_adds_per_s']} G/s in float32, {rates['bfloat16_multiply_adds_per_s']} G/s in "
-        f"bfloat16, {rates['copy_bytes_per_s']} GB/s",
-    ]
-    return [*found, "quick: a check that everything works, and no measurement"] if settings["quick"] else found
-
-
-def _seconds(value: float | None) -> str:
-    if value is None:
-        return ""
-    if value >= 100:
-        return f"{value:.0f} s"
-    return f"{value:.3g} s" if value >= 1 else f"{1000 * value:.3g} ms"
-
-
-def _bytes(value: float | None) -> str:
-    if value is None:
-        return ""
-    return f"{value / 2**20:.1f} MiB" if value < 100 * 2**20 else f"{value / 2**20:.0f} MiB"
-
-
-def _number(value: float | None) -> str:
-    if value is None:
-        return ""
-    return f"{value:.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2g}"
-
-
-def _spread(median: float | None, low: float | None, high: float | None) -> str:
-    return _number(median) + (f" ({_number(low)}-{_number(high)})" if low != high else "")
-
-
-def _both(time: float | None, memory: float | None) -> str:
-    return _number(time) + (f" / {_number(memory)}" if memory is not None else "")
-
-
 # ---- files
 
 
@@ -132,37 +51,31 @@ def write(result: dict[str, Any], folder: Path) -> list[Path]:
     writer.writerows(result["rows"])
     write_text(files[1], table.getvalue())
     write_text(files[2], as_latex(result))
-    return files + figures.save(figure(result), folder, "bench")
+    return files + plots.save(figure(result), folder, "bench")
 
 
 def as_latex(result: dict[str, Any]) -> str:
-    """A booktabs tabular to \\input, as wide as a landscape page, with what it was measured on below it."""
+    """A booktabs tabular to \\input, as wide as a landscape page, with the notes in a box below."""
     spans = (("", 3), ("time", 3), ("memory", 3), ("growth", 3), (r"$\times$ floor", 2))
-    first = " & ".join(f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label, span in spans)
     names = ["work", "volume", "size", *["textbook", "ours", "ratio"] * 2, "expected", *["textbook", "ours"] * 2]
-    lines = [
-        "{\\scriptsize\\setlength{\\tabcolsep}{2.5pt}",
-        f"\\begin{{tabular}}{{ll{'r' * (len(names) - 2)}}}",
-        "\\toprule",
-        first + " \\\\",
-        "\\cmidrule(lr){4-6}\\cmidrule(lr){7-9}\\cmidrule(lr){10-12}\\cmidrule(lr){13-14}",
-        " & ".join(names) + " \\\\",
+    body = [
+        latex.line(f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label, span in spans),
+        "\\cmidrule(lr){4-6}\\cmidrule(lr){7-9}\\cmidrule(lr){10-12}\\cmidrule(lr){13-14}\n",
+        latex.line(names),
     ]
     work = None
     for row in result["rows"]:
         texts = cells(row)
-        lines += ["\\midrule"] if row["work"] != work else []
-        work = row["work"]
-        where = f"{texts[0]} (GPU)" if row["device"] == "cuda" else texts[0]
+        if row["work"] != work:
+            body.append("\\midrule\n")
+            work = row["work"]
+        first = [f"{texts[0]} (GPU)" if row["device"] == "cuda" else texts[0], *texts[1:3]]
+        numbers = [*texts[4:10], *texts[12:]]
         if NOT_MEASURED in texts:
-            told = [where, *texts[1:3], *[""] * (len(names) - 3)]
-            told[3] = told[4] = DASH
-        else:
-            told = [where, *texts[1:3], *texts[4:10], *texts[12:]]
-        lines.append(" & ".join(escape(cell) if cell != DASH else cell for cell in told) + " \\\\")
-    lines += ["\\bottomrule", "\\end{tabular}", ""]
-    box = "\\\\\n".join(escape(line) for line in notes(result))
-    return "\n".join([*lines, f"\\smallskip\\noindent\\parbox{{\\linewidth}}{{\\raggedright {box}}}", "}", ""])
+            numbers = [DASH, DASH, *[""] * (len(numbers) - 2)]
+        body.append(latex.line([*map(latex.escape, first), *numbers]))
+    table = latex.tabular(f"ll{'r' * (len(names) - 2)}", body)
+    return f"{{\\scriptsize\\setlength{{\\tabcolsep}}{{2.5pt}}\n{table}\n{latex.boxed(notes(result))}\n}}\n"
 
 
 # ---- figure
@@ -172,8 +85,8 @@ def figure(result: dict[str, Any]) -> Figure:
     """Left: by how much the package is faster and smaller. Middle and right: time and memory over the volume's side."""
     rows = [row for row in result["rows"] if row["speedup"] is not None]
     shown = [row for row in rows if row["memory_ratio"] is not None or row["size"] == _largest(rows, row)]
-    with matplotlib.rc_context(figures.STYLE):
-        image = Figure(figsize=(2.4 * figures.COLUMN, max(2.6, 0.33 * len(shown) + 0.7)), layout="constrained")
+    with matplotlib.rc_context(plots.STYLE):
+        image = Figure(figsize=(2.4 * plots.COLUMN, max(2.6, 0.33 * len(shown) + 0.7)), layout="constrained")
         left, middle, right = image.subplots(1, 3, width_ratios=(1.3, 1, 1))
         _bars(left, shown)
         grown = [row for row in rows if row["work"] == BOTH and row["volume"] == "object"]
@@ -205,7 +118,7 @@ def _bars(axes: Axes, rows: list[Row]) -> None:
                 continue
             axes.barh(place + shift, value - 1, 0.38, left=1, color=colour)
             axes.plot(ends[name], [place + shift] * 2, color="0.2", linewidth=0.8)
-            axes.annotate(_number(value), (max(value, *ends[name], 1), place + shift), (2, 0),
+            axes.annotate(number(value), (max(value, *ends[name], 1), place + shift), (2, 0),
                           textcoords="offset points", va="center", fontsize=6)  # fmt: skip
     axes.axvline(1, color="0.2", linewidth=0.6)
     labels = [f"{row['work']}\n{row['volume']}, ${row['size']}^3$" for row in rows]

@@ -17,7 +17,7 @@ from viewnet.model.rendering import Imagined, Painter
 from viewnet.runtime.files import replacing
 
 if TYPE_CHECKING:
-    from viewnet.tables.run_renderer import Drawer
+    from viewnet.tables.run_renderer import RunRenderer
 
 MARK = (213, 94, 0)  # of the predicted viewpoint
 INK = (40, 40, 40)
@@ -26,7 +26,7 @@ EDGE = 4
 SUFFIXES = (".gif", ".mp4")
 
 
-def turntable(drawer: Drawer, row: int, steps: int = 48, hold: int = 12, size: int = 192) -> list[np.ndarray]:
+def turntable(drawer: RunRenderer, row: int, steps: int = 48, hold: int = 12, size: int = 192) -> list[np.ndarray]:
     """`revolve` of a test image and what the network makes of it. ViewnetError for a row that is not there."""
     if not 0 <= row < len(drawer):
         raise ViewnetError(f"image {row}: there are {len(drawer)} test images: choose one from 0 on")

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import replacing
-from viewnet.tables.run_renderer import BATCH, Drawer
+from viewnet.tables.run_renderer import BATCH, RunRenderer
 
 LEVEL = 0.5
 SUFFIXES = (".glb", ".ply")
@@ -72,7 +72,7 @@ def as_glb(mesh: trimesh.Trimesh) -> bytes:
     return data
 
 
-def export(drawer: Drawer, rows: Sequence[int], folder: Path, suffix: str = ".glb", level: float = LEVEL) -> list[Path]:
+def export(drawer: RunRenderer, rows: Sequence[int], folder: Path, suffix: str = ".glb", level: float = LEVEL) -> list[Path]:
     """`<model>-<view><suffix>` in `folder` for each of some test views: what the network makes of it, aligned.
 
     Raises ViewnetError for a HoloGAN decoder, whose features are no volume of colours, and as `surface` and `write` do.

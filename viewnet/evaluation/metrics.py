@@ -168,10 +168,9 @@ def bootstrap_intervals(
     """
     if "dva" in statistics and len(azimuths) != len(errors):
         raise ViewnetError(f"bootstrap: dva of {len(errors)} runs needs their true azimuths, got {len(azimuths)}")
-    names, owner = np.unique(np.concatenate([np.asarray(o, dtype=str) for o in objects]), return_inverse=True)
+    names, owners = _owners(objects)
     if len(names) < 2:
         return dict.fromkeys(statistics)
-    owners = np.split(owner, np.cumsum([len(o) for o in objects])[:-1])
     # Sorted once, so that every resampled array is sorted and its median found at once.
     order = [np.argsort(e, kind="stable") for e in errors]
     runs = [(np.asarray(e)[o], w[o]) for e, w, o in zip(errors, owners, order, strict=True)]
@@ -187,6 +186,32 @@ def bootstrap_intervals(
     tail = 100 * (1 - level) / 2
     bounds = {name: np.percentile(v, [tail, 100 - tail]) for name, v in values.items()}
     return {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
+
+
+def mean_interval(
+    values: Sequence[Floats], objects: Sequence[NDArray[Any]], draws: int = 1000, seed: int = 0
+) -> tuple[float, float] | None:
+    """95 % percentile interval of the mean over runs of the means of values (N,), by resampling objects (N,).
+
+    A draw takes the same objects in every run. None with fewer than two objects, and for values that are NaN.
+    """
+    names, owners = _owners(objects)
+    if len(names) < 2 or any(np.isnan(v).any() for v in values):
+        return None
+    drawn = np.random.default_rng(seed).integers(len(names), size=(draws, len(names)))
+    times = np.stack([np.bincount(d, minlength=len(names)) for d in drawn]).astype(np.float64)  # (draws, objects)
+    means = []
+    for value, owner in zip(values, owners, strict=True):
+        total, count = (np.bincount(owner, weights, len(names)) for weights in (value, np.ones(len(value))))
+        means.append((times @ total) / np.maximum(times @ count, 1))
+    low, high = np.percentile(np.mean(means, axis=0), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _owners(objects: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], list[NDArray[np.intp]]]:
+    """The names of all objects of several runs, and the number of each image's object among them, for each run."""
+    names, owner = np.unique(np.concatenate([np.asarray(o, dtype=str) for o in objects]), return_inverse=True)
+    return names, np.split(owner, np.cumsum([len(o) for o in objects])[:-1])
 
 
 def _weighted_dva(

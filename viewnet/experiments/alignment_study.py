@@ -24,7 +24,8 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.runtime.files import write_text
-from viewnet.tables.layouts import HEADLINE, LAYOUTS
+from viewnet.tables.columns import HEADLINE
+from viewnet.tables.layouts import LAYOUTS
 
 TABLE = "table3_pascal3d"
 KINDS = ("procrustes", "robust", "linear", "per_angle")
@@ -166,9 +167,9 @@ def predictors(asked: PhotoExperiment, runs: Sequence[Run]) -> Iterator[Predicto
             yield Predictor(entry.row, entry.category, entry.seed, _always(entry.predictions), fitted=False)
     for category, store in stores.items():
         yield Predictor(RANDOM, category, 0, _always(baselines.random(store.index, seed=RANDOM_SEED)), fitted=False)
-        for label, variant in layout.rows:
-            if variant in ("constant", "constant_rotation", "view_regression"):
-                yield Predictor(label, category, 0, _refitted(asked, variant, store), fitted=True)
+        for row in layout.rows:
+            if row.variant in ("constant", "constant_rotation", "view_regression"):
+                yield Predictor(row.label, category, 0, _refitted(asked, row.variant, store), fitted=True)
 
 
 def scored(predictor: Predictor, counts: Sequence[int] = COUNTS, draws: int = DRAWS) -> Iterator[dict[str, Any]]:

@@ -23,7 +23,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.predictions import Floats, true_vectors
 from viewnet.runtime.files import write_text
-from viewnet.tables import published
+from viewnet.tables import reported
 
 STEP = 2.0
 """Degrees between neighbours of the grid of all constants."""
@@ -264,7 +264,7 @@ def _confidence(viewpoints: pd.DataFrame) -> pd.DataFrame:
 
 def _printed(table: str, row: str = "Constant", names: Sequence[str] = ()) -> dict[str, dict[str, float]]:
     """Category -> what is printed in `row`, by measure."""
-    frame = published.load(table)
+    frame = reported.load(table)
     frame = frame[(frame["row"] == row) & (frame["value"] != "") & frame["metric"].isin(names or TABLES[table])]
     found: dict[str, dict[str, float]] = {}
     for category, name, value in zip(frame["category"], frame["metric"], frame["value"], strict=True):

@@ -20,7 +20,7 @@ from viewnet.evaluation.run import Run
 from viewnet.experiments.photos import PROFILE_RECIPE, photographs_of, scenery_of
 from viewnet.experiments.request import DESIGNS, folder_named, label_of, shared
 from viewnet.experiments.videos import MASKS, SHAPENET, SMOKE_SIZE, VideoExperiment
-from viewnet.tables.layouts import LAYOUTS, unaligned
+from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry
 from viewnet.training.run_store import ensure
 
@@ -77,7 +77,7 @@ class ObjectronExperiment(VideoExperiment):
     @property
     def unasked(self) -> tuple[str, ...]:
         """The rows of weak masks where there are none."""
-        return () if self.weak else tuple(label for label in _LABELS if unaligned(label) == _ROWS[2])
+        return () if self.weak else tuple(label for label, name in _ROW_NAMES.items() if name == _ROWS[2])
 
     def entries(self, runs_: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
         """As PhotoExperiment.entries; all trained rows are of one variant, and what a run was trained on tells them."""
@@ -85,15 +85,16 @@ class ObjectronExperiment(VideoExperiment):
         found = super().entries(runs_, stores, name)
         # Of a run that is aligned otherwise the key is followed by how.
         rows = {entry.key: keys.get(entry.key.partition("/")[0]) for entry in found}
-        return [entry for entry in found if rows[entry.key] in (None, unaligned(entry.row))]
+        return [entry for entry in found if rows[entry.key] in (None, _ROW_NAMES.get(entry.row))]
 
     def _row(self, run: Run) -> str:
         video = run.config.data.video
         return _ROWS[0 if video is None else 1 + self.filmed.index(video)]
 
 
-_LABELS = LAYOUTS["objectron"].labels("viewnet")
-_ROWS = tuple(dict.fromkeys(map(unaligned, _LABELS)))
+_ROW_NAMES = {row.label: row.name for row in LAYOUTS["objectron"].rows_of("viewnet")}
+"""Label -> name without the alignment."""
+_ROWS = tuple(dict.fromkeys(_ROW_NAMES.values()))
 
 
 def objectron_experiment(

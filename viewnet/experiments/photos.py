@@ -116,7 +116,9 @@ class PhotoExperiment(Experiment):
     @property
     def called(self) -> dict[str, str]:
         """The names of rows that start from another backbone's features than the printed ones."""
-        regressed = [label for label, variant in LAYOUTS[self.name].rows if variant and variant.endswith("_regression")]
+        regressed = [
+            row.label for row in LAYOUTS[self.name].rows if row.variant and row.variant.endswith("_regression")
+        ]
         return {} if self.chosen == "vgg16" else {label: f"{label} ({self.chosen})" for label in regressed}
 
     def remarks(self, stores: dict[str, ViewStore]) -> list[str]:
@@ -159,8 +161,8 @@ class PhotoExperiment(Experiment):
         key = f"{variant}-{hashlib.sha256(named.encode()).hexdigest()[:12]}"
         origin |= {"git": provenance.commit()}
         return [
-            Entry(label, category, 0, alignment, key, said, origin, self.calibration)
-            for label in LAYOUTS[name].labels(variant)
+            Entry(row.label, category, 0, alignment, key, said, origin, self.calibration)
+            for row in LAYOUTS[name].rows_of(variant)
         ]
 
     def fitted(

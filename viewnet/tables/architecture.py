@@ -12,8 +12,8 @@ from viewnet.config import ModelConfig
 from viewnet.model.networks import AdaIN, Stage, parameters
 from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import write_text
-from viewnet.tables import published
-from viewnet.tables.latex import escape
+from viewnet.tables import reported
+from viewnet.tables.latex import escape, line, tabular
 
 COLUMNS = ("layer", "channels", "kernel", "stride")
 _NAMES = {
@@ -36,9 +36,9 @@ class Architecture:
     learned: int  # numbers that are trained
 
     def comparison(self) -> pd.DataFrame:
-        """Printed and present layers side by side, lined up from the top; `same` says where they agree."""
-        printed = published.architecture(self.part)
-        both = printed.add_suffix(" (print)").join(self.layers.add_suffix(" (ours)"), how="outer").fillna("")
+        """Reported and present layers side by side, lined up from the top; `same` says where they agree."""
+        paper, ours = reported.architecture(self.part).add_suffix(" (print)"), self.layers.add_suffix(" (ours)")
+        both = paper.join(ours, how="outer").fillna("")
         same = pd.Series(True, index=both.index)
         for column in COLUMNS:
             # "variable" stands for the sizes of both encoders.
@@ -47,13 +47,11 @@ class Architecture:
         return both.assign(same=same)
 
     def latex(self) -> str:
-        """A booktabs tabular to \\input, ruled between convolutions as in print."""
-        lines = ["\\begin{tabular}{lccc}", "\\toprule", "Layer & \\# channels & Kernel & Stride \\\\"]
+        """A booktabs tabular to \\input, ruled between convolutions as in the paper."""
+        body = [line(["Layer", "\\# channels", "Kernel", "Stride"])]
         for layer in self.layers.itertuples(index=False):
-            if "Conv" in layer.layer:
-                lines.append("\\midrule")
-            lines.append(" & ".join(escape(value) for value in layer) + " \\\\")
-        return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""])
+            body.append(("\\midrule\n" if "Conv" in layer.layer else "") + line(map(escape, layer)))
+        return tabular("lccc", body)
 
     def write(self, folder: Path) -> list[Path]:
         """`architecture_<part>.tex` and `.csv`."""
@@ -87,7 +85,7 @@ def layers(network: nn.Module) -> pd.DataFrame:
 def _walk(module: nn.Module, rows: list[tuple[str, str, str, str]]) -> None:
     kind = next((name for cls, name in _NAMES.items() if isinstance(module, cls)), None)
     if isinstance(module, (nn.Conv2d, nn.ConvTranspose2d, nn.ConvTranspose3d)):
-        kernel = "x".join(map(str, module.kernel_size[:2]))  # as in print: one face of a cube
+        kernel = "x".join(map(str, module.kernel_size[:2]))  # as in the paper: one face of a cube
         rows.append((str(kind), str(module.out_channels), kernel, str(module.stride[0])))
     elif kind is not None:
         rows.append((kind, "", "", ""))

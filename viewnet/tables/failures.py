@@ -15,7 +15,7 @@ from viewnet.evaluation.evaluate import Aligned
 from viewnet.evaluation.predictions import Floats
 from viewnet.evaluation.run import Run
 from viewnet.tables.image_grids import image_grid
-from viewnet.tables.run_renderer import Stores, drawers, own_views
+from viewnet.tables.run_renderer import Stores, own_views, renderers
 
 THRESHOLD = 30.0
 """Degrees: an error of so much or more is a failure, and a cause explains an azimuth to within so much."""
@@ -60,7 +60,7 @@ def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
     Under an image stands the true viewpoint, under its drawing the predicted one: azimuth, elevation. Raises
     ViewnetError for a run without failures.
     """
-    (drawer,) = drawers([run], stores)
+    (drawer,) = renderers([run], stores)
     groups = by_cause(drawer.aligned)
     if not groups:
         raise ViewnetError(f"{run.name}: no error of {THRESHOLD:g} degrees or more: there is nothing to show")

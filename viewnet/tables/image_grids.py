@@ -9,29 +9,22 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Sequence
-from typing import Literal
 
 import matplotlib
 import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.run import Run, run_name
 from viewnet.geometry import look_at, view_vector
-from viewnet.tables.figures import STYLE
 from viewnet.tables.layouts import LABELS
-from viewnet.tables.run_renderer import Drawer, Stores, drawers, own_views
+from viewnet.tables.plots import STYLE
+from viewnet.tables.run_renderer import RunRenderer, Stores, own_views, renderers
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Told apart by colour-blind readers too (Okabe and Ito 2008)."""
-DASHES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 CELL = 0.78  # inches: the side of an image in a grid
 AZIMUTHS = tuple(range(0, 360, 45))
-LOGGED = ("epoch", "step", "seconds", "loss", "val_reconstruction", "val_accuracy")
-"""Columns of a run's log that are no term of its loss."""
 
 
 def reconstructions(runs: Sequence[Run], stores: Stores = own_views, count: int = 3) -> Figure:
@@ -40,7 +33,7 @@ def reconstructions(runs: Sequence[Run], stores: Stores = own_views, count: int 
     Objects are evenly spaced over the test split and nothing but the image is used. Runs of one category stand side
     by side (ViewNet and ViewNet + cycle in the paper) and must have the same views.
     """
-    found = drawers(runs, stores)
+    found = renderers(runs, stores)
     columns: list[np.ndarray] = []
     titles: list[str] = []
     gaps: list[int] = []
@@ -72,7 +65,7 @@ def around(
     a network which has learned no common frame is shown from where it learned to draw. Raises ViewnetError for an
     object that is not there.
     """
-    found = drawers(runs, stores)
+    found = renderers(runs, stores)
     several = len({d.config.category for d in found}) > 1
     lines, labels = [], []
     for variant in dict.fromkeys(d.config.variant for d in found):
@@ -104,7 +97,7 @@ def volumes(
     """
     lines: list[list[np.ndarray | None]] = []
     labels, gaps = [], []
-    for drawer in drawers(runs, stores):
+    for drawer in renderers(runs, stores):
         rows = _views(drawer, count)
         frames = look_at(view_vector(*(torch.tensor([angle]) for angle in viewpoint))).expand(len(rows), 3, 3)
         size = 2 * drawer.network.config.render_size
@@ -117,50 +110,6 @@ def volumes(
             labels += ["image", "volume"]
             gaps.append(len(lines))
     return image_grid(lines, labels, row_gaps=gaps[:-1])
-
-
-def training_curves(runs: Sequence[Run]) -> Figure:
-    """Validation accuracy and error, the loss and each of its terms over epochs: a colour a variant, a dash a category.
-
-    Terms are weighted, so they sum to the loss; a term that a run does not have is not drawn. Seeds look alike. Raises
-    ViewnetError without runs, and for one that has not been validated yet.
-    """
-    if not runs:
-        raise ViewnetError("training curves: no runs to show: train some first")
-    logs = [run.log for run in runs]
-    for run, log in zip(runs, logs, strict=True):
-        if log.empty:
-            raise ViewnetError(f"{run.name}: its log is empty: wait for the first validation")
-    terms = dict.fromkeys(column for log in logs for column in log.columns if column not in LOGGED)
-    titles = {
-        "val_accuracy": "validation accuracy (%)",
-        "val_reconstruction": "validation error",
-        "loss": "training loss",
-        **{term: f"loss: {term}" for term in terms},
-    }
-    variants = list(dict.fromkeys(run.config.variant for run in runs))
-    categories = list(dict.fromkeys(run.config.category for run in runs))
-    across = min(4, len(titles))
-    down = -(-len(titles) // across)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(1.75 * across + 1.4, 1.5 * down + 0.2), layout="constrained")
-        grid = figure.subplots(down, across, squeeze=False).ravel()
-        for axes, (column, title) in zip(grid, titles.items(), strict=False):
-            for run, log in zip(runs, logs, strict=True):
-                if column in log:
-                    variant, category = run.config.variant, run.config.category
-                    colour = COLOURS[variants.index(variant) % len(COLOURS)]
-                    dash = DASHES[categories.index(category) % len(DASHES)]
-                    axes.plot(log["epoch"], log[column], dash, color=colour, linewidth=1, marker="o", markersize=2)
-            axes.set_title(title, fontsize=8)
-            axes.set_ylim(0, 100 if column == "val_accuracy" else None)
-            axes.set_xlim(left=0)
-        for axes in grid[len(titles) :]:
-            axes.remove()
-        for axes in grid[max(0, len(titles) - across) : len(titles)]:
-            axes.set_xlabel("epoch")
-        figure.legend(handles=_legend(variants, categories), loc="outside right upper", frameon=False, fontsize=7)
-    return figure
 
 
 def image_grid(
@@ -218,37 +167,23 @@ def _show(axes: Axes, image: np.ndarray | None) -> None:
         axes.imshow(image, interpolation="nearest")
 
 
-def _views(drawer: Drawer, count: int) -> list[int]:
+def _views(drawer: RunRenderer, count: int) -> list[int]:
     """The first views of `count` objects, or of all where there are fewer, evenly spaced over the test split."""
     first = drawer.views.first
     places = np.linspace(0, len(first), min(count, len(first)), endpoint=False).astype(int)
     return [int(first[place]) for place in places]
 
 
-def _check_same(one: Drawer, other: Drawer) -> None:
+def _check_same(one: RunRenderer, other: RunRenderer) -> None:
     if one.store.identity != other.store.identity:
         raise ViewnetError(
             f"{run_name(one.config)} and {run_name(other.config)} have other views: they cannot be shown the same images"
         )
 
 
-def _label(drawer: Drawer, among: Sequence[Drawer]) -> str:
+def _label(drawer: RunRenderer, among: Sequence[RunRenderer]) -> str:
     """The variant as the tables call it, with the seed where there are several of one variant and category."""
     config = drawer.config
     alike = [d for d in among if (d.config.variant, d.config.category) == (config.variant, config.category)]
     label = LABELS.get(config.variant, config.variant)
     return f"{label}\nseed {config.seed}" if len(alike) > 1 else label
-
-
-def _legend(variants: Sequence[str], categories: Sequence[str]) -> list[Line2D]:
-    """A line for each colour and, where there are several categories, one for each dash."""
-    named = [
-        Line2D([], [], color=COLOURS[i % len(COLOURS)], linewidth=1, label=LABELS.get(variant, variant))
-        for i, variant in enumerate(variants)
-    ]
-    if len(categories) > 1:
-        named += [
-            Line2D([], [], color="0.3", linestyle=DASHES[i % len(DASHES)], linewidth=1, label=category)
-            for i, category in enumerate(categories)
-        ]
-    return named

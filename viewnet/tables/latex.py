@@ -3,123 +3,112 @@
 from __future__ import annotations
 
 import functools
-import io
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+import pandas as pd
 
-from viewnet.tables.published import DASH, text
+from viewnet.tables.cells import best, by_key
+from viewnet.tables.columns import COLUMNS, DASH, text
+from viewnet.tables.layouts import Layout
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from viewnet.tables.table import Table
-
-Cells = set[tuple[str, str, str]]
-"""(row, category, metric)."""
-
-HEADINGS = {
-    "acc30": r"Accuracy (\%) $\uparrow$",
-    "median": r"Median error ($^\circ$) $\downarrow$",
-    "dva": r"Discretized viewpoint accuracy (\%) $\uparrow$",
-}
 SHORT = {"aeroplane": "airplane", "bicycle": "bike", "diningtable": "table", "motorbike": "mbike", "tvmonitor": "tv"}
-"""What the paper calls categories where room is scarce."""
+"""The paper's short names of categories."""
 WIDE = 4
-"""With more categories than this, printed and measured numbers stand one above the other."""
+"""With more categories than this, a measured number stands below the reported one and not beside it."""
 
 
-def side_by_side(table: Table) -> str:
-    """Metrics side by side, each with two columns a category: printed and measured."""
-    categories, headings = table.categories, [HEADINGS[metric] for metric in table.layout.metrics]
+def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ()) -> str:
+    """Metrics side by side, each with two columns for a category, reported and measured; `lines` of text at the end.
+
+    `cells` are those of viewnet.tables.table.Table.
+    """
+    categories = list(dict.fromkeys(cells["category"]))
+    headings = [COLUMNS[metric].latex for metric in layout.metrics]
     width = 2 * len(headings) * len(categories)
-    out = io.StringIO()
-    out.write(f"\\begin{{tabular}}{{l{'r' * width}}}\n\\toprule\n")
-    out.write(_header(headings, [len(categories) * 2] * len(headings)))
-    out.write(_header(list(categories) * len(headings), [2] * (width // 2)))
-    out.write(_line(["", *["print", "ours"] * (width // 2)]) + "\\midrule\n")
-    best = table.best()
-    for row in table.rows:
-        pairs = (
-            _pair(table, row, category, metric, best) for metric in table.layout.metrics for category in categories
-        )
-        out.write(_line([escape(row), *(part for pair in pairs for part in pair)]))
-    out.write("\\bottomrule\n")
-    for line in _told(table):
-        out.write(f"\\multicolumn{{{width + 1}}}{{l}}{{\\footnotesize {line}}} \\\\\n")
-    out.write("\\end{tabular}\n")
-    return out.getvalue()
+    pairs = _pairs(cells)
+    body = [
+        spanned(headings, [len(categories) * 2] * len(headings)),
+        spanned(categories * len(headings), [2] * (width // 2)),
+        line(["", *["print", "ours"] * (width // 2)]) + "\\midrule\n",
+    ]
+    for row in dict.fromkeys(cells["row"]):
+        shown = (pairs.get((row, c, metric), (DASH, DASH)) for metric in layout.metrics for c in categories)
+        body.append(line([escape(row), *(part for pair in shown for part in pair)]))
+    return tabular(f"l{'r' * width}", body, lines)
 
 
-def blocks(table: Table) -> str:
-    """Metrics one below the other, as Table 3 has them; the note and remarks in a box below.
+def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ()) -> str:
+    """Metrics one below the other, as Table 3 has them; `lines` of text in a box below.
 
-    Up to WIDE categories have two columns each, printed and measured; more of them one, with what was measured in
-    italics below what is printed, in a smaller font and with little room between columns.
+    Up to WIDE categories have two columns each, reported and measured; more of them one, with the measured number in
+    italics below the reported one, in a smaller font and with less space between columns.
     """
-    categories, wide = table.categories, len(table.categories) > WIDE
+    categories = list(dict.fromkeys(cells["category"]))
+    wide = len(categories) > WIDE
     width = len(categories) * (1 if wide else 2)
-    out = io.StringIO()
+    ours = set(cells.loc[cells["variant"] != "", "row"])
+    pairs = _pairs(cells)
     if wide:
-        out.write("{\\footnotesize\\setlength{\\tabcolsep}{3pt}\n")
-    out.write(f"\\begin{{tabular}}{{l{'r' * width}}}\n\\toprule\n")
-    if wide:
-        out.write(_line(["", *(SHORT.get(category, category) for category in categories)]))
+        body = [line(["", *(SHORT.get(category, category) for category in categories)])]
     else:
-        out.write(_header(categories, [2] * len(categories)))
-        out.write(_line(["", *["print", "ours"] * len(categories)]))
-    best = table.best()
-    for metric in table.layout.metrics:
-        out.write(f"\\midrule\n\\multicolumn{{{width + 1}}}{{l}}{{{HEADINGS[metric]}}} \\\\\n")
-        for row in table.rows:
-            shown = table.layout.own.get(row, metric)
-            pairs = [_pair(table, row, category, shown, best) for category in categories]
+        body = [spanned(categories, [2] * len(categories)), line(["", *["print", "ours"] * len(categories)])]
+    for metric in layout.metrics:
+        body.append(_heading(COLUMNS[metric].latex, width + 1))
+        for row in dict.fromkeys(cells["row"]):
+            shown = [pairs.get((row, c, layout.own.get(row, metric)), (DASH, DASH)) for c in categories]
             if not wide:
-                out.write(_line([escape(row), *(part for pair in pairs for part in pair)]))
+                body.append(line([escape(row), *(part for pair in shown for part in pair)]))
                 continue
-            variant = dict(table.layout.rows)[table.labels.get(row, row)]
-            if any(printed != DASH for printed, _ in pairs) or variant is None:
-                out.write(_line([escape(row), *(printed for printed, _ in pairs)]))
-                name = "\\quad\\textit{ours}"
-            else:
-                name = f"{escape(row)}, \\textit{{ours}}"
-            if variant is not None:
-                out.write(_line([name, *(f"\\textit{{{ours}}}" for _, ours in pairs)]))
-    out.write("\\bottomrule\n\\end{tabular}\n")
-    if lines := _told(table):
-        box = "\\\\\n".join(lines)
-        out.write(f"\n\\smallskip\\noindent\\parbox{{\\linewidth}}{{\\footnotesize\\raggedright {box}}}\n")
-    if wide:
-        out.write("}\n")
-    return out.getvalue()
+            label = f"{escape(row)}, \\textit{{ours}}"
+            if row not in ours or any(reported != DASH for reported, _ in shown):
+                body.append(line([escape(row), *(reported for reported, _ in shown)]))
+                label = "\\quad\\textit{ours}"
+            if row in ours:
+                body.append(line([label, *(f"\\textit{{{measured}}}" for _, measured in shown)]))
+    table = tabular(f"l{'r' * width}", body) + (f"\n{boxed(lines, 'footnotesize')}\n" if lines else "")
+    return f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}\n{table}}}\n" if wide else table
 
 
-def measured(cells: pd.DataFrame, headings: Mapping[str, str], digits: Mapping[str, int], note: str = "") -> str:
-    """Measured numbers alone: a column for each metric of `headings`, a block of rows for each category.
+def measured(cells: pd.DataFrame, metrics: Sequence[str], note: str = "") -> str:
+    """Measured numbers alone: a column for each of `metrics`, a block of rows for each category.
 
-    `cells` has a line for each row, category and metric, with its number in "measured" (NaN where there is none).
+    `cells` has a line for each row, category and metric, with its number in "measured" (NaN for none).
     """
-    out = io.StringIO()
-    out.write(f"\\begin{{tabular}}{{l{'r' * len(headings)}}}\n\\toprule\n" + _line(["", *headings.values()]))
-    for category in dict.fromkeys(cells["category"]):
-        out.write(f"\\midrule\n\\multicolumn{{{len(headings) + 1}}}{{l}}{{{escape(category)}}} \\\\\n")
-        mine = cells[cells["category"] == category]
-        values = mine.pivot(index="row", columns="metric", values="measured")
-        for row in dict.fromkeys(mine["row"]):
-            shown = (values.loc[row, metric] for metric in headings)
-            told = [DASH if np.isnan(v) else f"{v:.{digits[m]}f}" for v, m in zip(shown, headings, strict=True)]
-            out.write(_line([escape(row), *told]))
-    out.write("\\bottomrule\n")
-    if note:
-        out.write(f"\\multicolumn{{{len(headings) + 1}}}{{l}}{{\\footnotesize {escape(note)}}} \\\\\n")
-    out.write("\\end{tabular}\n")
-    return out.getvalue()
+    body = [line(["", *(COLUMNS[metric].latex for metric in metrics)])]
+    for category, part in cells.groupby("category", sort=False):
+        body.append(_heading(escape(str(category)), len(metrics) + 1))
+        values = part.pivot(index="row", columns="metric", values="measured")
+        for row in dict.fromkeys(part["row"]):
+            body.append(line([escape(row), *(text(values.loc[row, metric], metric) for metric in metrics)]))
+    return tabular(f"l{'r' * len(metrics)}", body, [note] if note else [])
 
 
-def _told(table: Table) -> list[str]:
-    """What stands below a table, line by line."""
-    return [escape(line) for line in (f"ours: {table.note}" if table.note else "", *table.remarks) if line]
+def tabular(columns: str, body: Iterable[str], lines: Sequence[str] = ()) -> str:
+    """A booktabs tabular: rules around the rows of `body`, then `lines` of plain text over its whole width."""
+    under = (f"\\multicolumn{{{len(columns)}}}{{l}}{{\\footnotesize {escape(text)}}} \\\\\n" for text in lines)
+    parts = [f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n", *body, "\\bottomrule\n", *under, "\\end{tabular}\n"]
+    return "".join(parts)
+
+
+def boxed(lines: Sequence[str], size: str = "") -> str:
+    """Lines of plain text in a box below a table."""
+    size = f"\\{size}" if size else ""
+    text = "\\\\\n".join(map(escape, lines))
+    return f"\\smallskip\\noindent\\parbox{{\\linewidth}}{{{size}\\raggedright {text}}}"
+
+
+def line(cells: Iterable[str]) -> str:
+    """A row of a tabular."""
+    return " & ".join(cells) + " \\\\\n"
+
+
+def spanned(labels: Sequence[str], spans: Sequence[int]) -> str:
+    """A row of headings after an empty cell, each over several columns, with a rule below each."""
+    cells = [f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label, span in zip(labels, spans, strict=True)]
+    ends = np.cumsum(spans) + 1
+    rules = [f"\\cmidrule(lr){{{end - span + 1}-{end}}}" for end, span in zip(ends, spans, strict=True)]
+    return line(["", *cells]) + " ".join(rules) + "\n"
 
 
 def escape(plain: str) -> str:
@@ -135,25 +124,21 @@ def _specials() -> dict[int, str]:
     )
 
 
-def _pair(table: Table, row: str, category: str, metric: str, best: Cells) -> tuple[str, str]:
-    """Printed and measured, the best of each in bold."""
-    cell = table.cell(row, category, metric)
-    if cell is None:
-        return DASH, DASH
-    ours = _bold(text(cell["measured"], metric), (row, category, metric) in best)
-    return _bold(cell["printed"] or DASH, bool(cell["bold"])), ours
+def _heading(latex: str, width: int) -> str:
+    return f"\\midrule\n\\multicolumn{{{width}}}{{l}}{{{latex}}} \\\\\n"
 
 
-def _line(cells: Iterable[str]) -> str:
-    return " & ".join(cells) + " \\\\\n"
+def _pairs(cells: pd.DataFrame) -> dict[tuple[str, str, str], tuple[str, str]]:
+    """(row, category, metric) -> reported and measured number, the best of each in bold."""
+    top = best(cells, lambda metric: COLUMNS[metric].digits)
+    return {
+        key: (
+            _bold(cell["printed"] or DASH, bool(cell["bold"])),
+            _bold(text(cell["measured"], key[2]), key in top),
+        )
+        for key, cell in by_key(cells).items()
+    }
 
 
-def _header(labels: Sequence[str], spans: Sequence[int]) -> str:
-    cells = [f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label, span in zip(labels, spans, strict=True)]
-    ends = np.cumsum(spans) + 1
-    rules = [f"\\cmidrule(lr){{{end - span + 1}-{end}}}" for end, span in zip(ends, spans, strict=True)]
-    return _line(["", *cells]) + " ".join(rules) + "\n"
-
-
-def _bold(shown: str, bold: bool) -> str:
-    return f"\\textbf{{{shown}}}" if bold else shown
+def _bold(number: str, bold: bool) -> str:
+    return f"\\textbf{{{number}}}" if bold else number

@@ -1,4 +1,4 @@
-"""The tables of the paper: their rows, columns and measures."""
+"""The tables of the paper: their rows, categories and metrics."""
 
 from __future__ import annotations
 
@@ -7,70 +7,80 @@ from dataclasses import dataclass, field, replace
 
 from viewnet.config import SHAPENET_CATEGORIES
 from viewnet.errors import ViewnetError
+from viewnet.tables.columns import HEADLINE
 
-HEADLINE = ("acc30", "median")
-"""The two measures of the paper's tables."""
 ADDED = "method"
-"""The variant of rows that a reader's own methods fill (viewnet.experiments.own_method)."""
+"""The variant of rows for the user's own methods (viewnet.experiments.own_method)."""
+MARKS = {None: "", "linear": "*", "robust": " (robust)"}
+"""Alignment of a row -> what its label ends with, as in the paper."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a table.
+
+    name       its label without the mark of an alignment
+    variant    the variant that fills it, None where this project has no such method
+    alignment  the alignment of its predictions; None: the usual one of its variant
+    """
+
+    name: str
+    variant: str | None
+    alignment: str | None = None
+
+    @property
+    def label(self) -> str:
+        """The name with the mark of the alignment."""
+        return self.name + MARKS[self.alignment]
 
 
 @dataclass(frozen=True)
 class Layout:
     """A table of the paper.
 
-    rows        (label, variant), the variant None where this project has no such method. A label that ends in a star
-                is of predictions aligned linearly, one that ends in (robust) of such that are aligned robustly.
-    categories  its columns unless others are asked for
-    metrics     what a row holds for a category
-    own         rows that hold something else
-    printed     the file of printed numbers, where it is not named like the table
-    printed_as  label -> row of that file, where they differ
-    blocks      whether metrics stand one below the other, and not side by side
-    videos      the data set of videos that its rows are trained on: "freiburg", "objectron" or none
+    rows         from top to bottom
+    categories   its columns by default
+    metrics      the metrics of each row and category
+    own          label -> metric, for rows with a metric of their own
+    reported     the file of reported numbers, where its name is not the table's
+    reported_as  label -> row of that file, where they differ
+    blocks       whether metrics stand one below the other instead of side by side
+    videos       the data set of videos that its rows are trained on: "freiburg", "objectron" or none
     """
 
     title: str
-    rows: tuple[tuple[str, str | None], ...]
+    rows: tuple[Row, ...]
     categories: tuple[str, ...] = SHAPENET_CATEGORIES
     metrics: tuple[str, ...] = HEADLINE
     own: dict[str, str] = field(default_factory=dict)
-    printed: str | None = None
-    printed_as: dict[str, str] = field(default_factory=dict)
+    reported: str | None = None
+    reported_as: dict[str, str] = field(default_factory=dict)
     blocks: bool = False
     videos: str = ""
 
     @property
     def variants(self) -> tuple[str, ...]:
-        """The variants to have predictions of."""
-        return tuple(dict.fromkeys(variant for _, variant in self.rows if variant))
+        """The variants that fill its rows."""
+        return tuple(dict.fromkeys(row.variant for row in self.rows if row.variant))
 
-    def labels(self, variant: str) -> list[str]:
+    def rows_of(self, variant: str) -> list[Row]:
         """The rows that a variant fills."""
-        return [label for label, mine in self.rows if mine == variant]
+        return [row for row in self.rows if row.variant == variant]
 
     def extended(self, labels: Iterable[str]) -> Layout:
-        """The same with a row below for each of `labels`. ViewnetError for one that is a row, or is in print."""
-        rows = dict(self.rows)
+        """The layout with a row for each of `labels` added at the bottom. ViewnetError for a label that is taken."""
+        rows, taken = list(self.rows), {row.label for row in self.rows} | set(self.reported_as.values())
         for label in labels:
-            if label in rows or label in self.printed_as.values():
-                raise ViewnetError(f"row {label!r}: there is one of that name already: choose another label")
-            rows[label] = ADDED
-        return replace(self, rows=tuple(rows.items()))
+            if label in taken:
+                raise ViewnetError(f"row {label!r}: the table has a row of that name: choose another label")
+            rows.append(Row(label, ADDED))
+            taken.add(label)
+        return replace(self, rows=tuple(rows))
 
 
-def alignment_of(label: str) -> str | None:
-    """The alignment that a row's label names, where it names one."""
-    return "linear" if label.endswith("*") else "robust" if label.endswith("(robust)") else None
-
-
-def unaligned(label: str) -> str:
-    """A row's label without the alignment that it names."""
-    return label.removesuffix("*").removesuffix(" (robust)")
-
-
-def _aligned(label: str, variant: str = "viewnet") -> tuple[tuple[str, str | None], ...]:
-    """The rows of one training by each alignment; the robust one is never in print."""
-    return (f"{label}*", variant), (label, variant), (f"{label} (robust)", variant)
+def _aligned(name: str, variant: str = "viewnet") -> tuple[Row, ...]:
+    """The rows of one training, one for each alignment; the robust one is not in the paper."""
+    return tuple(Row(name, variant, alignment) for alignment in ("linear", None, "robust"))
 
 
 _ON_PHOTOGRAPHS = (*_aligned("ViewNet"), *_aligned("ViewNet + cycle", "viewnet_cycle"))
@@ -78,56 +88,61 @@ _ON_PHOTOGRAPHS = (*_aligned("ViewNet"), *_aligned("ViewNet + cycle", "viewnet_c
 LAYOUTS = {
     "table1_shapenet": Layout(
         "ShapeNet results of unsupervised methods",
-        (("MVC", None), ("Pointcloud", None), ("ViewNet", "viewnet"), ("ViewNet + cycle", "viewnet_cycle")),
+        (
+            Row("MVC", None),
+            Row("Pointcloud", None),
+            Row("ViewNet", "viewnet"),
+            Row("ViewNet + cycle", "viewnet_cycle"),
+        ),
     ),
     "table2_ablation": Layout(
         "Ablation study",
         (
-            ("ViewNet", "viewnet"),
-            ("Single-head", "single_head"),
-            ("Segmentation Target", "segmentation_target"),
-            ("No Shape Prior", "no_shape_prior"),
-            ("Encoder-Decoder", "encoder_decoder"),
-            ("HoloGAN-Decoder", "hologan_decoder"),
-            ("Constant", "constant"),
-            ("Best constant", "best_constant"),  # not in print: the printed constant points to the sky
+            Row("ViewNet", "viewnet"),
+            Row("Single-head", "single_head"),
+            Row("Segmentation Target", "segmentation_target"),
+            Row("No Shape Prior", "no_shape_prior"),
+            Row("Encoder-Decoder", "encoder_decoder"),
+            Row("HoloGAN-Decoder", "hologan_decoder"),
+            Row("Constant", "constant"),
+            Row("Best constant", "best_constant"),  # not in the paper, whose constant points to the sky
         ),
     ),
     "table3_pascal3d": Layout(
         "PASCAL3D+ results",
         (
-            ("Constant", "constant"),
-            ("Constant (rotation)", "constant_rotation"),  # not in print: the mean of frames and not of view vectors
-            ("VGG view*", "view_regression"),
-            ("SSV*", None),
+            Row("Constant", "constant"),
+            Row("Constant (rotation)", "constant_rotation"),  # not in the paper: mean of frames, not of view vectors
+            Row("VGG view*", "view_regression"),
+            Row("SSV*", None),
             *_ON_PHOTOGRAPHS,
-            ("Liao (withdrawn)", None),
-            ("Liao (corrected)", None),
-            ("Grabner", None),
+            Row("Liao (withdrawn)", None),
+            Row("Liao (corrected)", None),
+            Row("Grabner", None),
         ),
-        printed_as={"Liao (withdrawn)": "Liao"},
+        reported_as={"Liao (withdrawn)": "Liao"},
         blocks=True,
     ),
     "table4_freiburg": Layout(
         "Trained on Freiburg Cars, evaluated on PASCAL3D+",
         (
-            ("Constant", "constant"),  # not in print
-            # Printed with Table 3's numbers, so fitted as there, on calibration photographs.
-            ("VGG view", "view_regression"),
-            ("VGG view, videos", "video_regression"),  # not in print: fitted on the videos' viewpoints
-            ("VpDR-Net + FrC", None),
-            ("ViewNet", "viewnet"),
-            ("ViewNet + cycle", "viewnet_cycle"),
+            Row("Constant", "constant"),  # not in the paper
+            # Reported with Table 3's numbers, so fitted as there, on calibration photographs.
+            Row("VGG view", "view_regression"),
+            Row("VGG view, videos", "video_regression"),  # not in the paper: fitted on the videos' viewpoints
+            Row("VpDR-Net + FrC", None),
+            Row("ViewNet", "viewnet"),
+            Row("ViewNet + cycle", "viewnet_cycle"),
         ),
         categories=("car",),
-        printed="table5_freiburg",
+        reported="table5_freiburg",
         blocks=True,
         videos="freiburg",
     ),
     "objectron": Layout(
         "Trained on Objectron, evaluated on PASCAL3D+",
         (
-            ("Constant", "constant"),  # not in print
+            Row("Constant", "constant"),  # not in the paper
             *_aligned("ShapeNet"),
             *_aligned("+ Objectron, supervised masks"),
             *_aligned("+ Objectron, weak masks"),
@@ -139,23 +154,23 @@ LAYOUTS = {
     "table5_dva": Layout(
         "Discretized viewpoint accuracy",
         (
-            ("Confidence index", "photographs"),
-            ("Constant", "constant"),
-            ("Constant (rotation)", "constant_rotation"),
-            ("VGG view*", "view_regression"),
+            Row("Confidence index", "photographs"),
+            Row("Constant", "constant"),
+            Row("Constant (rotation)", "constant_rotation"),
+            Row("VGG view*", "view_regression"),
             *_ON_PHOTOGRAPHS,
         ),
         metrics=("dva",),
         own={"Confidence index": "confidence_index"},
-        printed="table4_dva",
+        reported="table4_dva",
         blocks=True,
     ),
 }
 
 LABELS = {
-    variant: label
+    row.variant: row.label
     for name in ("table1_shapenet", "table2_ablation")
-    for label, variant in LAYOUTS[name].rows
-    if variant is not None
+    for row in LAYOUTS[name].rows
+    if row.variant is not None
 }
-"""Variant -> what the paper's tables of trained models call it."""
+"""Trained variant, or constant -> its label in the paper's tables."""

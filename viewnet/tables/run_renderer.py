@@ -32,7 +32,7 @@ SPLIT = "test"
 
 
 @dataclass(frozen=True)
-class Drawer(Painter):
+class RunRenderer(Painter):
     """A trained network before the test views of a store, and the rotation between its frame and the annotated one.
 
     Rows number the test views in the store's order, which is that of `aligned.predictions`.
@@ -44,7 +44,7 @@ class Drawer(Painter):
     aligned: Aligned
 
     @classmethod
-    def of(cls, folder: Path, store: ViewStore) -> Drawer:
+    def of(cls, folder: Path, store: ViewStore) -> RunRenderer:
         """Of a finished run. Its rotation is fitted on the validation views of `store`, as in the tables.
 
         Views of `store` are looked at again unless they are the run's own. Raises ViewnetError as
@@ -142,11 +142,11 @@ Stores = Callable[[Run], ViewStore]
 """Which views to show a run: its own (`own_views`), or photographs."""
 
 
-def drawers(runs: Sequence[Run], stores: Stores = own_views) -> list[Drawer]:
+def renderers(runs: Sequence[Run], stores: Stores = own_views) -> list[RunRenderer]:
     """A drawer for each run. ViewnetError for none, and for a run that was not trained."""
     if not runs:
         raise ViewnetError("no runs to draw with: train some first")
     for run in runs:
         if not run.trained:
             raise ViewnetError(f"{run.name} draws nothing: choose a trained variant")
-    return [Drawer.of(run.folder, stores(run)) for run in runs]
+    return [RunRenderer.of(run.folder, stores(run)) for run in runs]

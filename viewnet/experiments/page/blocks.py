@@ -1,9 +1,9 @@
-"""What the overview page shows of the files of a table: numbers in print beside measured ones, or a plain table."""
+"""What the overview page shows of a section's files: tables of reported and measured numbers, and plain tables."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,36 +11,24 @@ from typing import Any
 import pandas as pd
 from markupsafe import Markup
 
-from viewnet.bench import report
 from viewnet.errors import ViewnetError
 from viewnet.experiments.alignment_study import Study
 from viewnet.experiments.audit import Audit
 from viewnet.runtime.files import read_csv, read_json
-from viewnet.tables import novel_views
+from viewnet.tables import benchmark
 from viewnet.tables.architecture import COLUMNS, Architecture
-from viewnet.tables.table import Table
+from viewnet.tables.cells import best, by_key
+from viewnet.tables.columns import COLUMNS as METRICS
+from viewnet.tables.columns import Column
 
-HEADINGS = {
-    "acc30": "Accuracy within 30°, % (higher is better)",
-    "median": "Median error, degrees (lower is better)",
-    "dva": "Discretized viewpoint accuracy (DVA), % (higher is better)",
-    "confidence_index": "Confidence index: share of azimuth bins with more than ten photographs",
-    "psnr": "PSNR of novel views, dB (higher is better)",
-    "ssim": "SSIM of novel views (higher is better)",
-    "iou": "IoU of masks of novel views (higher is better)",
-    "consistency_acc30": "Drawings whose viewpoint its own network tells within 30°, %",
-    "consistency_median": "How far off its own network is, median degrees",
-    "judged_acc30": "Drawings whose viewpoint ViewNet's network tells within 30°, %",
-    "judged_median": "How far off ViewNet's network is, median degrees",
-}
-DIGITS = {"acc30": 1, "median": 1, "dva": 1, "confidence_index": 2} | novel_views.DIGITS
+FLOATS = ("measured", "sd", "low", "high")
 Files = Mapping[str, Path]
 """Name -> file."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A row's number for a category: in print, measured, its interval, and what else is known of it."""
+    """A row's number for a category: reported, measured, its interval, and details shown on pointing at it."""
 
     printed: str = ""
     bold: bool = False
@@ -51,123 +39,111 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Measured:
-    """Printed and measured numbers; `parts` has the heading of each metric, and its rows: label and cells."""
+class MetricTable:
+    """Reported and measured numbers; `parts` has the heading of each metric and its rows: label and cells."""
 
     title: str
     categories: tuple[str, ...]
-    in_print: bool
+    in_print: bool  # whether there are reported numbers
     parts: tuple[tuple[str, tuple[tuple[str, tuple[Cell, ...]], ...]], ...]
 
 
 @dataclass(frozen=True)
-class Plain:
-    """A data frame as an HTML table; a long one is `folded` away."""
+class PlainTable:
+    """A data frame as an HTML table; a long one is `folded`."""
 
     title: str
     html: Markup
     folded: bool = False
 
 
-Block = Measured | Plain
+Block = MetricTable | PlainTable
 
 
 @dataclass(frozen=True)
-class Told:
-    """What the files of a section and a setting hold: tables, lines that stand under them, and the runs behind them."""
+class Content:
+    """The content of a section's files at one setting: tables, notes below them, and the runs behind them."""
 
     blocks: tuple[Block, ...] = ()
     notes: tuple[str, ...] = ()
-    origins: Mapping[str, dict[str, Any]] | None = None  # a run's key -> where it comes from
+    origins: Mapping[str, dict[str, Any]] | None = None  # a run's key -> its origin, as in a table's JSON
 
 
-def tables(files: Files) -> Told:
-    """Of the tables that viewnet.tables.table.Table.write wrote."""
+def tables(files: Files) -> Content:
+    """Of the JSON files that viewnet.tables.table.Table.write writes."""
     blocks: list[Block] = []
     notes: list[str] = []
     origins: dict[str, dict[str, Any]] = {}
     for path in files.values():
         if path.suffix == ".json":
-            found = read_json(path)
-            table = Table(found["table"], found["measured on"], _frame(found["cells"]), found["runs"])
-            blocks.append(measured(table, found["title"]))
-            notes += [found["measured on"], *found.get("remarks", ()), found["error"], found["interval"]]
-            origins |= found["runs"]
-    return Told(tuple(blocks), tuple(dict.fromkeys(notes)), origins)
+            table = read_json(path)
+            cells = pd.DataFrame([{**cell, "runs": " ".join(cell["runs"])} for cell in table["cells"]])
+            blocks.append(metric_table(cells.astype(dict.fromkeys(FLOATS, float)), table["title"]))
+            notes += [table["measured on"], *table.get("remarks", ()), table["error"], table["interval"]]
+            origins |= table["runs"]
+    return Content(tuple(blocks), tuple(dict.fromkeys(notes)), origins)
 
 
-def measured(table: Table, title: str) -> Measured:
-    """The cells of a table, metric by metric."""
-    cells = table.cells
-    best = _best(cells)
-    parts = []
-    for metric in dict.fromkeys(cells["metric"]):
-        rows = tuple(
-            (row, tuple(_cell(table.cell(row, c, metric), (row, c, metric) in best) for c in table.categories))
-            for row in dict.fromkeys(cells.loc[cells["metric"] == metric, "row"])
+def metric_table(cells: pd.DataFrame, title: str) -> MetricTable:
+    """The cells of a table (viewnet.tables.table.Table.cells), metric by metric."""
+    lines, top = by_key(cells), best(cells, lambda metric: _column(metric).page_digits)
+    categories = tuple(dict.fromkeys(cells["category"]))
+    parts = tuple(
+        (
+            _column(metric).page,
+            tuple(
+                (row, tuple(_cell(lines.get(key := (row, c, metric)), key in top) for c in categories))
+                for row in dict.fromkeys(part["row"])
+            ),
         )
-        parts.append((HEADINGS.get(metric, metric), rows))
-    return Measured(title, table.categories, bool((cells["printed"] != "").any()), tuple(parts))
+        for metric, part in cells.groupby("metric", sort=False)
+    )
+    return MetricTable(title, categories, bool((cells["printed"] != "").any()), parts)
 
 
-def _best(cells: pd.DataFrame) -> set[tuple[str, str, str]]:
-    """(row, category, metric) of what is the best of its column as the page shows it, where there is a choice."""
-    found: set[tuple[str, str, str]] = set()
-    for (category, metric), column in cells.dropna(subset="measured").groupby(["category", "metric"]):
-        shown = column["measured"].astype(float).round(DIGITS.get(metric, 2))
-        if len(shown) > 1:
-            top = shown.min() if metric.endswith("median") else shown.max()
-            found |= {(row, category, metric) for row in column.loc[shown == top, "row"]}
-    return found
+def _column(metric: str) -> Column:
+    return METRICS.get(metric) or Column(metric, metric, metric, 2, 2)
 
 
-def _cell(found: dict[str, Any] | None, best: bool) -> Cell:
-    if found is None:
+def _cell(line: dict[str, Any] | None, is_best: bool) -> Cell:
+    if line is None:
         return Cell()
-    digits = DIGITS.get(found["metric"], 2)
-    printed, value = {"printed": found["printed"], "bold": bool(found["bold"])}, float(found["measured"])
+    digits = _column(line["metric"]).page_digits
+    printed, value = {"printed": line["printed"], "bold": bool(line["bold"])}, float(line["measured"])
     if math.isnan(value):
         return Cell(**printed)
-    low, high, spread = (float(found[name]) for name in ("low", "high", "sd"))
-    about = f"{value:.{digits}f}: {found['images']} images of {found['objects']} objects, "
-    about += "1 seed" if found["seeds"] == 1 else f"mean of {found['seeds']} seeds"
+    low, high, spread = (float(line[name]) for name in ("low", "high", "sd"))
+    about = f"{value:.{digits}f}: {line['images']} images of {line['objects']} objects, "
+    about += "1 seed" if line["seeds"] == 1 else f"mean of {line['seeds']} seeds"
     about += "" if math.isnan(spread) else f", sd {spread:.{digits}f}"
-    about += f"; runs: {found['runs']}" if found["runs"] else ""
+    about += f"; runs: {line['runs']}" if line["runs"] else ""
     interval = "" if math.isnan(low) else f"[{low:.{digits}f}, {high:.{digits}f}]"
-    return Cell(**printed, measured=f"{value:.{digits}f}", interval=interval, best=best, about=about)
+    return Cell(**printed, measured=f"{value:.{digits}f}", interval=interval, best=is_best, about=about)
 
 
-def _frame(cells: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    frame = pd.DataFrame([{**cell, "runs": " ".join(cell["runs"])} for cell in cells])
-    return frame.astype({name: float for name in ("measured", "sd", "low", "high")})
-
-
-def novel(files: Files) -> Told:
-    """Of viewnet.tables.novel_views.write."""
-    cells = read_csv(
-        files["novel_views.csv"], keep_default_na=False, na_values={"measured": "", "sd": "", "low": "", "high": ""}
-    )
-    table = Table("novel_views", "", cells.assign(printed="", bold=False), {})
+def novel_views(files: Files) -> Content:
+    """Of the CSV file that viewnet.tables.novel_view_scores.write writes."""
+    cells = read_csv(files["novel_views.csv"], keep_default_na=False, na_values=dict.fromkeys(FLOATS, ""))
     keys: dict[str, dict[str, Any]] = {key: {} for keys in cells["runs"] for key in keys.split()}
     note = "intervals: 95 % percentile bootstrap over objects"
-    return Told((measured(table, "What models draw, in numbers"),), (note,), keys)
+    table = metric_table(cells.assign(printed="", bold=False), "Scores of rendered novel views")
+    return Content((table,), (note,), keys)
 
 
-def study(files: Files) -> Told:
-    """Of viewnet.experiments.alignment_study.Study.write."""
-    parts = [read_csv(files[f"alignment_study_{name}.csv"]) for name in ("scores", "collapse")]
-    found = Study("", *parts)
+def study(files: Files) -> Content:
+    """Of the CSV files that viewnet.experiments.alignment_study.Study.write writes."""
+    result = Study("", *(read_csv(files[f"alignment_study_{name}.csv"]) for name in ("scores", "collapse")))
     names = {"acc30": "accuracy, %", "median": "median error, degrees", "dva": "DVA, %", "per_angle": "per angle"}
-    added = {"spread_linear": "spread left", "acc30_gain": "accuracy added", "dva_gain": "DVA added"}
-    return Told(
+    gains = {"spread_linear": "spread left", "acc30_gain": "accuracy added", "dva_gain": "DVA added"}
+    return Content(
         (
-            plain("By each alignment, calibrated on all photographs", found.side_by_side().rename(columns=names)),
-            plain(
+            plain_table("By alignment, calibrated on all photographs", result.side_by_side().rename(columns=names)),
+            plain_table(
                 "Does the linear alignment collapse? Rank correlations with one-sidedness",
-                found.verdict().rename(columns=added),
+                result.verdict().rename(columns=gains),
             ),
-            plain("Accuracy (%) by the number of calibration photographs", found.by_count(), folded=True),
-            plain("Ever more one-sided photographs", found.collapsed(), folded=True),
+            plain_table("Accuracy (%) by the number of calibration photographs", result.by_count(), folded=True),
+            plain_table("Increasingly one-sided photographs", result.collapsed(), folded=True),
         ),
         (
             "by number: medians over draws of the calibration photographs, with the lowest and the highest",
@@ -177,24 +153,26 @@ def study(files: Files) -> Told:
     )
 
 
-def audit(files: Files) -> Told:
-    """Of viewnet.experiments.audit.Audit.write."""
+def audit(files: Files) -> Content:
+    """Of the CSV files that viewnet.experiments.audit.Audit.write writes."""
     blocks: list[Block] = []
     names = {"table2_ablation": "Table 2", "table3_pascal3d": "Table 3", "table4_dva": "DVA"}
-    for stem, of in (("audit", "a list of annotations"), ("stand_in", "a stand-in for annotations")):
+    for stem, source in (("audit", "a list of annotations"), ("stand_in", "a stand-in for annotations")):
         if f"{stem}_constants.csv" in files:
             constants = read_csv(files[f"{stem}_constants.csv"], dtype={"printed": str}).replace({"table": names})
             confidence = read_csv(files[f"{stem}_confidence.csv"])
             summary = Audit(constants, confidence, {}, stem == "stand_in").summary()
-            blocks.append(
-                plain(f"Can a constant score what is printed, by each definition of the error? ({of})", summary)
-            )
-            blocks.append(plain(f"Confidence index ({of})", confidence, folded=True, index=False))
-    return Told(tuple(blocks))
+            title = f"Can a constant reach the reported scores, by each definition of the error? ({source})"
+            blocks.append(plain_table(title, summary))
+            blocks.append(plain_table(f"Confidence index ({source})", confidence, folded=True, index=False))
+    return Content(tuple(blocks))
 
 
-def architecture(files: Files) -> Told:
-    """Of viewnet.tables.architecture.Architecture.write, beside print. ViewnetError for a file of other columns."""
+def architecture(files: Files) -> Content:
+    """Of the CSV files that viewnet.tables.architecture.Architecture.write writes, beside the paper's layers.
+
+    ViewnetError for a file with other columns.
+    """
     blocks = []
     for part in ("encoder", "generator"):
         if (name := f"architecture_{part}.csv") in files:
@@ -205,43 +183,41 @@ def architecture(files: Files) -> Told:
             compared["same"] = compared["same"].map({True: "yes", False: "no"})
             above = [*["print"] * len(COLUMNS), *["ours"] * len(COLUMNS), ""]
             compared.columns = pd.MultiIndex.from_arrays([above, [*COLUMNS, *COLUMNS, "same"]])
-            blocks.append(plain(part.capitalize(), compared, index=False))
-    return Told(tuple(blocks))
+            blocks.append(plain_table(part.capitalize(), compared, index=False))
+    return Content(tuple(blocks))
 
 
-def bench(files: Files) -> Told:
-    """Of viewnet.bench.report.write."""
+def bench(files: Files) -> Content:
+    """Of the `bench.json` that `viewnet bench` writes."""
     if "bench.json" not in files:
-        return Told()
-    found = read_json(files["bench.json"])
-    above = pd.Series(report.HEADINGS[0]).replace("", None).ffill().fillna("")
-    columns = pd.MultiIndex.from_arrays([above, report.HEADINGS[1]])
-    frame = pd.DataFrame([report.cells(row) for row in found["rows"]], columns=columns)
-    return Told((plain("Time and memory beside a textbook version", frame, index=False),), tuple(report.notes(found)))
+        return Content()
+    result = read_json(files["bench.json"])
+    above = pd.Series(benchmark.HEADINGS[0]).replace("", None).ffill().fillna("")
+    columns = pd.MultiIndex.from_arrays([above, benchmark.HEADINGS[1]])
+    frame = pd.DataFrame([benchmark.cells(row) for row in result["rows"]], columns=columns)
+    table = plain_table("Time and memory beside a textbook version", frame, index=False)
+    return Content((table,), tuple(benchmark.notes(result)))
 
 
-def lists(files: Files) -> Told:
-    """Every CSV file, as it is."""
-    return Told(tuple(plain(p.stem, read_csv(p), index=False) for p in files.values() if p.suffix == ".csv"))
+def csv_files(files: Files) -> Content:
+    """Of every CSV file, as it is."""
+    return Content(tuple(plain_table(p.stem, read_csv(p), index=False) for p in files.values() if p.suffix == ".csv"))
 
 
-def plain(title: str, frame: pd.DataFrame, folded: bool = False, index: bool = True) -> Plain:
-    """A data frame as a table, everything in it escaped."""
+def plain_table(title: str, frame: pd.DataFrame, folded: bool = False, index: bool = True) -> PlainTable:
+    """A data frame as an HTML table, all of its text escaped."""
     html = frame.to_html(
         border=0, na_rep="", index=index, index_names=False, justify="unset", escape=True, sparsify=True
     )
-    return Plain(title, Markup(html), folded)
+    return PlainTable(title, Markup(html), folded)
 
 
-READERS: dict[str, Callable[[Files], Told]] = {
-    "novel_views": novel,
+READERS: dict[str, Callable[[Files], Content]] = {
+    "novel_views": novel_views,
     "alignment_study": study,
     "audit_metrics": audit,
     "architecture": architecture,
     "bench": bench,
-    "fuzz": lists,
-    "faults": lists,
-    "crashes": lists,
-    "predicting": lists,
+    **dict.fromkeys(("fuzz", "faults", "crashes", "predicting"), csv_files),
 }
-"""Section -> what reads its files, where `tables` does not."""
+"""Section -> the function that reads its files, where that is not `tables`."""

@@ -23,7 +23,7 @@ from markupsafe import Markup
 from viewnet.errors import ViewnetError
 from viewnet.experiments import notebook
 from viewnet.experiments.page import blocks
-from viewnet.experiments.page.blocks import Block, Told
+from viewnet.experiments.page.blocks import Block, Content
 from viewnet.experiments.page.images import SUFFIXES, EmbeddedImage, embedded
 from viewnet.experiments.request import DESIGNS
 from viewnet.runtime.files import read_json, write_text
@@ -259,7 +259,7 @@ def _setting(
     )
 
 
-def _told(name: str, files: Mapping[str, Path]) -> Told:
+def _told(name: str, files: Mapping[str, Path]) -> Content:
     """What the files of a section hold; ViewnetError where they are not as this version writes them."""
     try:
         return blocks.READERS.get(name, blocks.tables)(files)

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 import torch
 from helpers.boxes import PERSPECTIVE, SYMMETRIC, box_mesh, box_store, box_volume
-from helpers.drawn_models import untrained_drawer, untrained_run
 from helpers.photo_data import make_photos
+from helpers.untrained_models import untrained_renderer, untrained_run
 from skimage.metrics import structural_similarity
 from test_run_renderer import turned
 
@@ -17,7 +17,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.metrics import bootstrap_intervals
 from viewnet.model.viewnet import Hypotheses
 from viewnet.render import render
-from viewnet.tables import novel_views
+from viewnet.tables import novel_view_scores
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def knowing(drawer, degrees: float):
 
 def test_true_viewpoints_are_taken_into_the_own_frame(one_shape):
     found = [
-        novel_views.fidelity(knowing(untrained_drawer(one_shape, turned(rotation), render_size=32), volume))
+        novel_view_scores.fidelity(knowing(untrained_renderer(one_shape, turned(rotation), render_size=32), volume))
         for rotation, volume in ((0, 0), (90, 90), (90, 0))
     ]
     assert list(found[0].columns) == ["model_id", "view", "psnr", "ssim", "iou"]
@@ -62,9 +62,9 @@ def test_true_viewpoints_are_taken_into_the_own_frame(one_shape):
 
 
 def test_copy_shows_the_next_view_of_the_object(store):
-    drawer = untrained_drawer(store)
-    found = novel_views.fidelity(drawer, copy=True)
-    expected = novel_views.compare(drawer.images([1, 2, 0]), drawer.images([0, 1, 2]))
+    drawer = untrained_renderer(store)
+    found = novel_view_scores.fidelity(drawer, copy=True)
+    expected = novel_view_scores.compare(drawer.images([1, 2, 0]), drawer.images([0, 1, 2]))
     assert np.allclose(found[["psnr", "ssim", "iou"]].head(3), expected)
 
 
@@ -73,7 +73,7 @@ def test_measures_are_those_of_the_literature():
     target = torch.rand(1, 4, 16, 16, generator=generator)
     drawn = (target + 0.1).clamp(max=2)
     drawn[:, :3] = target[:, :3] * 0.5
-    (line,) = novel_views.compare(drawn, target).to_dict("records")
+    (line,) = novel_view_scores.compare(drawn, target).to_dict("records")
     error = ((target[:, :3] * 0.5) ** 2).mean()
     assert line["psnr"] == pytest.approx(float(-10 * torch.log10(error)), abs=1e-4)
     a, b = (p[0, :3].movedim(0, -1).double().numpy() for p in (drawn, target))
@@ -81,22 +81,22 @@ def test_measures_are_those_of_the_literature():
     assert line["ssim"] == pytest.approx(structural_similarity(b, a, data_range=1.0, channel_axis=-1, **gaussian))
     both, either = (target[:, 3] > 0.5).sum(), (target[:, 3] > 0.4).sum()
     assert line["iou"] == pytest.approx(float(both / either), abs=0.02)
-    (same,) = novel_views.compare(target, target).to_dict("records")
-    assert same == {"psnr": novel_views.HIGHEST, "ssim": pytest.approx(1), "iou": 1}
+    (same,) = novel_view_scores.compare(target, target).to_dict("records")
+    assert same == {"psnr": novel_view_scores.HIGHEST, "ssim": pytest.approx(1), "iou": 1}
 
 
 def test_what_a_variant_does_not_draw_is_not_scored(store):
-    hologan = novel_views.fidelity(untrained_drawer(store, variant="hologan_decoder"))
+    hologan = novel_view_scores.fidelity(untrained_renderer(store, variant="hologan_decoder"))
     assert hologan["iou"].isna().all()
     assert hologan["psnr"].notna().all()
-    masks = novel_views.fidelity(untrained_drawer(store, variant="segmentation_target"))
+    masks = novel_view_scores.fidelity(untrained_renderer(store, variant="segmentation_target"))
     assert masks[["psnr", "ssim"]].isna().all(axis=None)
     assert masks["iou"].notna().all()
 
 
 @pytest.mark.parametrize(("reads", "median"), [(True, 0.0), (False, 90.0)])
 def test_consistency_is_how_well_the_drawing_tells_its_viewpoint(store, reads, median):
-    drawer = untrained_drawer(store)
+    drawer = untrained_renderer(store)
 
     def draw(self, shape, code, frames, size=None):
         """Flat images whose colour is the view vector."""
@@ -111,17 +111,17 @@ def test_consistency_is_how_well_the_drawing_tells_its_viewpoint(store, reads, m
 
     drawer.network.draw = MethodType(draw, drawer.network)
     drawer.network.viewpoint.forward = viewpoint
-    errors = novel_views.consistency(drawer)
+    errors = novel_view_scores.consistency(drawer)
     assert len(errors) == len(drawer)
     assert np.median(errors) == pytest.approx(median, abs=0.01 if reads else 45)
-    assert np.array_equal(errors, novel_views.consistency(drawer))
+    assert np.array_equal(errors, novel_view_scores.consistency(drawer))
 
 
 @pytest.mark.parametrize(
     ("variant", "settings"), [("viewnet", {"crop": "square"}), ("hologan_decoder", {}), ("viewnet", {"in_plane": True})]
 )
 def test_every_network_can_look_at_what_it_draws(store, variant, settings):
-    errors = novel_views.consistency(untrained_drawer(store, variant=variant, **settings))
+    errors = novel_view_scores.consistency(untrained_renderer(store, variant=variant, **settings))
     assert ((errors >= 0) & (errors <= 180)).all()
 
 
@@ -130,20 +130,20 @@ def test_intervals_are_those_of_the_tables():
     objects = [np.repeat([f"o{i}" for i in range(20)], 3)] * 2
     hits = [(rng.random(60) < 0.5).astype(float) * 100 for _ in range(2)]
     errors = [np.where(hit > 0, 0.0, 90.0) for hit in hits]  # acc30 is then the mean of the hits
-    low, high = novel_views.mean_interval(hits, objects, 4000)
+    low, high = novel_view_scores.mean_interval(hits, objects, 4000)
     wanted = bootstrap_intervals(errors, objects, np.random.default_rng(0), 4000)["acc30"]
     assert np.allclose([low, high], wanted, atol=1.0)
-    assert novel_views.mean_interval([hits[0][:3]], [objects[0][:3]]) is None
-    assert novel_views.mean_interval([np.full(60, np.nan)], objects[:1]) is None
+    assert novel_view_scores.mean_interval([hits[0][:3]], [objects[0][:3]]) is None
+    assert novel_view_scores.mean_interval([np.full(60, np.nan)], objects[:1]) is None
 
 
 def test_cells_are_those_of_a_table(store, tmp_path):
     runs = [
         untrained_run(tmp_path / f"{v}{s}", v, s) for v, s in (("hologan_decoder", 0), ("viewnet", 0), ("viewnet", 1))
     ]
-    found = novel_views.cells(runs, lambda run: store, draws=20)
-    assert list(dict.fromkeys(found["row"])) == [novel_views.COPY, "ViewNet", "HoloGAN-Decoder"]
-    assert list(found.loc[found["row"] == "ViewNet", "metric"]) == list(novel_views.NAMES)
+    found = novel_view_scores.cells(runs, lambda run: store, draws=20)
+    assert list(dict.fromkeys(found["row"])) == [novel_view_scores.COPY, "ViewNet", "HoloGAN-Decoder"]
+    assert list(found.loc[found["row"] == "ViewNet", "metric"]) == list(novel_view_scores.NAMES)
     mine = found.set_index(["row", "metric"])
     psnr = mine.loc["ViewNet", "psnr"]
     assert psnr["seeds"] == 2
@@ -151,11 +151,11 @@ def test_cells_are_those_of_a_table(store, tmp_path):
     assert psnr["low"] <= psnr["measured"] <= psnr["high"]
     assert (psnr["images"], psnr["objects"]) == (12, 4)
     assert np.isnan(mine.loc["HoloGAN-Decoder", "iou"]["measured"])
-    assert np.isnan(mine.loc[novel_views.COPY, "consistency_median"]["measured"])
-    shown = novel_views.frame(found)
+    assert np.isnan(mine.loc[novel_view_scores.COPY, "consistency_median"]["measured"])
+    shown = novel_view_scores.frame(found)
     assert shown.loc["HoloGAN-Decoder", ("car", "mask IoU")] == "--"
     assert shown.loc["ViewNet", ("car", "PSNR, dB")].startswith(f"{psnr['measured']:.1f} [")
-    files = novel_views.write(found, tmp_path / "tables", "one & two")
+    files = novel_view_scores.write(found, tmp_path / "tables", "one & two")
     assert [file.name for file in files] == ["novel_views.tex", "novel_views.csv"]
     tex = files[0].read_text()
     assert tex.count("&") == 7 * 4 + 1 and "one \\& two" in tex and tex.count("\\midrule") == 1
@@ -164,12 +164,12 @@ def test_cells_are_those_of_a_table(store, tmp_path):
     kept = pd.read_csv(files[1], keep_default_na=False, na_values=[""])
     assert kept["measured"].to_numpy() == pytest.approx(found["measured"].round(4).to_numpy(), nan_ok=True)
     with pytest.raises(ViewnetError, match="same seed"):
-        novel_views.cells([*runs, runs[1]], lambda run: store)
+        novel_view_scores.cells([*runs, runs[1]], lambda run: store)
 
 
 def test_photographs_and_single_views_are_refused(tmp_path):
     with pytest.raises(ViewnetError, match="photographs have no mask"):
-        novel_views.fidelity(untrained_drawer(make_photos(tmp_path / "photos")))
+        novel_view_scores.fidelity(untrained_renderer(make_photos(tmp_path / "photos")))
     single = box_store(tmp_path / "views", {"val": 4, "test": 2}, views=1)
     with pytest.raises(ViewnetError, match="a single view"):
-        novel_views.fidelity(untrained_drawer(single))
+        novel_view_scores.fidelity(untrained_renderer(single))

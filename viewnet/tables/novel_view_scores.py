@@ -35,31 +35,12 @@ from viewnet.evaluation.predictions import Floats, true_vectors
 from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
 from viewnet.runtime.files import write_text
+from viewnet.tables import cells as table_cells
 from viewnet.tables import latex
+from viewnet.tables.columns import COLUMNS, DASH, FIDELITY, HEADLINE, NOVEL_VIEWS, names
 from viewnet.tables.layouts import LABELS
-from viewnet.tables.run_renderer import BATCH, Drawer, Stores, drawers, own_views
+from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, renderers
 
-FIDELITY = ("psnr", "ssim", "iou")
-NAMES = {
-    "psnr": "PSNR, dB",
-    "ssim": "SSIM",
-    "iou": "mask IoU",
-    "consistency_acc30": "consistent within 30, %",
-    "consistency_median": "inconsistency, median degrees",
-    "judged_acc30": "judged consistent within 30, %",
-    "judged_median": "judged inconsistency, median degrees",
-}
-HEADINGS = {
-    "psnr": r"PSNR (dB) $\uparrow$",
-    "ssim": r"SSIM $\uparrow$",
-    "iou": r"IoU $\uparrow$",
-    "consistency_acc30": r"acc (\%) $\uparrow$",
-    "consistency_median": r"med ($^\circ$) $\downarrow$",
-    "judged_acc30": r"judged acc (\%) $\uparrow$",
-    "judged_median": r"judged med ($^\circ$) $\downarrow$",
-}
-"""The same in LaTeX, for narrow columns."""
-DIGITS = {"psnr": 1, "ssim": 3, "iou": 3, **dict.fromkeys(list(NAMES)[3:], 1)}
 VARIANTS = (
     "viewnet",
     "viewnet_cycle",
@@ -78,7 +59,7 @@ BRIGHT = 0.1
 DRAWS = 1000
 
 
-def fidelity(drawer: Drawer, copy: bool = False) -> pd.DataFrame:
+def fidelity(drawer: RunRenderer, copy: bool = False) -> pd.DataFrame:
     """A row for each test view: model_id, view, psnr (dB), ssim, iou; NaN for what the network does not draw.
 
     With `copy`, of the appearance view in the drawing's place. Raises ViewnetError for photographs, which have no mask
@@ -122,7 +103,7 @@ def compare(drawn: Tensor, target: Tensor) -> pd.DataFrame:
 
 
 @torch.no_grad()
-def consistency(drawer: Drawer, judge: Drawer | None = None, seed: int = 0) -> Floats:
+def consistency(drawer: RunRenderer, judge: RunRenderer | None = None, seed: int = 0) -> Floats:
     """Degrees (N,) between random viewpoints and what is said of drawings from them, one for each test view.
 
     The network's own viewpoint network is asked or, if given, the judge's; see above. Each test view gives an
@@ -153,7 +134,7 @@ def consistency(drawer: Drawer, judge: Drawer | None = None, seed: int = 0) -> F
     return errors
 
 
-def _seen(drawn: Tensor, drawer: Drawer, reader: Drawer) -> Tensor:
+def _seen(drawn: Tensor, drawer: RunRenderer, reader: RunRenderer) -> Tensor:
     """Drawings (N, 4, S, S) as the reader's viewpoint network takes them (N, 3, s, s)."""
     model = reader.network.config
     if drawer.hologan:
@@ -184,98 +165,67 @@ def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -
         groups.setdefault((run.config.category, run.config.variant), []).append(run)
     lines: list[dict[str, object]] = []
     for category in dict.fromkeys(run.config.category for run in runs):
-        mine = {variant: drawers(group, stores) for (c, variant), group in groups.items() if c == category}
+        mine = {variant: renderers(group, stores) for (c, variant), group in groups.items() if c == category}
         judge = mine["viewnet"][0] if "viewnet" in mine else None
         copied = fidelity(next(iter(mine.values()))[0], copy=True)
-        lines += _lines((COPY, "", category, ""), [copied], {}, draws)
+        lines += _lines({"row": COPY, "variant": "", "category": category, "runs": ""}, [copied], {}, draws)
         for variant, found in mine.items():
             answers = {"consistency": [consistency(drawer) for drawer in found]}
             if judge is not None:
                 answers["judged"] = [consistency(drawer, judge) for drawer in found]
             keys = " ".join(run.key for run in groups[category, variant])
-            about = (LABELS[variant], variant, category, keys)
+            about = {"row": LABELS[variant], "variant": variant, "category": category, "runs": keys}
             lines += _lines(about, [fidelity(drawer) for drawer in found], answers, draws)
     return pd.DataFrame(lines)
 
 
 def frame(cells: pd.DataFrame) -> pd.DataFrame:
-    """`cells` for reading: a line a row, columns (category, metric), values with intervals as text, -- where none."""
+    """`cells` for reading: a line per row, columns (category, metric), numbers with intervals as text, -- for none."""
     texts = [
-        "--" if np.isnan(m) else f"{m:.{d}f} [{low:.{d}f}, {high:.{d}f}]"
+        DASH if np.isnan(m) else f"{m:.{d}f} [{low:.{d}f}, {high:.{d}f}]"
         for m, low, high, d in zip(
-            cells["measured"], cells["low"], cells["high"], cells["metric"].map(DIGITS), strict=True
+            cells["measured"],
+            cells["low"],
+            cells["high"],
+            cells["metric"].map(lambda metric: COLUMNS[metric].digits),
+            strict=True,
         )
     ]
     wide = cells.assign(text=texts).pivot(index="row", columns=["category", "metric"], values="text")
-    columns = [(c, m) for c in dict.fromkeys(cells["category"]) for m in NAMES]
+    columns = [(c, m) for c in dict.fromkeys(cells["category"]) for m in NOVEL_VIEWS]
     wide = wide.reindex(index=list(dict.fromkeys(cells["row"])), columns=pd.MultiIndex.from_tuples(columns))
-    return wide.fillna("--").rename(columns=NAMES, level=1).rename_axis(index=None)
+    return wide.fillna(DASH).rename(columns=names(NOVEL_VIEWS), level=1).rename_axis(index=None)
 
 
 def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
     """`novel_views.tex`, a booktabs tabular, and `novel_views.csv`: every number, with its interval and runs."""
     files = [folder / "novel_views.tex", folder / "novel_views.csv"]
-    write_text(files[0], latex.measured(cells, HEADINGS, DIGITS, note))
+    write_text(files[0], latex.measured(cells, NOVEL_VIEWS, note))
     write_text(files[1], cells.round(4).to_csv(index=False, lineterminator="\n"))
     return files
 
 
 def _lines(
-    about: tuple[str, str, str, str], scored: Sequence[pd.DataFrame], answers: dict[str, list[Floats]], draws: int
+    about: dict[str, str], scored: Sequence[pd.DataFrame], errors: dict[str, list[Floats]], draws: int
 ) -> list[dict[str, object]]:
-    """Every metric of the seeds of one row, variant, category and runs: `about`."""
-    objects = [found["model_id"].to_numpy() for found in scored]
+    """Every metric of the seeds of one row, in the order of NOVEL_VIEWS; `about` is the row, variant, category, runs.
+
+    `scored` are `fidelity` of each seed, `errors` the `consistency` of each by the kind of viewpoint network.
+    """
+    objects = [scores["model_id"].to_numpy() for scores in scored]
     values: dict[str, tuple[list[float], tuple[float, float] | None]] = {}
     for metric in FIDELITY:
-        each = [found[metric].to_numpy() for found in scored]
-        values[metric] = [float(e.mean()) for e in each], mean_interval(each, objects, draws)
-    for asked, errors in answers.items():
-        bounds = metrics.bootstrap_intervals(errors, objects, np.random.default_rng(0), draws)
-        for statistic in ("acc30", "median"):
-            values[f"{asked}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in errors], bounds[statistic]
-    row, variant, category, keys = about
-    lines: list[dict[str, object]] = []
-    for metric in NAMES:
-        each_run, interval = values.get(metric, ([float("nan")], None))
-        low, high = interval or (float("nan"), float("nan"))
-        lines.append(
-            {
-                "row": row,
-                "variant": variant,
-                "category": category,
-                "metric": metric,
-                "measured": float(np.mean(each_run)),
-                "sd": float(np.std(each_run, ddof=1)) if len(each_run) > 1 else float("nan"),
-                "low": low,
-                "high": high,
-                "seeds": len(scored),
-                "images": len(objects[0]),
-                "objects": len(set(objects[0])),
-                "runs": keys,
-            }
-        )
-    return lines
-
-
-def mean_interval(
-    values: Sequence[Floats], objects: Sequence[np.ndarray], draws: int = DRAWS, seed: int = 0
-) -> tuple[float, float] | None:
-    """95 % percentile interval of the mean over runs of means of values (N,), by resampling objects (N,).
-
-    A draw takes the same objects in every run. None with fewer than two objects, and for values that are NaN.
-    """
-    names, owner = np.unique(np.concatenate([np.asarray(o, dtype=str) for o in objects]), return_inverse=True)
-    if len(names) < 2 or any(np.isnan(v).any() for v in values):
-        return None
-    owners = np.split(owner, np.cumsum([len(o) for o in objects])[:-1])
-    drawn = np.random.default_rng(seed).integers(len(names), size=(draws, len(names)))
-    times = np.stack([np.bincount(d, minlength=len(names)) for d in drawn]).astype(np.float64)
-    means = []
-    for value, mine in zip(values, owners, strict=True):
-        total, count = (np.bincount(mine, weights, len(names)) for weights in (value, np.ones(len(value))))
-        means.append((times @ total) / np.maximum(times @ count, 1))
-    low, high = np.percentile(np.mean(means, axis=0), [2.5, 97.5])
-    return float(low), float(high)
+        each = [scores[metric].to_numpy() for scores in scored]
+        values[metric] = [float(e.mean()) for e in each], metrics.mean_interval(each, objects, draws)
+    for kind, seeds in errors.items():
+        bounds = metrics.bootstrap_intervals(seeds, objects, np.random.default_rng(0), draws)
+        for statistic in HEADLINE:
+            values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in seeds], bounds[statistic]
+    keys, nothing = about.pop("runs"), ([float("nan")], None)
+    return [
+        {**about, "metric": m, **table_cells.measured(*values.get(m, nothing), objects), "runs": keys}
+        for m in NOVEL_VIEWS
+    ]
 
 
 def _batches(count: int) -> Iterator[list[int]]:

@@ -19,7 +19,7 @@ from viewnet.evaluation.run import Run
 from viewnet.model.viewnet import ViewNet
 from viewnet.recipes import make_config
 from viewnet.runtime.files import write_json
-from viewnet.tables.run_renderer import Drawer
+from viewnet.tables.run_renderer import RunRenderer
 from viewnet.training.make_run import SCHEMA
 
 LOG = """epoch,step,seconds,loss,val_reconstruction,val_accuracy,pixels,masks
@@ -54,7 +54,7 @@ def finished_run(folder: Path, store: ViewStore | None, variant: str = "viewnet"
     return run
 
 
-def untrained_drawer(store: ViewStore, rotation: np.ndarray | None = None, **overrides: object) -> Drawer:
+def untrained_renderer(store: ViewStore, rotation: np.ndarray | None = None, **overrides: object) -> RunRenderer:
     """A network in memory, its alignment replaced by a `rotation` (3, 3) of our choice where one is given."""
     config: RunConfig = make_config(profile="smoke", **overrides)
     torch.manual_seed(0)
@@ -62,4 +62,4 @@ def untrained_drawer(store: ViewStore, rotation: np.ndarray | None = None, **ove
     aligned = align(predict(network, store))
     if rotation is not None:
         aligned = replace(aligned, alignment=Procrustes(rotation))
-    return Drawer(network, config, store, aligned)
+    return RunRenderer(network, config, store, aligned)

@@ -1,16 +1,17 @@
-"""Figure 3: true against predicted azimuth, and what each head draws; and what alignment is worth on photographs."""
+"""Plots: predicted over true azimuth (figure 3 a-c), training curves, scores by calibration; and saving of figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
 import pandas as pd
 import torch
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from viewnet import geometry
 from viewnet.errors import ViewnetError
@@ -18,6 +19,7 @@ from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Floats
 from viewnet.evaluation.run import Run
 from viewnet.runtime.files import replacing
+from viewnet.tables.layouts import LABELS
 
 STYLE: Any = {
     "font.size": 8,
@@ -30,6 +32,11 @@ STYLE: Any = {
 COLUMN = 3.25  # inches: a column of the paper; the page is twice as wide and a gap
 INK = "#1f4e79"
 STYLES = {"none": "-", "procrustes": "-", "robust": "-.", "linear": "--", "per_angle": ":"}
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Told apart by colour-blind readers too (Okabe and Ito 2008)."""
+DASHES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
+LOGGED = ("epoch", "step", "seconds", "loss", "val_reconstruction", "val_accuracy")
+"""Columns of a run's log that are no term of its loss."""
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
 
 
@@ -60,59 +67,48 @@ def azimuths(aligned: Aligned) -> tuple[Floats, Floats]:
     return aligned.predictions.ids["azimuth"].to_numpy(), predicted.numpy()
 
 
-def candidate_grid(
-    inputs: np.ndarray, drawings: np.ndarray, errors: np.ndarray, angles: np.ndarray, labels: Sequence[str]
-) -> Figure:
-    """Figure 3 (d): each row an image and what the heads draw of it, by rising reconstruction error.
+def training_curves(runs: Sequence[Run]) -> Figure:
+    """Validation accuracy and error, the loss and each of its terms over epochs: a colour a variant, a dash a category.
 
-    inputs (N, H, W, 3) and drawings (N, M, H, W, 3) uint8; errors (N, M) of reconstruction, angles (N, M) of viewpoint
-    in degrees, both in the order of the drawings; labels (N,) beside the rows.
+    Terms are weighted, so they sum to the loss; a term that a run does not have is not drawn. Seeds look alike. Raises
+    ViewnetError without runs, and for one that has not been validated yet.
     """
-    n, m = drawings.shape[:2]
+    if not runs:
+        raise ViewnetError("training curves: no runs to show: train some first")
+    logs = [run.log for run in runs]
+    for run, log in zip(runs, logs, strict=True):
+        if log.empty:
+            raise ViewnetError(f"{run.name}: its log is empty: wait for the first validation")
+    terms = dict.fromkeys(column for log in logs for column in log.columns if column not in LOGGED)
+    titles = {
+        "val_accuracy": "validation accuracy (%)",
+        "val_reconstruction": "validation error",
+        "loss": "training loss",
+        **{term: f"loss: {term}" for term in terms},
+    }
+    variants = list(dict.fromkeys(run.config.variant for run in runs))
+    categories = list(dict.fromkeys(run.config.category for run in runs))
+    across = min(4, len(titles))
+    down = -(-len(titles) // across)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(0.9 * (m + 1), 1.05 * n + 0.2), layout="constrained")
-        grid = figure.subplots(n, m + 1, squeeze=False)
-        for i in range(n):
-            for j, axes in enumerate(grid[i]):
-                axes.imshow(inputs[i] if j == 0 else drawings[i, j - 1], interpolation="nearest")
-                axes.set(xticks=[], yticks=[])
-                axes.spines[:].set_visible(False)
-                if j:
-                    axes.set_xlabel(f"{errors[i, j - 1]:.3f} / {angles[i, j - 1]:.0f}°", labelpad=2, fontsize=7)
-            grid[i, 0].set_ylabel(labels[i])
-        grid[0, 0].set_title("input", fontsize=8)
-        grid[0, 1].set_title("error / angle", fontsize=8, loc="left")
+        figure = Figure(figsize=(1.75 * across + 1.4, 1.5 * down + 0.2), layout="constrained")
+        grid = figure.subplots(down, across, squeeze=False).ravel()
+        for axes, (column, title) in zip(grid, titles.items(), strict=False):
+            for run, log in zip(runs, logs, strict=True):
+                if column in log:
+                    variant, category = run.config.variant, run.config.category
+                    colour = COLOURS[variants.index(variant) % len(COLOURS)]
+                    dash = DASHES[categories.index(category) % len(DASHES)]
+                    axes.plot(log["epoch"], log[column], dash, color=colour, linewidth=1, marker="o", markersize=2)
+            axes.set_title(title, fontsize=8)
+            axes.set_ylim(0, 100 if column == "val_accuracy" else None)
+            axes.set_xlim(left=0)
+        for axes in grid[len(titles) :]:
+            axes.remove()
+        for axes in grid[max(0, len(titles) - across) : len(titles)]:
+            axes.set_xlabel("epoch")
+        figure.legend(handles=_legend(variants, categories), loc="outside right upper", frameon=False, fontsize=7)
     return figure
-
-
-def candidates(
-    runs: Sequence[Run], views: Callable[..., Any] | None = None, draw: Callable[..., Any] | None = None, count: int = 1
-) -> Figure:
-    """Figure 3 (d) of trained runs of the same number of heads, `count` test images of each, evenly spaced.
-
-    `views` and `draw` stand in for viewnet.data.build.view_store and viewnet.evaluation.predict.candidates. Raises ViewnetError
-    without runs, for untrained ones and for drawings of different sizes.
-    """
-    if views is None or draw is None:
-        from viewnet.data.build import view_store
-        from viewnet.evaluation.predict import candidates as drawn
-
-        views, draw = views or view_store, draw or drawn
-    parts, labels = [], []
-    for run in runs:
-        if not run.trained:
-            raise ViewnetError(f"figure 3: {run.config.variant} draws nothing: choose a trained variant")
-        aligned = align(run.predictions, run.alignment)
-        rows = np.linspace(0, len(aligned.predictions) - 1, count + 2).round().astype(int)[1:-1]
-        inputs, drawings, errors, heads = draw(run.folder, views(run.config.data, progress=False), rows.tolist())
-        parts.append((inputs, drawings, errors, np.take_along_axis(aligned.errors[rows], heads, axis=1)))
-        labels += [run.config.category] * len(rows)
-    if not parts:
-        raise ViewnetError("figure 3: no runs to show")
-    if len(sizes := {part[1].shape[1:] for part in parts}) > 1:
-        raise ViewnetError(f"figure 3: drawings of {len(sizes)} sizes cannot share a grid: show runs of one profile")
-    inputs, drawings, errors, angles = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return candidate_grid(inputs, drawings, errors, angles, labels)
 
 
 def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = ("acc30", "median", "dva")) -> Figure:
@@ -123,24 +119,24 @@ def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = ("acc30", 
     is, without an alignment on top of that.
     """
     categories = list(dict.fromkeys(scores["category"]))
-    names = list(dict.fromkeys(scores["predictor"]))
     fitted = set(scores.loc[scores["alignment"] == "none", "predictor"])
-    colours = {name: f"C{i}" for i, name in enumerate(names)}
+    colours = {predictor: f"C{i}" for i, predictor in enumerate(dict.fromkeys(scores["predictor"]))}
     with matplotlib.rc_context(STYLE):
         size = (2.3 * len(categories) + 1.6, 1.7 * len(metrics))
         figure = Figure(figsize=size, layout="constrained")
         grid = figure.subplots(len(metrics), len(categories), squeeze=False, sharex=True, sharey="row")
-        for (name, kind), rows in scores.groupby(["predictor", "alignment"], sort=False):
-            if (name in fitted) != (kind == "none"):
+        for (predictor, kind), rows in scores.groupby(["predictor", "alignment"], sort=False):
+            if (predictor in fitted) != (kind == "none"):
                 continue
+            colour, label = colours[predictor], predictor if kind == "none" else f"{predictor}, {kind}"
+            style: Any = {"color": colour, "linestyle": STYLES[kind], "label": label}
             for i, metric in enumerate(metrics):
                 for j, category in enumerate(categories):
-                    found = rows[rows["category"] == category].groupby("images")[metric].agg(["median", "min", "max"])
-                    axes, images = grid[i, j], found.index.to_numpy(dtype=float)
-                    told = {"color": colours[name], "linestyle": STYLES[kind]}
-                    label = name if kind == "none" else f"{name}, {kind}"
-                    axes.plot(images, found["median"], linewidth=1, markersize=2, marker="o", label=label, **told)
-                    axes.fill_between(images, found["min"], found["max"], color=colours[name], alpha=0.1, linewidth=0)
+                    axes = grid[i, j]
+                    shown = rows[rows["category"] == category].groupby("images")[metric].agg(["median", "min", "max"])
+                    images = shown.index.to_numpy(dtype=float)
+                    axes.plot(images, shown["median"], linewidth=1, markersize=2, marker="o", **style)
+                    axes.fill_between(images, shown["min"], shown["max"], color=colour, alpha=0.1, linewidth=0)
         for j, category in enumerate(categories):
             grid[0, j].set_title(category)
             grid[0, j].set_xscale("log", base=2)
@@ -190,3 +186,17 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
             with replacing(path) as temporary:
                 figure.savefig(temporary, dpi=200, metadata=metadata)
     return files
+
+
+def _legend(variants: Sequence[str], categories: Sequence[str]) -> list[Line2D]:
+    """A line for each colour and, where there are several categories, one for each dash."""
+    named = [
+        Line2D([], [], color=COLOURS[i % len(COLOURS)], linewidth=1, label=LABELS.get(variant, variant))
+        for i, variant in enumerate(variants)
+    ]
+    if len(categories) > 1:
+        named += [
+            Line2D([], [], color="0.3", linestyle=DASHES[i % len(DASHES)], linewidth=1, label=category)
+            for i, category in enumerate(categories)
+        ]
+    return named

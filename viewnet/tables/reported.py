@@ -1,8 +1,7 @@
-"""The numbers the paper prints, as data (`paper_tables/published/*.csv`), never mixed with measured ones."""
+"""The numbers that the paper reports, as data (`paper_tables/published/*.csv`), apart from the measured ones."""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import pandas as pd
@@ -13,22 +12,19 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime.files import read_csv
 
 TABLES = ("table1_shapenet", "table2_ablation", "table3_pascal3d", "table4_dva", "table5_freiburg", "objectron")
-DIGITS = {"acc30": 0, "median": 1, "dva": 0, "confidence_index": 2}
-"""After the point, as the paper prints each metric."""
-DASH = "--"
-"""What stands where nothing was printed or measured."""
 COLUMNS = ("row", "metric", "category", "value", "bold", "source")
 
 
 def folder() -> Path:
-    """Where the files are: under the project's root, else in the checkout this package lies in."""
+    """The folder of the files: under the project's root, else in the checkout that contains this package."""
     return paths.part("paper_tables", "published")
 
 
 def load(table: str) -> pd.DataFrame:
-    """A printed table, one row a number: row (as printed), metric (acc30 in %, median in degrees, dva in %,
-    confidence_index), category, value (the text as printed; "" where the paper has a dash), bold, source. Raises
-    ViewnetError for a file with other columns.
+    """A table of the paper, one row per number: row (the paper's label), metric, category, value, bold, source.
+
+    Metrics are acc30 and dva (per cent), median (degrees) and confidence_index; `value` is the text in the paper, ""
+    where it has a dash. Raises ViewnetError for a file with other columns.
     """
     path = folder() / f"{known(table, TABLES, 'table')}.csv"
     frame = read_csv(path, dtype=str, keep_default_na=False)
@@ -38,7 +34,7 @@ def load(table: str) -> pd.DataFrame:
 
 
 def architecture(part: str) -> pd.DataFrame:
-    """The supplement's table of the "encoder" or the "generator", a row a layer: layer, channels, kernel, stride.
+    """The supplement's table of the "encoder" or the "generator", one row per layer: layer, channels, kernel, stride.
 
     Raises ViewnetError for a file that lacks a column.
     """
@@ -48,8 +44,3 @@ def architecture(part: str) -> pd.DataFrame:
     if missing := [name for name in ("part", "layer", "channels", "kernel", "stride") if name not in frame.columns]:
         raise ViewnetError(f"{path}: column {missing[0]!r} is missing")
     return frame[frame["part"] == part].drop(columns="part").reset_index(drop=True)
-
-
-def text(value: float, metric: str) -> str:
-    """A number as the paper would print it, -- for NaN."""
-    return DASH if math.isnan(value) else f"{value:.{DIGITS[metric]}f}"

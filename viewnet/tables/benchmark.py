@@ -1,0 +1,82 @@
+"""The table of `viewnet bench` as text: headings, the cells of a row of `bench.json`, and the notes below."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+CONTESTANTS = ("textbook", "viewnet")
+NOT_MEASURED = "not measured"
+HEADINGS = (
+    ("", "", "", "", "time", "", "", "memory", "", "", "images/s", "", "growth", "", "", "x floor", ""),
+    ("work", "volume", "size", "on", "textbook", "viewnet", "ratio", "textbook", "viewnet", "ratio", "textbook",
+     "viewnet", "expected", "textbook", "viewnet", "textbook", "viewnet"),
+)  # fmt: skip
+"""The two lines above `cells`."""
+
+
+def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """A row as text, one cell for each of HEADINGS."""
+    measured = any(row[f"{name}_s"] is not None for name in CONTESTANTS)
+    return (
+        row["work"],
+        row["volume"],
+        "" if row["size"] is None else str(row["size"]),
+        row["device"],
+        *((_seconds(row["textbook_s"]), _seconds(row["viewnet_s"])) if measured else ("", NOT_MEASURED)),
+        _range(row["speedup"], row["speedup_low"], row["speedup_high"]),
+        _bytes(row["textbook_bytes"]),
+        _bytes(row["viewnet_bytes"]),
+        *(number(row[key]) for key in ("memory_ratio", "textbook_images_per_s", "viewnet_images_per_s")),
+        number(row["growth_expected"]),
+        *(_both(row[f"{name}_growth"], row[f"{name}_memory_growth"]) for name in CONTESTANTS),
+        *(number(row[f"{name}_over_floor"]) for name in CONTESTANTS),
+    )
+
+
+def notes(result: Mapping[str, Any]) -> list[str]:
+    """The lines below the table: machine, settings, and what memory, growth and floor mean."""
+    settings, machine, git = result["settings"], result["hardware"], result["git"]
+    rates = {name: f"{value / 1e9:.3g}" for name, value in result["rates"].items()}
+    commit = (git["commit"] or "none")[:12] + (" with changes" if git["dirty"] else "")
+    lines = [
+        f"{machine['gpu'] or machine['processor']}, CPU threads: {machine['threads']}; "
+        f"PyTorch {result['versions']['torch']}; commit {commit}",
+        f"renderer: {settings['volumes']} volumes, {settings['views']} images of each; training step: "
+        f"{settings['batch']} targets, pixel loss; medians of {settings['repeat']} measurements in turn",
+        "memory: peak in addition to weights and data; growth: over the row of half the size, time / memory; "
+        "expected of voxels and of points on rays, while pixels grow by 4",
+        "floor: the multiply-adds and bytes that are needed at least, at this machine's rates: "
+        f"{rates['float32_multiply_adds_per_s']} G/s in float32, {rates['bfloat16_multiply_adds_per_s']} G/s in "
+        f"bfloat16, {rates['copy_bytes_per_s']} GB/s",
+    ]
+    return [*lines, "quick: a check that everything works, and no measurement"] if settings["quick"] else lines
+
+
+def number(value: float | None) -> str:
+    """With about two significant digits; "" for None."""
+    if value is None:
+        return ""
+    return f"{value:.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2g}"
+
+
+def _seconds(value: float | None) -> str:
+    if value is None:
+        return ""
+    if value >= 100:
+        return f"{value:.0f} s"
+    return f"{value:.3g} s" if value >= 1 else f"{1000 * value:.3g} ms"
+
+
+def _bytes(value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"{value / 2**20:.{1 if value < 100 * 2**20 else 0}f} MiB"
+
+
+def _range(median: float | None, low: float | None, high: float | None) -> str:
+    return number(median) + (f" ({number(low)}-{number(high)})" if low != high else "")
+
+
+def _both(time: float | None, memory: float | None) -> str:
+    return number(time) + (f" / {number(memory)}" if memory is not None else "")

@@ -1,0 +1,56 @@
+"""Figure 3 (d): what each head renders of an image, by rising reconstruction error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.evaluate import align
+from viewnet.evaluation.predict import candidates
+from viewnet.evaluation.run import Run
+from viewnet.tables.plots import STYLE
+from viewnet.tables.run_renderer import Stores, own_views
+
+
+def candidate_figure(
+    runs: Sequence[Run], stores: Stores = own_views, render: Callable[..., Any] = candidates, count: int = 1
+) -> Figure:
+    """Figure 3 (d) of trained runs of the same number of heads, `count` test images of each, evenly spaced.
+
+    `stores` gives the views of a run, `render` what `candidates` returns. Raises ViewnetError without runs, for
+    untrained ones and for images of different sizes.
+    """
+    parts, labels = [], []
+    for run in runs:
+        if not run.trained:
+            raise ViewnetError(f"figure 3: {run.config.variant} renders nothing: choose a trained variant")
+        aligned = align(run.predictions, run.alignment)
+        rows = np.linspace(0, len(aligned.predictions) - 1, count + 2).round().astype(int)[1:-1]
+        inputs, rendered, errors, heads = render(run.folder, stores(run), rows.tolist())
+        parts.append((inputs, rendered, errors, np.take_along_axis(aligned.errors[rows], heads, axis=1)))
+        labels += [run.config.category] * len(rows)
+    if not parts:
+        raise ViewnetError("figure 3: no runs to show: train some first")
+    if len(sizes := {part[1].shape[1:] for part in parts}) > 1:
+        raise ViewnetError(f"figure 3: images of {len(sizes)} sizes cannot share a grid: show runs of one profile")
+    inputs, rendered, errors, angles = (np.concatenate(column) for column in zip(*parts, strict=True))
+    n, m = rendered.shape[:2]
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(0.9 * (m + 1), 1.05 * n + 0.2), layout="constrained")
+        grid = figure.subplots(n, m + 1, squeeze=False)
+        for i in range(n):
+            for j, axes in enumerate(grid[i]):
+                axes.imshow(inputs[i] if j == 0 else rendered[i, j - 1], interpolation="nearest")
+                axes.set(xticks=[], yticks=[])
+                axes.spines[:].set_visible(False)
+                if j:
+                    axes.set_xlabel(f"{errors[i, j - 1]:.3f} / {angles[i, j - 1]:.0f}°", labelpad=2, fontsize=7)
+            grid[i, 0].set_ylabel(labels[i])
+        grid[0, 0].set_title("input", fontsize=8)
+        grid[0, 1].set_title("error / angle", fontsize=8, loc="left")
+    return figure
