@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 import torch
 from helpers.boxes import box_store
-from helpers.untrained_models import finished_run, untrained_renderer
+from helpers.untrained_models import finished_run, turned, untrained_renderer
 from PIL import Image
-from test_run_renderer import turned
 
 from viewnet.config import VideoConfig
 from viewnet.data.crop import Crop, bounds, cut

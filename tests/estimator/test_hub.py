@@ -14,10 +14,9 @@ import onnxruntime
 import pytest
 import torch
 from helpers.boxes import box_store
-from helpers.untrained_models import finished_run, untrained_run
+from helpers.untrained_models import finished_run, turned, untrained_run
 from safetensors.torch import load_file, save_file
 from test_estimator import same, untrained
-from test_run_renderer import turned
 
 from viewnet.config import DataConfig, VideoConfig
 from viewnet.errors import ViewnetError

@@ -146,3 +146,15 @@ def test_dva_intervals_need_azimuths():
         metrics.bootstrap_intervals(
             [np.ones(4)], [np.array(list("abcd"))], np.random.default_rng(0), statistics=("dva",)
         )
+
+
+def test_the_interval_of_a_mean_is_that_of_an_accuracy():
+    rng = np.random.default_rng(0)
+    objects = [np.repeat([f"o{i}" for i in range(20)], 3)] * 2
+    hits = [(rng.random(60) < 0.5).astype(float) * 100 for _ in range(2)]
+    errors = [np.where(hit > 0, 0.0, 90.0) for hit in hits]  # acc30 is then the mean of the hits
+    low, high = metrics.mean_interval(hits, objects, 4000)
+    wanted = metrics.bootstrap_intervals(errors, objects, np.random.default_rng(0), 4000)["acc30"]
+    assert np.allclose([low, high], wanted, atol=1.0)
+    assert metrics.mean_interval([hits[0][:3]], [objects[0][:3]]) is None
+    assert metrics.mean_interval([np.full(60, np.nan)], objects[:1]) is None

@@ -12,8 +12,8 @@ import pytest
 import torch
 from helpers.evaluation_data import make_index, noisy
 from helpers.fake_steps import STEPS
+from helpers.latex import assert_tabular
 from helpers.photo_data import keep_apart, make_photos
-from test_tables import assert_tabular
 
 from viewnet.config import CATEGORIES
 from viewnet.data.pairs import load_views

@@ -1,4 +1,4 @@
-"""Runs and drawers of untrained networks of the profile smoke before made-up views, for the tests of images."""
+"""Runs and renderers of untrained networks of the profile smoke, on made-up views."""
 
 from __future__ import annotations
 
@@ -63,3 +63,9 @@ def untrained_renderer(store: ViewStore, rotation: np.ndarray | None = None, **o
     if rotation is not None:
         aligned = replace(aligned, alignment=Procrustes(rotation))
     return RunRenderer(network, config, store, aligned)
+
+
+def turned(degrees: float) -> np.ndarray:
+    """The rotation about the vertical that adds so much to azimuths."""
+    a = np.deg2rad(degrees)
+    return np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])

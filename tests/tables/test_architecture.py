@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from test_tables import assert_tabular
+from helpers.latex import assert_tabular
 from torch import nn
 
 from viewnet.config import ModelConfig

@@ -7,8 +7,8 @@ import pytest
 import torch
 from helpers.boxes import box_store
 from helpers.evaluation_data import make_index, noisy
+from helpers.figures import images, inside
 from helpers.untrained_models import untrained_run
-from test_image_grids import images, inside
 
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align

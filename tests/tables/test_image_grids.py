@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.boxes import box_store
+from helpers.figures import images, inside
 from helpers.photo_data import make_photos
 from helpers.untrained_models import untrained_renderer, untrained_run
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from viewnet.errors import ViewnetError
 from viewnet.model import rendering
@@ -21,22 +21,6 @@ def store(tmp_path_factory):
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     return [untrained_run(folder / v, v) for v in ("viewnet", "viewnet_cycle", "hologan_decoder")]
-
-
-def images(figure) -> list[list[np.ndarray | None]]:
-    """What is shown, line by line; None where nothing is."""
-    found: dict[int, list[np.ndarray | None]] = {}
-    for axes in figure.axes:
-        line = int(axes.get_label().split()[0])
-        found.setdefault(line, []).append(axes.images[0].get_array() if axes.images else None)
-    return list(found.values())
-
-
-def inside(figure) -> bool:
-    """Whether no text is cut off by the figure's edge."""
-    renderer, room = FigureCanvasAgg(figure).get_renderer(), figure.bbox
-    boxes = [axes.get_tightbbox(renderer) for axes in figure.axes]
-    return all(b.x0 >= 0 and b.y0 >= 0 and b.x1 <= room.x1 and b.y1 <= room.y1 for b in boxes)
 
 
 def test_reconstructions_stand_beside_their_image(runs, store):
@@ -89,32 +73,6 @@ def test_volumes_stand_below_their_images_from_one_viewpoint(runs, store):
     drawer = run_renderer.RunRenderer.of(runs[0].folder, store)
     assert np.array_equal(shown[2][0], drawer.shown([9])[0])
     assert inside(figure)
-
-
-def test_curves_are_the_logs(runs):
-    figure = plots.training_curves(runs)
-    titles = [axes.get_title() for axes in figure.axes]
-    assert titles == [
-        "validation accuracy (%)",
-        "validation error",
-        "training loss",
-        "loss: pixels",
-        "loss: masks",
-    ]
-    for axes, values in zip(figure.axes, ([20, 60], [0.4, 0.2], [2.5, 1.5], [0.5, 0.5], [2, 1]), strict=True):
-        assert len(axes.lines) == 3
-        assert axes.lines[0].get_xydata().tolist() == [[1, values[0]], [2, values[1]]]
-    legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ["ViewNet", "ViewNet + cycle", "HoloGAN-Decoder"]
-
-
-def test_a_run_without_a_log_is_named(tmp_path):
-    run = untrained_run(tmp_path / "run")
-    (run.folder / "log.csv").write_text("epoch,step,seconds,loss\n")
-    with pytest.raises(ViewnetError, match=r"viewnet car seed 0 .* log is empty"):
-        plots.training_curves([run])
-    with pytest.raises(ViewnetError, match="no runs"):
-        plots.training_curves([])
 
 
 def test_figures_are_files(runs, store, tmp_path):

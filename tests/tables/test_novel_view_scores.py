@@ -8,16 +8,15 @@ import pytest
 import torch
 from helpers.boxes import PERSPECTIVE, SYMMETRIC, box_mesh, box_store, box_volume
 from helpers.photo_data import make_photos
-from helpers.untrained_models import untrained_renderer, untrained_run
+from helpers.untrained_models import turned, untrained_renderer, untrained_run
 from skimage.metrics import structural_similarity
-from test_run_renderer import turned
 
 from viewnet.data.store import write_store
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.metrics import bootstrap_intervals
 from viewnet.model.viewnet import Hypotheses
 from viewnet.render import render
 from viewnet.tables import novel_view_scores
+from viewnet.tables.columns import NOVEL_VIEWS
 
 
 @pytest.fixture(scope="module")
@@ -125,25 +124,13 @@ def test_every_network_can_look_at_what_it_draws(store, variant, settings):
     assert ((errors >= 0) & (errors <= 180)).all()
 
 
-def test_intervals_are_those_of_the_tables():
-    rng = np.random.default_rng(0)
-    objects = [np.repeat([f"o{i}" for i in range(20)], 3)] * 2
-    hits = [(rng.random(60) < 0.5).astype(float) * 100 for _ in range(2)]
-    errors = [np.where(hit > 0, 0.0, 90.0) for hit in hits]  # acc30 is then the mean of the hits
-    low, high = novel_view_scores.mean_interval(hits, objects, 4000)
-    wanted = bootstrap_intervals(errors, objects, np.random.default_rng(0), 4000)["acc30"]
-    assert np.allclose([low, high], wanted, atol=1.0)
-    assert novel_view_scores.mean_interval([hits[0][:3]], [objects[0][:3]]) is None
-    assert novel_view_scores.mean_interval([np.full(60, np.nan)], objects[:1]) is None
-
-
 def test_cells_are_those_of_a_table(store, tmp_path):
     runs = [
         untrained_run(tmp_path / f"{v}{s}", v, s) for v, s in (("hologan_decoder", 0), ("viewnet", 0), ("viewnet", 1))
     ]
     found = novel_view_scores.cells(runs, lambda run: store, draws=20)
     assert list(dict.fromkeys(found["row"])) == [novel_view_scores.COPY, "ViewNet", "HoloGAN-Decoder"]
-    assert list(found.loc[found["row"] == "ViewNet", "metric"]) == list(novel_view_scores.NAMES)
+    assert list(found.loc[found["row"] == "ViewNet", "metric"]) == list(NOVEL_VIEWS)
     mine = found.set_index(["row", "metric"])
     psnr = mine.loc["ViewNet", "psnr"]
     assert psnr["seeds"] == 2

@@ -7,7 +7,7 @@ import pytest
 import torch
 from helpers.boxes import box_store
 from helpers.photo_data import make_photos
-from helpers.untrained_models import untrained_renderer, untrained_run
+from helpers.untrained_models import turned, untrained_renderer, untrained_run
 
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.alignment import Identity
@@ -20,12 +20,6 @@ from viewnet.model import rendering
 from viewnet.runtime.files import write_json
 from viewnet.tables import run_renderer
 from viewnet.training.run_store import untrained
-
-
-def turned(degrees: float) -> np.ndarray:
-    """The rotation about the vertical that adds so much to azimuths."""
-    a = np.deg2rad(degrees)
-    return np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
 
 
 @pytest.fixture(scope="module")

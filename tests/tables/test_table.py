@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from helpers.evaluation_data import make_index, noisy
 from helpers.fake_steps import STEPS
+from helpers.latex import assert_tabular
 
 from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES
 from viewnet.errors import ViewnetError
@@ -21,7 +22,7 @@ from viewnet.tables import reported
 from viewnet.tables.columns import DASH
 from viewnet.tables.latex import escape
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.table import Entry, Table, entries
+from viewnet.tables.table import Entry, Table, entries, scores_by_definition
 from viewnet.training.run_store import ensure, untrained
 
 
@@ -68,7 +69,7 @@ def test_printed_numbers_stay_as_printed_and_apart(table):
     assert cell(table, "Single-head", "car", "median")["printed"] == "27.1"
     assert cell(table, "Best constant", "car", "median")["printed"] == ""
     frame = table.frame()
-    assert list(frame.index) == [label for label, _ in LAYOUTS["table2_ablation"].rows]
+    assert list(frame.index) == [row.label for row in LAYOUTS["table2_ablation"].rows]
     assert frame.columns.nlevels == 3
     assert frame.shape == (8, 12)
     assert frame.loc["ViewNet", ("acc30", "aeroplane", "print")] == "82"
@@ -86,34 +87,13 @@ def test_latex_is_a_whole_booktabs_tabular(table):
     assert "No Shape Prior & 78 & -- &" in text
 
 
-def assert_tabular(text: str) -> None:
-    """Structure that TeX would insist on: environments, braces, cells a row, known commands only."""
-    begun = re.findall(r"\\begin\{(\w+)\}", text)
-    assert begun == re.findall(r"\\end\{(\w+)\}", text) == ["tabular"]
-    bare = re.sub(r"\\[{}]", "", text)
-    assert bare.count("{") == bare.count("}")
-    width = len(re.sub(r"[^lcr]", "", re.search(r"\\begin\{tabular\}\{(.*)\}", text)[1]))
-    known = {"begin", "end", "toprule", "midrule", "bottomrule", "cmidrule", "multicolumn", "textbf", "uparrow"}
-    known |= {"downarrow", "circ", "footnotesize", "textbackslash", "textasciitilde", "textit", "quad", "parbox"}
-    known |= {"smallskip", "noindent", "linewidth", "raggedright", "setlength", "tabcolsep"}
-    assert set(re.findall(r"\\([a-zA-Z]+)", text)) <= known
-    lines = [line for line in text.split("\\end{tabular}")[0].splitlines() if line.endswith("\\\\")]
-    assert lines
-    for line in lines:
-        spans = sum(int(n) - 1 for n in re.findall(r"\\multicolumn\{(\d+)\}", line))
-        assert len(re.findall(r"(?<!\\)&", line)) + 1 + spans == width, line
-    assert not re.search(r"(?<!\\)[%#_]", text.replace("\\_", ""))
-
-
 def on_photographs(name: str, categories: tuple[str, ...]) -> Table:
     """A table of made-up predictors on made-up photographs."""
     found = [
-        Entry(
-            label, c, 0, "linear" if label.endswith("*") else "procrustes", f"{i}-{c}", noisy(make_index(40, 3, c)), {}
-        )
+        Entry(row.label, c, 0, row.alignment or "procrustes", f"{i}-{c}", noisy(make_index(40, 3, c)), {})
         for c in categories
-        for i, (label, variant) in enumerate(LAYOUTS[name].rows)
-        if variant
+        for i, row in enumerate(LAYOUTS[name].rows)
+        if row.variant
     ]
     return Table.of(name, found, categories, "made up", ["car: 3 left out & more"], {"VGG view*": "VGG view* (x_y)"})
 
@@ -239,7 +219,7 @@ def test_measurements_list_every_measured_row_once(table):
 
 def test_the_audit_sets_every_definition_beside_the_print(runs):
     constant = [run for run in runs if run.config.variant == "constant"]
-    audit = table.audit(constant, "table2_ablation", "Constant")
+    audit = scores_by_definition(constant, "table2_ablation", "Constant")
     assert list(audit.loc["chair"].index) == ["geodesic", "vector", "folded", "scaled", "printed"]
     assert audit.loc[("chair", "printed"), "acc30"] == "19"
     assert audit.loc[("chair", "geodesic"), "acc30"] == "0"

@@ -1,0 +1,22 @@
+"""What image grids show, and whether it fits."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+
+def images(figure) -> list[list[np.ndarray | None]]:
+    """What is shown, line by line; None where nothing is."""
+    found: dict[int, list[np.ndarray | None]] = {}
+    for axes in figure.axes:
+        line = int(axes.get_label().split()[0])
+        found.setdefault(line, []).append(axes.images[0].get_array() if axes.images else None)
+    return list(found.values())
+
+
+def inside(figure) -> bool:
+    """Whether no text is cut off by the figure's edge."""
+    renderer, room = FigureCanvasAgg(figure).get_renderer(), figure.bbox
+    boxes = [axes.get_tightbbox(renderer) for axes in figure.axes]
+    return all(b.x0 >= 0 and b.y0 >= 0 and b.x1 <= room.x1 and b.y1 <= room.y1 for b in boxes)

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.untrained_models import untrained_run
+
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.evaluate import align
+from viewnet.tables import plots
+
+
+def test_azimuths_are_those_of_the_aligned_selection(smoke_runs):
+    aligned = align(smoke_runs[0].predictions)
+    true, predicted = plots.azimuths(aligned)
+    assert len(true) == len(aligned.predictions)
+    right = aligned.selected_errors < 10
+    assert right.any()
+    assert (np.abs((true - predicted + 180) % 360 - 180)[right] < 15).all()
+    assert ((predicted >= 0) & (predicted < 360)).all()
+
+
+def test_scatter_has_a_panel_a_category_and_a_point_an_image(smoke_runs):
+    figure = plots.azimuth_scatter(smoke_runs[:2])
+    assert [axes.get_title() for axes in figure.axes] == ["car", "chair"]
+    for axes, run in zip(figure.axes, smoke_runs, strict=False):
+        assert len(axes.collections[0].get_offsets()) == len(run.predictions.subset("test"))
+
+
+def test_files_are_the_same_bytes_each_time(smoke_runs, tmp_path):
+    first = plots.save(plots.azimuth_scatter(smoke_runs[:2]), tmp_path / "a", "figure3_azimuth")
+    again = plots.save(plots.azimuth_scatter(smoke_runs[:2]), tmp_path / "b", "figure3_azimuth")
+    assert [f.name for f in first] == ["figure3_azimuth.png", "figure3_azimuth.pdf"]
+    for one, other in zip(first, again, strict=True):
+        assert one.read_bytes() == other.read_bytes()
+    assert first[0].read_bytes().startswith(b"\x89PNG")
+    pdf = first[1].read_bytes()
+    assert pdf.startswith(b"%PDF")
+    assert b"CreationDate" not in pdf
+    assert b"/Type3" not in pdf
+
+
+def test_no_runs_cannot_be_plotted():
+    with pytest.raises(ViewnetError, match="no runs to show"):
+        plots.azimuth_scatter([])
+
+
+def test_curves_are_the_logs(tmp_path):
+    runs = [untrained_run(tmp_path / v, v) for v in ("viewnet", "viewnet_cycle", "hologan_decoder")]
+    figure = plots.training_curves(runs)
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles == [
+        "validation accuracy (%)",
+        "validation error",
+        "training loss",
+        "loss: pixels",
+        "loss: masks",
+    ]
+    for axes, values in zip(figure.axes, ([20, 60], [0.4, 0.2], [2.5, 1.5], [0.5, 0.5], [2, 1]), strict=True):
+        assert len(axes.lines) == 3
+        assert axes.lines[0].get_xydata().tolist() == [[1, values[0]], [2, values[1]]]
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == ["ViewNet", "ViewNet + cycle", "HoloGAN-Decoder"]
+
+
+def test_a_run_without_a_log_is_named(tmp_path):
+    run = untrained_run(tmp_path / "run")
+    (run.folder / "log.csv").write_text("epoch,step,seconds,loss\n")
+    with pytest.raises(ViewnetError, match=r"viewnet car seed 0 .* log is empty"):
+        plots.training_curves([run])
+    with pytest.raises(ViewnetError, match="no runs"):
+        plots.training_curves([])
