@@ -1,5 +1,5 @@
-"""The one exception that a user's mistake raises."""
+"""The exception for mistakes of the user."""
 
 
 class ViewnetError(ValueError):
-    """A problem the user can mend: names the value or file at fault, what was expected and what to do, in one line."""
+    """A problem the user can fix. The message, one line, names the value or file, what was expected and what to do."""

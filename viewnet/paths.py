@@ -1,4 +1,4 @@
-"""Where things live: the only module that knows the tree."""
+"""Folders of the project, and the environment variables that move them."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def tables() -> Path:
 
 
 def part(*names: str) -> Path:
-    """A folder of the project beside the package: under `root`, else in the checkout this package lies in.
+    """A folder of the project beside the package: under `root`, else in this package's checkout.
 
-    Raises ViewnetError where there is none: a package that was installed comes without these folders.
+    Raises ViewnetError where there is none: an installed package comes without these folders.
     """
     places = [base.joinpath(*names) for base in (root(), Path(__file__).resolve().parent.parent)]
     for place in places:

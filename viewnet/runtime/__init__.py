@@ -1,1 +1,1 @@
-"""Files, processes, random numbers and provenance: what every room stands on."""
+"""Files, processes, random numbers and provenance: used by all other packages."""

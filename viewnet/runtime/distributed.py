@@ -1,8 +1,7 @@
-"""One training over several processes, each with a GPU or some cores of its own, on one machine or several.
+"""Data-parallel training over the processes of a torchrun, on one machine or several.
 
-torchrun starts the processes and says so in the environment. A step's batch is the configured one: every process takes
-its share of the objects, whatever is averaged over a batch is averaged over all processes, and so are the gradients. A
-process that is alone (`size()` 1) takes the same path and pays nothing.
+The configured batch is that of all processes: each takes its share of the objects, and batch averages, batch statistics
+and gradients are averaged over all. A single process (`size()` 1) runs the same code without any communication.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ T = TypeVar("T")
 
 ENVIRONMENT = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
 PATIENCE = datetime.timedelta(days=7)
-"""The others wait while the first process renders a collection. Who waits for a dead one is ended by torchrun."""
+"""How long processes wait for each other: the first may be rendering. torchrun ends those that wait for a dead one."""
 
 
 def start() -> None:
-    """Join the processes that torchrun started; nothing for a process alone, or one that has joined.
+    """Join the processes that torchrun started. Does nothing in a single process, or when called again.
 
-    Raises ViewnetError where a machine has fewer GPUs than processes.
+    Raises ViewnetError where a machine has GPUs, but fewer than processes.
     """
     if _joined() or any(name not in os.environ for name in ENVIRONMENT) or os.environ["WORLD_SIZE"] == "1":
         return
@@ -46,11 +45,11 @@ def start() -> None:
 
 
 def stop() -> None:
-    """Leave the other processes, when all is done. The process ends with exit code 0 once it has nothing more to do."""
+    """Leave the process group at the end of the program, which then exits with code 0."""
     if _joined():
-        dist.all_reduce(torch.zeros(1))  # nobody leaves while another still talks
+        dist.all_reduce(torch.zeros(1))  # wait until no process needs another any more
         dist.destroy_process_group()
-        # Gloo's threads may outlive the interpreter and abort the process while it is taken down: it ends before that.
+        # Gloo's threads may abort the process during the interpreter's shutdown: leave before that.
         atexit.register(_leave)
 
 
@@ -66,12 +65,12 @@ def size() -> int:
 
 
 def rank() -> int:
-    """Which of them this one is, counting from 0. The first one validates and writes."""
+    """The number of this process, from 0. Process 0 validates and writes files."""
     return dist.get_rank() if _joined() else 0
 
 
 def local_size() -> int:
-    """How many of them this machine has."""
+    """How many of them run on this machine."""
     return int(os.environ.get("LOCAL_WORLD_SIZE", size())) if size() > 1 else 1
 
 
@@ -80,57 +79,57 @@ def _joined() -> bool:
 
 
 def fail(message: str) -> NoReturn:
-    """End this process, and with it all: torchrun ends the others. The first to fail says why, for all of them."""
+    """End this process; torchrun then ends the others. Only the first to fail prints its message."""
     store = dist.distributed_c10d._get_default_store()
     if store.add("failures", 1) == 1:
         print(message, file=sys.stderr, flush=True)
-    # What an orderly end would do is wait for the others.
+    # Not sys.exit: shutting down in order would wait for the other processes.
     os._exit(2)
 
 
 def first(work: Callable[[], T]) -> T:
-    """What `work` gives in the first process, in all of them.
+    """Call `work` in process 0 only and return its result in every process.
 
-    What it raises there is raised in all, as a ViewnetError in the others.
+    An exception is raised in every process, as a ViewnetError in the others.
     """
     if size() == 1:
         return work()
-    found: list[Any] = [None, None]
+    outcome: list[Any] = [None, None]  # result, message of the exception
     error = None
     if rank() == 0:
         try:
-            found[0] = work()
+            outcome[0] = work()
         except Exception as problem:
-            error, found[1] = problem, str(problem)
-    dist.broadcast_object_list(found, 0, device=torch.device("cpu"))
+            error, outcome[1] = problem, str(problem)
+    dist.broadcast_object_list(outcome, 0, device=torch.device("cpu"))
     if error is not None:
         raise error
-    if found[1] is not None:
-        raise ViewnetError(found[1])
-    return found[0]
+    if outcome[1] is not None:
+        raise ViewnetError(outcome[1])
+    return outcome[0]
 
 
 def share(rows: Tensor) -> Tensor:
-    """This process's part of a batch's rows: as many for each, in their order."""
+    """This process's rows of a batch: equal, consecutive parts in the order of ranks."""
     return rows if size() == 1 else rows.chunk(size())[rank()]
 
 
 def gathered(value: Tensor) -> Tensor:
-    """Every process's value, (processes, ...). Gradients find their way back to all of them."""
+    """The values of all processes, (processes, ...). Differentiable: gradients reach every process's value."""
     return value[None] if size() == 1 else _Gather.apply(value)
 
 
 def mean(value: Tensor) -> Tensor:
-    """The mean of all processes' values: where each has the mean of its rows, that of the batch."""
+    """The mean over processes; of means over each process's rows, that is the mean over the batch."""
     return value if size() == 1 else gathered(value).mean(0)
 
 
 def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
-    """Give every process the mean of all processes' gradients.
+    """Replace gradients by their mean over all processes.
 
-    DistributedDataParallel wraps a module's `forward`, and a step calls several methods of several parts of the model.
-    One sum of all gradients behind the backward pass does not overlap with it, but there is nothing to go wrong: Muon
-    and Adam see the same numbers everywhere, to the bit, and so all processes keep the same weights.
+    DistributedDataParallel wraps a module's `forward`, but a step calls several methods of parts of the model. One sum
+    of all gradients after the backward pass does not overlap with it, but gives the optimisers the same numbers in
+    every process, to the bit, so that all keep the same weights.
     """
     if size() == 1:
         return
@@ -143,16 +142,16 @@ def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
 
 
 def together(model: nn.Module) -> None:
-    """Make a model ready: the weights of the first process in all, and normalisation by the whole batch."""
+    """Prepare a model: weights of process 0 in every process, and batch normalisation over the whole batch."""
     if size() == 1:
         return
-    # One seed gives almost the same weights on different processors.
+    # The same seed gives slightly different weights on different CPUs.
     model.load_state_dict(first(lambda: {name: value.cpu() for name, value in model.state_dict().items()}))
     share_normalisation(model)
 
 
 def share_normalisation(model: nn.Module) -> None:
-    """Have a model's batch normalisation go by all processes' rows."""
+    """Replace batch normalisation layers, in place, by ones over the rows of all processes."""
     for parent in list(model.modules()):
         for name, child in parent.named_children():
             if isinstance(child, _BatchNorm):
@@ -160,29 +159,30 @@ def share_normalisation(model: nn.Module) -> None:
 
 
 class BatchNorm(_BatchNorm):
-    """Batch normalisation by the statistics of all processes' rows, of which each has as many.
+    """Batch normalisation over the rows of all processes, of which each has as many.
 
-    As torch.nn.SyncBatchNorm, which is for GPUs only.
+    torch.nn.SyncBatchNorm does the same on GPUs only.
     """
 
     @classmethod
     def of(cls, other: _BatchNorm) -> BatchNorm:
-        """One that takes another's place, with its weights and running statistics."""
-        made = cls(other.num_features, other.eps, other.momentum).to(other.weight.device)
-        made.load_state_dict(other.state_dict())
-        return made
+        """A replacement of another layer, with its weights and running statistics."""
+        layer = cls(other.num_features, other.eps, other.momentum).to(other.weight.device)
+        layer.load_state_dict(other.state_dict())
+        return layer
 
     def _check_input_dim(self, input: Tensor) -> None:
-        """Any number of dimensions will do."""
+        """Features of any number of dimensions are accepted."""
 
     def forward(self, x: Tensor) -> Tensor:
         """Normalised features (N, C, ...) of this process's rows."""
         if not self.training:
             return super().forward(x)
         dims = [d for d in range(x.dim()) if d != 1]
-        spread, centre = torch.var_mean(x.float(), dims, correction=0)
-        spreads, centres = gathered(torch.stack([spread, centre])).unbind(1)
-        mean, variance = centres.mean(0), spreads.mean(0) + centres.var(0, correction=0)
+        statistics = torch.stack(torch.var_mean(x.float(), dims, correction=0))  # (2, C)
+        variances, means = gathered(statistics).unbind(1)  # (processes, C) each
+        # The variance over all rows is the mean variance within processes plus the variance of their means.
+        mean, variance = means.mean(0), variances.mean(0) + means.var(0, correction=0)
         with torch.no_grad():
             count = x.numel() // x.shape[1] * size()
             assert self.momentum is not None and self.running_mean is not None and self.running_var is not None
@@ -196,18 +196,18 @@ class BatchNorm(_BatchNorm):
 
 
 class _Gather(torch.autograd.Function):
-    """A sum over arrays that are zero but for a process's own place: every transport has it, and it is exact."""
+    """Gathers by a sum of arrays that are zero outside a process's own slot: exact, and every backend has it."""
 
     @staticmethod
     def forward(ctx: Any, value: Tensor) -> Tensor:
-        places = value.new_zeros(size(), *value.shape)
-        places[rank()] = value
-        dist.all_reduce(places)
-        return places
+        slots = value.new_zeros(size(), *value.shape)
+        slots[rank()] = value
+        dist.all_reduce(slots)
+        return slots
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> Tensor:
-        # Each process minimises its own loss, and all depend on this value.
+        # Each process minimises its own loss, and all losses depend on this value.
         total = gradient.contiguous().clone()
         dist.all_reduce(total)
         return total[rank()]

@@ -1,4 +1,4 @@
-"""Writing files and folders so that they are there whole or not at all, and a folder by one process at a time."""
+"""Files and folders that appear complete or not at all, and locks so that one process at a time makes a folder."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import json
 import logging
 import os
 import re
+import resource
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -23,24 +24,24 @@ from viewnet.errors import ViewnetError
 log = logging.getLogger(__name__)
 
 PART = ".part-"
-"""What marks temporary folders, whose names begin with a dot; random letters follow."""
+"""Part of the names of temporary folders: a dot, the target's name, this, and random letters."""
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _CLOSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
 
 
 @contextlib.contextmanager
 def writing(place: Path) -> Iterator[None]:
-    """A full disk, or a folder that may not be written to, ends the block with a ViewnetError that names `place`."""
+    """Turn errors of a full disk or a read-only folder in the block into a ViewnetError that names `place`."""
     try:
         yield
     except OSError as error:
-        if error.errno not in _FULL + _CLOSED or _elsewhere(error, place):
+        if error.errno not in _FULL + _CLOSED or _concerns_other(error, place):
             raise
         raise _refused(place, error) from error
 
 
-def _elsewhere(error: OSError, place: Path) -> bool:
-    """Whether it is told of a file that has nothing to do with `place`."""
+def _concerns_other(error: OSError, place: Path) -> bool:
+    """Whether an error names a file that has nothing to do with `place`."""
     if not isinstance(error.filename, str | os.PathLike):
         return False
     file, place = Path(error.filename).absolute(), place.absolute()
@@ -56,7 +57,7 @@ def _refused(place: Path, error: OSError) -> ViewnetError:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary name for `path`; what is written there takes its place when the block ends well, and vanishes if not.
+    """A temporary path; the file written there replaces `path` when the block succeeds, and is removed when it fails.
 
     Raises ViewnetError as `scratch` does.
     """
@@ -68,16 +69,16 @@ def replacing(path: Path) -> Iterator[Path]:
         except ViewnetError:
             raise
         except Exception as error:
-            if reason := _reason(error, temporary):
-                raise _refused(path, reason) from error
+            if cause := _cause(error, temporary):
+                raise _refused(path, cause) from error
             raise
-        temporary.chmod(0o644)  # some libraries' files are private to their maker
+        temporary.chmod(0o644)  # some libraries make files that only their owner can read
         temporary.replace(path)
 
 
 @contextlib.contextmanager
 def filling(folder: Path) -> Iterator[Path]:
-    """A temporary folder that becomes `folder`, which must not exist, when the block ends well; see `scratch`."""
+    """A temporary folder that becomes `folder`, which must not exist, when the block succeeds; see `scratch`."""
     with scratch(folder) as temporary:
         yield temporary
         temporary.chmod(0o755)
@@ -86,10 +87,10 @@ def filling(folder: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def scratch(place: Path) -> Iterator[Path]:
-    """A temporary folder beside `place`, private to its maker, that vanishes with the block.
+    """A temporary folder beside `place`, private to this process, removed after the block.
 
     A folder, since some libraries write temporary files of their own beside the one they are given. Those that killed
-    processes left of the same place are removed. Raises ViewnetError where the folder about it cannot be made or
+    processes left for the same place are removed. Raises ViewnetError where the parent folder cannot be made or
     written to, and where the disk is full.
     """
     place = Path(place)
@@ -114,15 +115,16 @@ def _claimed(place: Path) -> tuple[Path, int]:
                 fcntl.flock(claim, fcntl.LOCK_EX)
             if temporary.exists():
                 return temporary, claim
-            os.close(claim)  # swept between its making and its claim
+            os.close(claim)  # another process removed it before it was locked
     except OSError as error:
         raise _refused(place, error) from error
 
 
 def _sweep(place: Path) -> None:
-    left = re.compile(re.escape(f".{place.name}{PART}") + "[a-z0-9_]{8}")
-    for name in filter(left.fullmatch, os.listdir(place.parent)):
-        with contextlib.suppress(OSError):  # it is still being written, or somebody else was faster
+    """Remove temporary folders of killed processes: those that nobody holds a lock on."""
+    pattern = re.compile(re.escape(f".{place.name}{PART}") + "[a-z0-9_]{8}")
+    for name in filter(pattern.fullmatch, os.listdir(place.parent)):
+        with contextlib.suppress(OSError):  # it is in use, or another process has removed it
             claim = os.open(place.parent / name, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
                 fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -131,28 +133,28 @@ def _sweep(place: Path) -> None:
                 os.close(claim)
 
 
-def _reason(error: Exception, file: Path) -> OSError | None:
-    """Why nothing more can be written to a file, if that is what is behind an error: libraries have their own."""
-    if isinstance(error, OSError) and error.errno:
-        return None  # it says so itself
-    if (said := re.search(r"\(os error (\d+)\)", str(error))) and int(said[1]) in _FULL + _CLOSED:
-        return OSError(int(said[1]), os.strerror(int(said[1])))
-    try:
-        with file.open("ab") as stream:
-            stream.write(bytes(2**16))
-    except OSError as error:
-        return error
-    return None
+def _cause(error: Exception, file: Path) -> OSError | None:
+    """The operating system's error behind a library's own one, where `file` could not be written."""
+    code = None
+    if named := re.search(r"\(os error (\d+)\)", str(error)):
+        code = int(named[1])
+    elif isinstance(error, OSError) and error.errno:
+        return None  # `writing` knows it
+    elif shutil.disk_usage(file.parent).free < 2**16:
+        code = errno.ENOSPC
+    elif file.is_file() and 0 <= resource.getrlimit(resource.RLIMIT_FSIZE)[0] <= file.stat().st_size:
+        code = errno.EFBIG
+    return OSError(code, os.strerror(code)) if code in _FULL + _CLOSED else None
 
 
 def write_text(path: Path, text: str) -> None:
-    """`text` in UTF-8 with plain line ends."""
+    """Write `text` in UTF-8, its line ends as they are."""
     with replacing(path) as temporary:
         temporary.write_bytes(text.encode("utf-8"))
 
 
 def write_json(path: Path, value: Any) -> None:
-    """`value` as indented JSON. NaN and infinity have no place in JSON and raise ValueError."""
+    """Write `value` as indented JSON. ValueError for NaN and infinity, which JSON does not have."""
     write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
@@ -183,26 +185,26 @@ def read_csv(path: Path, **options: Any) -> Any:
 
 
 def load_array(path: Path, again: str, mmap_mode: Literal["r"] | None = None) -> np.ndarray:
-    """The array of a .npy file, of numbers only; ViewnetError, which ends in `again`, for anything else.
+    """The array of a .npy file, numeric only; ViewnetError, which ends in `again`, for anything else.
 
-    Nothing is unpickled, and no more room is asked for than the file has.
+    Nothing is unpickled, and no more memory is allocated than the file has bytes.
     """
     try:
-        # As a map first: the header may claim any size, and a map cannot be longer than its file.
+        # Memory-mapped first: the header may claim any size, but a map cannot be longer than its file.
         array = np.load(path, mmap_mode="r", allow_pickle=False)
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "biufc":
             raise ValueError("no array of numbers")
         return array if mmap_mode else np.array(array)
-    except Exception as error:  # NumPy raises whatever a damaged header makes it stumble over
+    except Exception as error:  # NumPy raises many types for damaged headers
         problem = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise ViewnetError(f"{path}: not a whole array ({problem}): {again}") from None
 
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """One process at a time makes `folder`; others wait. The system drops the lock of a process that dies.
+    """Hold the lock of `folder`, waiting while another process does. The lock of a process that dies is released.
 
-    Raises ViewnetError where there cannot be a lock, since the folder it would lie in cannot be made or written to.
+    Raises ViewnetError where the lock's folder cannot be made or written to.
     """
     lock = FileLock(folder.with_name(f".{folder.name}.lock"))
     try:

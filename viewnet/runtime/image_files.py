@@ -1,4 +1,4 @@
-"""Opening image files: only formats that hold images and run nothing, only sizes that fit in memory, one error."""
+"""Opening image files safely: known formats, sizes that fit in memory, one kind of error."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from PIL import Image
 from viewnet.errors import ViewnetError
 
 FORMATS = ("JPEG", "PNG", "BMP", "WEBP", "PPM", "TIFF", "GIF")
-"""What a file may hold, whatever its name ends in. Of Pillow's others EPS would have Ghostscript run what is in it."""
+"""Formats that are decoded, whatever a file's suffix. Of Pillow's others, EPS would run Ghostscript on its content."""
 MOST_PIXELS = 100_000_000
-"""Of an image: 0.4 GB once it is decoded. A file of some kB can claim as many as it likes."""
+"""The largest image, 0.4 GB once decoded: a file of some kB can claim any number of pixels."""
 
 
 @contextlib.contextmanager
 def opened(source: Path | IO[bytes], what: str = "image", formats: tuple[str, ...] = FORMATS) -> Iterator[Image.Image]:
-    """An image, its header read, for a block that decodes it and does nothing else.
+    """An image, its header read, for a block that only decodes it.
 
-    Whatever goes wrong in the block, as when the file is damaged, is told by ViewnetError: "`what` does not decode".
-    Raises ViewnetError for a file that is not there, of another format or with too many pixels.
+    Raises ViewnetError for a file that is missing, of another format or too large, and for any error in the block, as
+    of a damaged file: "`what` does not decode".
     """
     try:
         with Image.open(source, formats=formats) as image:
@@ -33,7 +33,7 @@ def opened(source: Path | IO[bytes], what: str = "image", formats: tuple[str, ..
         raise
     except FileNotFoundError:
         raise ViewnetError(f"no such {what}") from None
-    except Exception as error:  # Pillow's decoders raise whatever a damaged file makes them stumble over.
+    except Exception as error:  # Pillow's decoders raise many types for damaged files
         raise ViewnetError(f"{what} does not decode ({type(error).__name__})") from None
 
 

@@ -1,6 +1,6 @@
-"""ImageNet networks: the convolutions of a torchvision classifier with its weights, from a file, never a download.
+"""Convolutions of torchvision's ImageNet classifiers, their weights from a file, never a download.
 
-Weights are looked for in the file that `VIEWNET_<NAME>_WEIGHTS` names, then in torchvision's own cache
+Weights are expected in the file that `VIEWNET_<NAME>_WEIGHTS` names, else in torchvision's own cache
 (`$TORCH_HOME/hub/checkpoints`).
 """
 
@@ -17,24 +17,24 @@ from viewnet.errors import ViewnetError
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 ALIASES = {"squeezenet": "squeezenet1_1"}
-"""Our short name -> torchvision's. A network's variable is called by the short name where there is one."""
+"""Short name -> torchvision's name. The environment variable has the short name where there is one."""
 
 
 def variable(network: str) -> str:
-    """The environment variable that names a file of a network's weights."""
+    """The name of the environment variable for the file of a network's weights."""
     short = {full: alias for alias, full in ALIASES.items()}.get(network, network)
     return f"VIEWNET_{short.upper()}_WEIGHTS"
 
 
 def weights_file(network: str) -> Path:
-    """Where a network's weights are expected. ViewnetError for a name that torchvision has no ImageNet weights of."""
-    if given := os.environ.get(variable(network)):
-        return Path(given).expanduser()
+    """Where a network's weights are expected, `~` expanded. ViewnetError for networks without ImageNet weights."""
+    if named := os.environ.get(variable(network)):
+        return Path(named).expanduser()
     return Path(torch.hub.get_dir()) / "checkpoints" / _url(network).rsplit("/", 1)[1]
 
 
 def available(network: str) -> bool:
-    """Whether the weights are there. ViewnetError where a variable names a file and there is none."""
+    """Whether the weights are there. ViewnetError where a variable names a file that is missing."""
     path = weights_file(network)
     if not path.is_file() and os.environ.get(variable(network)):
         raise ViewnetError(f"{variable(network)}: no such file: {path}")
@@ -42,12 +42,11 @@ def available(network: str) -> bool:
 
 
 def convolutions(network: str, weights: Path | None = None, otherwise: str = "choose another network") -> nn.Sequential:
-    """The convolution layers of a torchvision classifier, in evaluation mode: up to what is pooled and classified.
+    """The convolution layers of a torchvision classifier, without its pooling and classifier, in evaluation mode.
 
     `network` is a name of torchvision.models or of ALIASES; `weights` a file with torchvision's names, with or without
-    what follows the convolutions (default: `weights_file`). Raises ViewnetError for a name that is unknown or has no
-    such layers, for a file that is not there (`otherwise` ends its message: what else can be done) and for one that
-    holds something else.
+    the classifier's (default: `weights_file`). Raises ViewnetError for a network that is unknown or has no such layers,
+    for a missing file (`otherwise`, an alternative for the user, ends the message) and for a file of something else.
     """
     url, path = _url(network), weights or weights_file(network)
     if not path.is_file():
@@ -57,7 +56,7 @@ def convolutions(network: str, weights: Path | None = None, otherwise: str = "ch
         )
     from torchvision import models
 
-    with torch.device("meta"):  # drawing VGG16's random start would take a while
+    with torch.device("meta"):  # initialising VGG16 at random would take a while
         layers = _trunk(models.get_model(_full(network), weights=None), network)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
@@ -65,7 +64,7 @@ def convolutions(network: str, weights: Path | None = None, otherwise: str = "ch
         layers.load_state_dict({name: state[name] for name in layers.state_dict() if name in state}, assign=True)
     except Exception as error:
         problem = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ViewnetError(f"{path} does not hold {network} weights ({problem}): download {url} anew") from error
+        raise ViewnetError(f"{path} does not hold {network} weights ({problem}): download {url} again") from error
     return layers.eval()
 
 
