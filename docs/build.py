@@ -32,8 +32,13 @@ PACKAGE = "viewnet"
 PROSE = {
     "README.md": "overview",
     "docs/README.md": "documents",
+    "docs/results.md": "results",
+    "docs/running.md": "running",
+    "docs/estimator.md": "estimator",
     "docs/models.md": "models",
+    "docs/real_data.md": "real_data",
     "docs/your_method.md": "your_method_guide",
+    "docs/architecture.md": "architecture_guide",
     "docs/recipes.md": "recipes",
     "docs/decisions.md": "decisions",
     "docs/scaling.md": "scaling",

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pandas as pd
 
-__all__ = ["HEADINGS", "ROOT", "TABLES", "frame", "markdown", "score", "scores", "value"]
+__all__ = ["HEADINGS", "ROOT", "TABLES", "frame", "markdown", "score", "scores", "tables_1_and_2", "value"]
 
 ROOT = Path(__file__).resolve().parent.parent
 TABLES = ROOT / "paper_tables"
@@ -95,6 +95,22 @@ def scores(
         for label, name in labels.items()
     ]  # fmt: skip
     return markdown(header, body)
+
+
+def tables_1_and_2(metrics: Iterable[str] = ("acc30", "median"), interval: bool = False) -> str:
+    """Tables 1 and 2 as one Markdown table of measured (reported) values."""
+    files = {"ViewNet": "table1_shapenet.csv", "ViewNet + cycle": "table1_shapenet.csv"}
+    for row in frame("table2_ablation.csv").dropna(subset=["measured", "printed"])["row"]:
+        files.setdefault(row, "table2_ablation.csv")
+    header, columns = [""], []
+    for metric in metrics:
+        header += [f"{HEADINGS[metric]}: aeroplane", "car", "chair"]
+        columns += [(metric, category) for category in ("aeroplane", "car", "chair")]
+    cells = (
+        [row, *(score(file, row, category, metric, interval=interval) for metric, category in columns)]
+        for row, file in files.items()
+    )
+    return markdown(header, cells)
 
 
 def markdown(header: Sequence[object], rows: Iterable[Sequence[object]]) -> str:

@@ -13,7 +13,7 @@ import pytest
 from helpers.documents import PUBLIC, dotted
 
 SHOWN = {
-    "viewnet.config",
+    "viewnet.recipes",
     "viewnet.data.catalogue",
     "viewnet.estimator.viewpoint_estimator",
     "viewnet.estimator.viewpoints",
