@@ -167,7 +167,7 @@ class Builder:
         cells = [[s] * around if isinstance(s, str) else list(s) for s in strips]
         coordinates = None if uv is None else np.asarray(uv, dtype=np.float64)
         if coordinates is not None:
-            # The seam's point stands twice, since its texture coordinate differs on either side.
+            # The seam's point is duplicated, since its texture coordinate differs on either side.
             grid = np.concatenate([grid, grid[:, :1]], axis=1)
             coordinates = coordinates.reshape(-1, 2)
         width = grid.shape[1]
@@ -304,7 +304,7 @@ def _across(direction: Array) -> tuple[Array, Array]:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """The cross product of two vectors (3,), without the generality that makes numpy's slow."""
+    """The cross product of two vectors (3,), faster than numpy's general one."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 

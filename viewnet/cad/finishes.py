@@ -121,7 +121,7 @@ def pick(rng: np.random.Generator, palette: tuple[Rgb, ...]) -> Rgb:
 
 
 class Finishes:
-    """Hands out the materials of one model. A share `plain` of the models has no colours, all is pale grey."""
+    """The materials of one model. A share `plain` of the models has no colours: everything is pale grey."""
 
     def __init__(self, builder: Builder, rng: np.random.Generator, plain: float = 0.12) -> None:
         self._builder = builder

@@ -1,4 +1,4 @@
-"""Colours drawn as they occur on real things."""
+"""Random colours, as frequent as on real objects."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def gray(rng: np.random.Generator, low: float, high: float) -> Color:
     return jitter(rng, [rng.uniform(low, high)] * 3, 0.012)
 
 
-# Middle and spread of the hues that people paint things in, with their shares; violet and pink are rare.
+# Mean, spread and share of the hues of painted objects; violet and pink are rare.
 _HUES = np.array([[0.0, 0.015], [0.07, 0.02], [0.14, 0.015], [0.36, 0.05], [0.53, 0.04], [0.62, 0.03], [0.8, 0.08]])
 _HUE_SHARES = np.array([0.28, 0.10, 0.13, 0.14, 0.09, 0.21, 0.05])
 
 
 def vivid(rng: np.random.Generator, saturation: float = 0.55, value: float = 0.3) -> Color:
-    """A colour as signs and liveries have it, at least this saturated and bright; mostly reds and blues."""
+    """A colour of signs and liveries, at least this saturated and bright; mostly reds and blues."""
     middle, spread = _HUES[rng.choice(len(_HUES), p=_HUE_SHARES)]
     hue = float(rng.normal(middle, spread)) % 1.0
     r, g, b = colorsys.hsv_to_rgb(hue, rng.uniform(saturation, 1.0), rng.uniform(value, 1.0))
@@ -37,13 +37,13 @@ def vivid(rng: np.random.Generator, saturation: float = 0.55, value: float = 0.3
 
 
 def choose(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
-    """A key drawn in proportion to its weight."""
+    """A random key, with a probability in proportion to its weight."""
     shares = np.array(list(weights.values()), dtype=np.float64)
     return list(weights)[int(rng.choice(len(shares), p=shares / shares.sum()))]
 
 
 def pick(rng: np.random.Generator, kinds: Mapping[str, float], kind: str | None) -> str:
-    """`kind` itself, or one drawn in proportion to the shares. Raises ValueError for a kind that is not among them."""
+    """`kind` itself, or a random one in proportion to the shares. Raises ValueError for an unknown kind."""
     if kind is None:
         return choose(rng, kinds)
     if kind not in kinds:
@@ -52,7 +52,7 @@ def pick(rng: np.random.Generator, kinds: Mapping[str, float], kind: str | None)
 
 
 # Shares follow the paints of new cars (white, black and grays three quarters of all), with colours raised a little
-# because collections of models hold more coloured ones than roads do.
+# because collections of models have more coloured ones than roads.
 _PAINTS: dict[str, tuple[float, Color]] = {
     "white": (22, (0.93, 0.93, 0.92)),
     "silver": (11, (0.70, 0.71, 0.72)),
@@ -78,7 +78,7 @@ def paint(rng: np.random.Generator) -> Color:
 
 
 def glass(rng: np.random.Generator) -> Color:
-    """A window seen from outside: mostly nearly black, sometimes gray, bluish or drawn in light blue."""
+    """A window seen from outside: mostly nearly black, sometimes gray, bluish or light blue."""
     kind = choose(rng, {"dark": 7, "gray": 2, "blue": 1.2, "sky": 0.8})
     base = {
         "dark": (0.07, 0.08, 0.09),

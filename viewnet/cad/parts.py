@@ -23,7 +23,7 @@ _MIRROR = np.array([1.0, -1.0, 1.0])
 
 
 def choose(rng: np.random.Generator, options: Mapping[str, float]) -> str:
-    """One of the keys, with probability in proportion to its value."""
+    """A random key, with a probability in proportion to its value."""
     weights = np.fromiter(options.values(), float)
     return list(options)[int(rng.choice(len(weights), p=weights / weights.sum()))]
 
@@ -97,8 +97,8 @@ def sweep(
 ) -> None:
     """A member of given cross-section along a path.
 
-    path: (K, 3). radii: half sizes, a number, (2,), (K,) for K > 2, or (K, 2): first along `side` (made square to the
-    path), then along the third direction. With `upright` all sections are horizontal, as for table legs.
+    path: (K, 3). radii: half sizes, a number, (2,), (K,) for K > 2, or (K, 2): first along `side` (made orthogonal to
+    the path), then along the third direction. With `upright` all sections are horizontal, as for table legs.
     """
     points = np.asarray(path, float)
     count = len(points)

@@ -68,7 +68,7 @@ def tube(
     z = base + tall[:, None] * (outline[None, :, 1] - base)
     for middle, half in arches:
         lift = np.where(np.abs(along - middle) < half - 1e-6, arch_top, base)
-        # Corners of the opening are cut off, which reads as round.
+        # Corners of the opening are cut off, so that it looks round.
         lift = np.where(np.abs(along - middle) > 0.65 * half, np.minimum(lift, base + 0.72 * (arch_top - base)), lift)
         lift = np.where(np.abs(along - middle) > half - 1e-6, base, lift)
         z[:, 1:] = np.maximum(z[:, 1:], lift[:, None] + 0.01 * np.arange(rows - 1))

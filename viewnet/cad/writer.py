@@ -19,7 +19,7 @@ TO_FILE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 def write_model(builder: Builder, folder: Path) -> None:
     """Write `models/model_normalized.obj` and `.mtl` and `images/texture<k>.png` into a new `folder`.
 
-    The folder appears only when it is whole. Raises ValueError for an empty model, FileExistsError for a `folder` that
+    The folder is written atomically. Raises ValueError for an empty model, FileExistsError for a `folder` that
     exists.
     """
     if folder.exists():
@@ -41,7 +41,7 @@ def normalized(builder: Builder, points: Array) -> Array:
 
 def _obj(builder: Builder) -> str:
     """The text of the .obj: shared vertices, faces in groups of one material."""
-    builder.bounds()  # names an empty model before numpy stumbles over it
+    builder.bounds()  # raises for an empty model, before numpy fails on it
     used = _used_materials(builder)
     sizes = np.cumsum([0] + [len(p.vertices) for p in builder.parts])
     points = normalized(builder, np.concatenate([p.vertices for p in builder.parts]))
@@ -63,7 +63,7 @@ def _obj(builder: Builder) -> str:
             seen += len(part.uv)
             index = np.stack([index, texture], -1).reshape(-1, 6)
         faces[part.material].append(index[whole] + 1)
-    # Vertices of dropped triangles and hidden strips are left out, so numbers are packed again.
+    # Vertices of dropped triangles and hidden strips are left out, so the others are renumbered.
     stacked = {name: np.concatenate(group) for name, group in faces.items()}
     columns = {name: slice(None, None, 2) if f.shape[1] == 6 else slice(None) for name, f in stacked.items()}
     kept = np.unique(np.concatenate([f[:, columns[n]].ravel() for n, f in stacked.items()]))

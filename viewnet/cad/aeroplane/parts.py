@@ -130,7 +130,7 @@ def propeller(
     turn: float = 0.0,
     disc: bool = False,
 ) -> None:
-    """A propeller in front of `hub`: spinner and blades, or the disc that a turning one draws."""
+    """A propeller in front of `hub`: spinner and blades, or the disc of a turning one."""
     x, y, z = hub
     width = radius * 0.16
     builder.cylinder((x - 0.02 * radius, y, z), (x + 0.3 * radius, y, z), 0.16 * radius, spinner, 0.03 * radius, 8)

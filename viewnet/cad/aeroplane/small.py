@@ -193,7 +193,7 @@ def warbird(rng: np.random.Generator, builder: Builder) -> None:
 
 
 def biplane(rng: np.random.Generator, builder: Builder) -> None:
-    """A biplane (now and then a triplane) with struts, open cockpit and spoked wheels."""
+    """A biplane (sometimes a triplane) with struts, open cockpit and spoked wheels."""
     p = _paints(rng, builder, rng.random() < 0.4)
     length = 7.0
     front, radius = length / 2, length * rng.uniform(0.058, 0.075)

@@ -102,7 +102,7 @@ class Vessel:
 
 
 def shade_of(rng: np.random.Generator, palette: Sequence[Rgb]) -> Rgb:
-    """One of the colours of a palette, a little off."""
+    """A random colour of a palette, slightly varied."""
     return jitter(rng, palette[int(rng.integers(len(palette)))])
 
 

@@ -1,4 +1,4 @@
-"""Cars of many kinds: what is drawn at random, and how the parts are put together."""
+"""Cars of many kinds: their random dimensions and finishes, and how the parts are assembled."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def car(rng: np.random.Generator, kind: str | None = None) -> Builder:
 
 
 def draw_shape(rng: np.random.Generator, kind: str, toy: bool) -> Shape:
-    """Dimensions of a car of a kind; toys are short and tall with large wheels and few facets."""
+    """Random dimensions of a kind of car; toys are short and tall with large wheels and few facets."""
     v = {name: float(rng.uniform(*limits)) for name, limits in _KINDS[kind].items()}
     length, height = v["length"], v["height"]
     if toy:

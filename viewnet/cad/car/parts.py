@@ -1,4 +1,4 @@
-"""Wheels, mirrors, plates, wings, roof signs and the other parts that stand on a car's body."""
+"""Wheels, mirrors, plates, wings, roof signs and the other parts attached to a car's body."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def wheel(
     share: float = 0.66,
     sections: int = 14,
 ) -> None:
-    """A wheel whose outer face looks to +y, with its middle at `center`. `share` is the rim's share of the radius; with
-    `spokes`, part of the disc is of the hub's material."""
+    """A wheel whose outer face points to +y, with its middle at `center`. `share` is the rim's share of the radius;
+    with `spokes`, part of the disc is of the hub's material."""
     x, y, z = center
     angle = (np.arange(sections) + 0.5) * (2 * np.pi / sections)
     circle = np.stack([np.cos(angle), np.zeros(sections), -np.sin(angle)], -1)
@@ -171,7 +171,7 @@ def wing(rng: np.random.Generator, builder: Builder, shape: Shape, finish: Finis
 
 
 def number(rng: np.random.Generator, builder: Builder, shape: Shape, finish: Finish) -> None:
-    """A starting number: a pale or dark disc with bars on the doors and on the bonnet."""
+    """A race number: a pale or dark disc with bars on the doors and on the bonnet."""
     s = shape
     radius = rng.uniform(0.2, 0.32)
     ground = builder.material("roundel", (0.95, 0.95, 0.93) if rng.random() < 0.7 else (0.95, 0.8, 0.1))
@@ -190,7 +190,7 @@ def number(rng: np.random.Generator, builder: Builder, shape: Shape, finish: Fin
 
 
 def convertible_top(rng: np.random.Generator, builder: Builder, shape: Shape, finish: Finish) -> None:
-    """What an open car shows: windscreen with its frame, seats, steering wheel, a folded hood."""
+    """The visible parts of an open car: windscreen with its frame, seats, steering wheel, a folded hood."""
     s = shape
     if s.trough is None:
         raise ValueError("an open car needs a cockpit")

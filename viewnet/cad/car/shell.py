@@ -1,4 +1,4 @@
-"""The body of a car as one lofted skin: windows, lights and grille are cells of it, so nothing can flicker."""
+"""The body of a car as one lofted skin: windows, lights and grille are its cells, so no surfaces coincide."""
 
 from __future__ import annotations
 

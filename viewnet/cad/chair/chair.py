@@ -1,4 +1,4 @@
-"""Chairs: those of wooden frames here; other kinds in chair_modern, chair_soft and chair_rare. Units: metres."""
+"""Chairs with wooden frames; other kinds are in the modules modern, soft and rare. Units: metres."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _frame_chair(
     tall: float,
     fills: dict[str, float],
 ) -> None:
-    """A chair whose rear legs go on as back posts; width, depth of the seat, its height and the back's height above."""
+    """A chair whose rear legs continue as back posts; width, depth of the seat, its height and the back's above it."""
     plain, grained = fin.wood()
     if rng.random() < 0.12:
         plain = grained = fin.metal()
@@ -268,7 +268,7 @@ def windsor(builder: Builder, rng: np.random.Generator, fin: Finishes) -> None:
 
 
 def bentwood(builder: Builder, rng: np.random.Generator, fin: Finishes) -> None:
-    """A café chair: round seat, thin bent members, a hoop back, sometimes running on into arms."""
+    """A café chair: round seat, thin bent members, a hoop back, sometimes continuing into arms."""
     frame, board = fin.wood(0.35)
     if rng.random() < 0.25:
         frame = fin.metal()

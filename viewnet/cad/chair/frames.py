@@ -342,7 +342,7 @@ def four_legs(
     turning: int = 0,
     center: float = 0.0,
 ) -> tuple[LegLine, LegLine]:
-    """Four like legs under a seat; `splay`: how far the feet stand out. Returns the left front and rear lines."""
+    """Four equal legs under a seat; `splay`: how far the feet stand out. Returns the left front and rear lines."""
     lines = []
     for sign in (1.0, -1.0):
         foot_x = center + sign * (depth / 2 - inset + splay)

@@ -83,7 +83,7 @@ def office(builder: Builder, rng: np.random.Generator, fin: Finishes) -> None:
         )
         _pad(builder, head, 0.0, 1.0, 0.05, cover, 0.3)
         bar(builder, surface.at(0, 0.9), head.at(0, 0.3), 0.015, dark)
-    # The stem that carries the back shows from behind and from the side.
+    # The stem that carries the back is visible from behind and from the side.
     behind = surface.at(0, 0.55) - np.array([back_thick * 0.7, 0, 0])
     stem = np.stack([[-0.08, 0, top - thick / 2 - 0.02], [-depth / 2 - 0.07, 0, top - thick / 2], behind])
     if style != "executive":

@@ -1,4 +1,4 @@
-"""Chairs that are seldom seen: chunky toy chairs, floor chairs, chaises longues, wheelchairs, children's high chairs.
+"""Rare chairs: chunky toy chairs, floor chairs, chaises longues, wheelchairs, children's high chairs.
 
 Units: metres.
 """

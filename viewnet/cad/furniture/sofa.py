@@ -107,7 +107,7 @@ def framed(builder: Builder, rng: np.random.Generator, fin: Finishes) -> None:
     surface = BackSurface(-x + 0.03, under, back_top - under, inner / 2, inner / 2, lean)
     rail(builder, surface, 1.0, (half, half * 0.8), frame, reach=1.03, points=2, section=section)
     bar(builder, surface.at(1.03, 0), surface.at(1.03, 1), half * 0.8, frame, section, mirror=True)
-    # Slats or bars show behind the cushions.
+    # Slats or bars are visible behind the cushions.
     if rng.random() < 0.6:
         count = int(rng.integers(4, 8)) * seats
         for u in np.linspace(-0.95, 0.95, count):

@@ -55,7 +55,7 @@ def add_top(
     bevel: float = 0.0,
     edge: Finish | None = None,
 ) -> None:
-    """A table top with its upper side at height `top`; `bevel` draws the lower edge in; `edge`: finish of its rim."""
+    """A table top with its upper side at height `top`; `bevel` insets the lower edge; `edge`: finish of its rim."""
     count = len(rim)
     low = np.column_stack([rim * (1 - bevel), np.full(count, top - thick)])
     high = np.column_stack([rim, np.full(count, top)])

@@ -15,7 +15,7 @@ SKIRT, LOWER, WAIST, GLASS, CANTRAIL, CURVE, ROOF = range(7)
 
 
 def train(rng: np.random.Generator, kind: str | None = None) -> Builder:
-    """A locomotive, a railcar, a tram or the head of a train; now and then with a second car behind."""
+    """A locomotive, a railcar, a tram or the head of a train; sometimes with a second car behind."""
     builder = Builder()
     kind = palette.pick(rng, KINDS, kind)
     if kind == "steam":

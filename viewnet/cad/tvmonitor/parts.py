@@ -129,7 +129,7 @@ def rear_details(
 def flat_stand(
     builder: Builder, rng: np.random.Generator, style: str, x: float, half_width: float, low: float, finish: Finish
 ) -> None:
-    """What carries a flat screen whose lower edge is at height `low`: plate, disc, feet, vee, arc, sled, tulip."""
+    """The stand of a flat screen whose lower edge is at height `low`: plate, disc, feet, vee, arc, sled, tulip."""
     reach = float(rng.uniform(0.09, 0.15))
     thick = float(rng.uniform(0.006, 0.014))
     if style == "feet":

@@ -1,4 +1,4 @@
-"""Images for the front of objects: what screens show, and labels of bottles. Arrays (H, W, 3) uint8."""
+"""Images for screens and for labels of bottles. Arrays (H, W, 3) uint8."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def to_bytes(values: np.ndarray) -> np.ndarray:
 
 
 def screen_image(rng: np.random.Generator, height: int = 36, width: int = 64) -> np.ndarray:
-    """What a screen may show: a reflection on dark glass, a landscape, windows on a desktop, a video, text."""
+    """A random image on a screen: a reflection on dark glass, a landscape, windows on a desktop, a video, text."""
     kind = int(rng.choice(5, p=[0.3, 0.2, 0.25, 0.15, 0.1]))
     y, x = np.mgrid[0:height, 0:width] / np.array([height, width])[:, None, None]
     if kind == 0:
@@ -91,7 +91,7 @@ def label_image(rng: np.random.Generator, paper: Rgb, ink: Rgb, height: int = 48
 
 
 def text_block(rng: np.random.Generator, paper: Rgb, ink: Rgb, height: int = 32, width: int = 32) -> np.ndarray:
-    """The small print of a label behind: rows of text and a bar code."""
+    """The small print of a back label: rows of text and a bar code."""
     image = np.full((height, width, 3), paper)
     for row in range(2, height - 12, 3):
         image[row, 3 : 3 + int(rng.integers(width // 2, width - 5))] = ink
