@@ -46,7 +46,7 @@ from torchvision import models
 
 from viewnet import paths
 from viewnet.data import rendered_store as rendering
-from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
+from viewnet.estimator import ViewpointEstimator
 from viewnet.runtime.files import replacing
 from viewnet.training.make_run import STATE
 

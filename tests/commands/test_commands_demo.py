@@ -28,7 +28,7 @@ def test_without_gradio_what_to_install_is_said(run, monkeypatch, capsys):
         (["--port", "99999"], "--port 99999: expected 1 to 65535"),
         (["--model", "ba9876543210"], "ba9876543210: no model there"),
         (["--host", "256.0.0.1"], "256.0.0.1:{port}: cannot listen there"),
-        (["--device", "abacus"], "device abacus: cannot be had here"),
+        (["--device", "abacus"], "device abacus: not available here"),
     ],
 )
 def test_what_cannot_be_shown_is_said(run, arguments, message, capsys):

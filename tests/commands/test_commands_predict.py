@@ -10,7 +10,7 @@ from helpers.untrained_models import finished_run
 from PIL import Image
 
 from viewnet import cli
-from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
+from viewnet.estimator import ViewpointEstimator
 from viewnet.geometry import azimuth_elevation
 
 

@@ -3,27 +3,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from helpers.estimators import PHOTOS, SQUARE, photograph, untrained
+from helpers.untrained_models import turned
 from PIL import Image
-from test_estimator import PHOTOS, SQUARE, photograph, untrained
 
 from viewnet.data.crop import bounds
 from viewnet.errors import ViewnetError
+from viewnet.estimator import ViewpointEstimator
 from viewnet.estimator.demo import analysis, examples
 from viewnet.estimator.demo.box_picker import SHOWN, Chosen, box_of, box_text
-from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 from viewnet.geometry import vector_angle, view_vector
 
 BOX = (10.0, 8.0, 70.0, 50.0)
 
 
-def turn(degrees: float) -> np.ndarray:
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-
-
 @pytest.mark.parametrize("overrides", [{}, SQUARE, PHOTOS], ids=["whole", "square", "photos"])
 def test_an_inspection_is_what_the_estimator_says_and_draws(overrides):
-    estimator, image = untrained(rotation=turn(40), **overrides), photograph()
+    estimator, image = untrained(rotation=turned(40), **overrides), photograph()
     mask = np.zeros(image.shape[:2], bool)
     mask[15:40, 20:60] = True
     for alpha, box in ((None, None), (None, BOX), (mask, None), (mask, BOX)):
@@ -152,7 +148,7 @@ def test_a_box_is_typed_as_four_edges_or_none():
 
 
 def test_examples_are_drawn_as_the_network_was_trained_to_see_them():
-    cutouts, photographs = examples.rendered(untrained()), examples.drawn(untrained(**PHOTOS))
+    cutouts, photographs = examples.rendered(untrained()), examples.rendered(untrained(**PHOTOS))
     assert len(cutouts) == len(photographs) == len(examples.VIEWPOINTS)
     assert len({example.image.tobytes() for example in cutouts}) == len(cutouts)
     for cutout, photo in zip(cutouts, photographs, strict=True):

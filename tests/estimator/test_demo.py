@@ -14,15 +14,15 @@ import pytest
 import torch
 import trimesh
 from helpers.boxes import box_store
+from helpers.estimators import PHOTOS, photograph, untrained
 from helpers.untrained_models import finished_run
 from PIL import Image
 from safetensors.torch import save_file
-from test_estimator import PHOTOS, photograph, untrained
 
 from viewnet import cli
 from viewnet.commands import demo
+from viewnet.estimator import ViewpointEstimator
 from viewnet.estimator.demo import examples
-from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 from viewnet.model.checkpoint import load_model
 from viewnet.recipes import make_config
 

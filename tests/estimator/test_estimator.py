@@ -11,6 +11,16 @@ import numpy as np
 import pytest
 import torch
 from helpers.boxes import box_store
+from helpers.estimators import (
+    PHOTOS,
+    SQUARE,
+    STRETCHED,
+    estimator_of,
+    photograph,
+    same,
+    turntable_of,
+    untrained,
+)
 from helpers.untrained_models import finished_run, turned, untrained_renderer
 from PIL import Image
 
@@ -18,18 +28,12 @@ from viewnet.config import VideoConfig
 from viewnet.data.crop import Crop, bounds, cut
 from viewnet.data.photo_store import Listed, photo_store
 from viewnet.errors import ViewnetError
-from viewnet.estimator import turntable, volume_mesh
+from viewnet.estimator import ViewpointEstimator, volume_mesh
 from viewnet.estimator.inputs import Given, opened
 from viewnet.estimator.preprocess import HIDDEN, Framing, batches, viewed
-from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 from viewnet.evaluation.predict import predict
 from viewnet.geometry import look_at
-from viewnet.model import rendering
 from viewnet.recipes import make_config
-
-SQUARE = {"crop": "square"}
-STRETCHED = {"recipe": "photos", "backgrounds": None}
-PHOTOS = {"recipe": "photos"}
 
 
 @pytest.fixture(scope="module")
@@ -43,38 +47,14 @@ def images(store):
     return np.asarray(store.images[store.split("test")])
 
 
-def estimator_of(drawer) -> ViewpointEstimator:
-    return ViewpointEstimator(drawer.network, drawer.config, drawer.aligned.alignment.rotation)
-
-
-def untrained(in_plane: bool = False, rotation: np.ndarray | None = None, **overrides: object) -> ViewpointEstimator:
-    """Of a network of the profile smoke."""
-    config = make_config(profile="smoke", in_plane=in_plane, **overrides)
-    torch.manual_seed(0)
-    return ViewpointEstimator(rendering.ViewNet(config.model).eval(), config, rotation)
-
-
-def photograph(width: int = 90, height: int = 60, seed: int = 0) -> np.ndarray:
-    """Smooth colours, brighter to the right and below."""
-    rng = np.random.default_rng(seed)
-    small = Image.fromarray(rng.integers(60, 220, (6, 9, 3), dtype=np.uint8))
-    return np.asarray(small.resize((width, height), Image.Resampling.BICUBIC))
-
-
-def same(one, other, tolerance: float = 1e-6) -> bool:
-    return np.allclose(one.hypotheses, other.hypotheses, atol=tolerance) and np.allclose(
-        one.probabilities, other.probabilities, atol=tolerance
-    )
-
-
 @pytest.mark.parametrize("overrides", [{}, SQUARE, STRETCHED], ids=["whole", "square", "stretched"])
 def test_views_get_the_answers_that_runs_are_scored_by(store, images, overrides):
-    drawer = untrained_renderer(store, **overrides)
-    said = estimator_of(drawer).predict(images)
-    assert np.allclose(said.hypotheses, drawer.aligned.hypotheses, atol=1e-6)
-    assert np.array_equal(said.choice, drawer.aligned.predictions.choice)
-    assert np.allclose(said.vector, drawer.aligned.selected, atol=1e-6)
-    logits = torch.tensor(drawer.aligned.predictions.logits)
+    renderer = untrained_renderer(store, **overrides)
+    said = estimator_of(renderer).predict(images)
+    assert np.allclose(said.hypotheses, renderer.aligned.hypotheses, atol=1e-6)
+    assert np.array_equal(said.choice, renderer.aligned.predictions.choice)
+    assert np.allclose(said.vector, renderer.aligned.selected, atol=1e-6)
+    logits = torch.tensor(renderer.aligned.predictions.logits)
     assert np.allclose(said.probabilities, logits.softmax(1))
 
 
@@ -276,11 +256,11 @@ def test_without_alignment_the_frame_is_the_network_s(images):
 
 
 def test_volumes_and_meshes_are_those_of_the_run(store, images):
-    drawer = untrained_renderer(store)
-    estimator = estimator_of(drawer)
-    volume = drawer.imagine([4]).shape[0]
+    renderer = untrained_renderer(store)
+    estimator = estimator_of(renderer)
+    volume = renderer.imagine([4]).shape[0]
     assert torch.allclose(estimator.volume(images[4]), volume, atol=1e-4)
-    expected = volume_mesh.surface(volume, drawer.rotation, 0.3)
+    expected = volume_mesh.surface(volume, renderer.rotation, 0.3)
     mesh = estimator.mesh(images[4], level=0.3)
     assert np.allclose(mesh.bounds, expected.bounds, atol=1e-3)
     assert mesh.is_watertight
@@ -292,9 +272,9 @@ def test_volumes_and_meshes_are_those_of_the_run(store, images):
 
 
 def test_reconstructions_are_those_of_the_run(store, images):
-    drawer = untrained_renderer(store)
-    found = estimator_of(drawer).reconstruct(images, size=24)
-    expected = drawer.painted(drawer.reconstruct(list(range(9)), 24))
+    renderer = untrained_renderer(store)
+    found = estimator_of(renderer).reconstruct(images, size=24)
+    expected = renderer.painted(renderer.reconstruct(list(range(9)), 24))
     assert np.abs(found.astype(int) - expected).max() <= 1
 
 
@@ -326,9 +306,9 @@ def test_the_view_from_the_predicted_viewpoint_is_the_reconstruction(store, imag
 
 
 def test_turntables_are_those_of_the_run(store, images, tmp_path):
-    drawer = untrained_renderer(store)
-    frames = estimator_of(drawer).turntable(images[5], tmp_path / "a.gif", steps=5, hold=0, size=64)
-    expected = turntable.turntable(drawer, 5, steps=5, hold=0, size=64)
+    renderer = untrained_renderer(store)
+    frames = estimator_of(renderer).turntable(images[5], tmp_path / "a.gif", steps=5, hold=0, size=64)
+    expected = turntable_of(renderer, 5, steps=5, hold=0, size=64)
     assert len(frames) == len(expected) == 5
     assert max(np.abs(one.astype(int) - other).max() for one, other in zip(frames, expected, strict=True)) <= 2
     with Image.open(tmp_path / "a.gif") as back:

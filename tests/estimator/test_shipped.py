@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from helpers.documents import ROOT, page
 
-from viewnet.estimator import hub
+from viewnet.estimator import ViewpointEstimator, pretrained
 from viewnet.estimator.demo import examples
-from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 from viewnet.geometry import look_at, rotation_angle, view_vector
 
 CATEGORIES = ("aeroplane", "car", "chair")
@@ -35,17 +34,17 @@ def test_models_see_what_they_have_not_been_trained_on(category):
 
 
 def test_they_are_small_and_say_what_they_are():
-    assert hub.shipped() == sorted(CATEGORIES)
-    files = [path for path in hub.SHIPPED.rglob("*") if path.is_file()]
+    assert pretrained.shipped() == sorted(CATEGORIES)
+    files = [path for path in pretrained.SHIPPED.rglob("*") if path.is_file()]
     assert sum(path.stat().st_size for path in files) < 5_000_000
     names = defaultdict(set)
     for path in files:
         names[path.parent.name].add(path.name)
     assert dict(names) == {category: {"model.safetensors", "config.json", "README.md"} for category in CATEGORIES}
     for category in CATEGORIES:
-        about = json.loads((hub.SHIPPED / category / "config.json").read_text())["about"]
+        about = json.loads((pretrained.SHIPPED / category / "config.json").read_text())["about"]
         score = about["metrics"]["procrustes"]["acc30"]
-        assert f"| Acc@30, % | {score:.1f} [" in (hub.SHIPPED / category / "README.md").read_text()
+        assert f"| Acc@30, % | {score:.1f} [" in (pretrained.SHIPPED / category / "README.md").read_text()
 
 
 def test_the_readme_s_first_example_says_what_is_printed_there():

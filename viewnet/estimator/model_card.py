@@ -52,7 +52,7 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
         "## Usage",
         "",
         "```python",
-        "from viewnet.estimator.viewpoint_estimator import ViewpointEstimator",
+        "from viewnet.estimator import ViewpointEstimator",
         "",
         'estimator = ViewpointEstimator.from_pretrained("FOLDER OR NAME/MODEL")',
         'print(estimator.predict("image.jpg", boxes=(40, 60, 380, 250)))',
@@ -74,7 +74,7 @@ def _result(config: RunConfig, scores: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def kept(scores: dict[str, Any], key: Any) -> dict[str, Any]:
+def selected(scores: dict[str, Any], key: Any) -> dict[str, Any]:
     """Of viewnet.experiments.score_model.scores what goes along with a model of the run `key`.
 
     ViewnetError for anything else, and for scores of another run.
@@ -117,7 +117,7 @@ def _scores(scores: dict[str, Any] | None) -> list[str]:
 
 
 def _elsewhere(found: dict[str, Any]) -> list[str]:
-    """What `kept` keeps, a column an alignment."""
+    """What `selected` keeps, a column an alignment."""
     columns = found["alignments"]
     scores = next(iter(columns.values()))
     fitted = scores["alignment"]["images"]

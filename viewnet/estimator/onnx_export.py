@@ -1,46 +1,44 @@
-"""The viewpoint network as an ONNX file, for where there is no PyTorch."""
+"""The viewpoint network as an ONNX file, for use without PyTorch."""
 
 from __future__ import annotations
 
 import logging
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 
 from viewnet.errors import ViewnetError
+from viewnet.estimator.pretrained import Pretrained
 from viewnet.model.viewnet import ViewpointNetwork
 from viewnet.runtime.files import replacing
 
-if TYPE_CHECKING:
-    from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
-
 INPUT = "pictures"
 OUTPUTS = ("vectors", "logits", "ups")
-"""The last only of networks of in-plane rotation."""
+"""The last only of networks with in-plane rotation."""
 
 
-class _Plain(nn.Module):
-    """The network with tensors for its answer."""
+class _TensorOutputs(nn.Module):
+    """The viewpoint network with plain tensors as its output."""
 
     def __init__(self, network: ViewpointNetwork):
         super().__init__()
         self.network = network
 
     def forward(self, images: Tensor) -> tuple[Tensor, ...]:
-        found = self.network(images)
-        return (found.vectors, found.logits, *(() if found.ups is None else (found.ups,)))
+        hypotheses = self.network(images)
+        return (hypotheses.vectors, hypotheses.logits, *(() if hypotheses.ups is None else (hypotheses.ups,)))
 
 
-def export(estimator: ViewpointEstimator, path: Path) -> Path:
-    """Write what takes `images` (N, 3, S, S) in [0, 1], cut, to `vectors` (N, M, 3) and `logits` (N, M); any N.
+def export(model: Pretrained, path: Path) -> Path:
+    """Write the viewpoint network of a model as an .onnx file and return its path.
 
-    Vectors are unit view vectors in the network's own frame; the file's metadata has the `rotation` (nine numbers, row
-    by row) to the annotated one, where there is one, and the `category`. `ups` (N, M, 3) follow where in-plane rotation
-    was learned. What an image is cut to is said in viewnet.estimator.preprocess. Returns `path`. ViewnetError for another suffix
-    than .onnx, and without the packages of the extra onnx.
+    Its input `pictures` (N, 3, S, S) are images in [0, 1], cut as viewnet.estimator.preprocess does. Its outputs are
+    `vectors` (N, M, 3), unit view vectors in the network's own frame, `logits` (N, M), and `ups` (N, M, 3) of networks
+    with in-plane rotation; N is free. The file's metadata has the `category` and, of an aligned model, the `rotation`
+    to the annotated frame: nine numbers, row by row. ViewnetError for another suffix than .onnx, and without the
+    packages of the extra onnx.
     """
     if path.suffix != ".onnx":
         raise ViewnetError(f"{path}: unknown kind of model file: name it .onnx")
@@ -49,29 +47,26 @@ def export(estimator: ViewpointEstimator, path: Path) -> Path:
         import onnxscript  # noqa: F401
     except ImportError as error:
         raise ViewnetError(f'{path}: {error.name} is not installed: pip install "viewnet[onnx]"') from None
-    size, device = estimator.framing.size, estimator.device
-    plain = _Plain(estimator.network.viewpoint).eval()
-    names = OUTPUTS if estimator.network.config.in_plane else OUTPUTS[:2]
+    network, size = model.network, model.config.model.input_size
     # Two images: the size of a dimension of one would be taken for a constant.
-    example = torch.rand(2, 3, size, size, generator=torch.Generator().manual_seed(0)).to(device)
+    example = torch.rand(2, 3, size, size, generator=torch.Generator().manual_seed(0)).to(network.focal.device)
     logging.getLogger("onnxscript").setLevel(logging.WARNING)
     with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # of what the exporter itself is made of
+        warnings.simplefilter("ignore")  # those that the exporter itself causes
         program = torch.onnx.export(
-            plain,
+            _TensorOutputs(network.viewpoint).eval(),
             (example,),
             input_names=[INPUT],
-            output_names=list(names),
-            dynamic_shapes={INPUT: {0: torch.export.Dim("batch")}},
+            output_names=list(OUTPUTS if network.config.in_plane else OUTPUTS[:2]),
+            dynamic_shapes={"images": {0: torch.export.Dim("batch")}},
             dynamo=True,
             verbose=False,
         )
     assert program is not None
-    model = program.model_proto
-    known = {"category": estimator.config.category}
-    if estimator.turned is not None:
-        known["rotation"] = " ".join(repr(float(value)) for value in estimator.turned.ravel())
-    onnx.helper.set_model_props(model, known)
+    properties = {"category": model.config.category}
+    if model.annotated_from_model is not None:
+        properties["rotation"] = " ".join(repr(float(value)) for value in model.annotated_from_model.ravel())
+    onnx.helper.set_model_props(program.model_proto, properties)
     with replacing(path) as temporary:
-        onnx.save(model, temporary)
+        onnx.save(program.model_proto, temporary)
     return path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,22 +16,11 @@ from viewnet.errors import ViewnetError
 from viewnet.model.rendering import Imagined, Painter
 from viewnet.runtime.files import replacing
 
-if TYPE_CHECKING:
-    from viewnet.tables.run_renderer import RunRenderer
-
 MARK = (213, 94, 0)  # of the predicted viewpoint
 INK = (40, 40, 40)
 STRIP = 48  # pixels: the height of the line below the images
 EDGE = 4
 SUFFIXES = (".gif", ".mp4")
-
-
-def turntable(drawer: RunRenderer, row: int, steps: int = 48, hold: int = 12, size: int = 192) -> list[np.ndarray]:
-    """`revolve` of a test image and what the network makes of it. ViewnetError for a row that is not there."""
-    if not 0 <= row < len(drawer):
-        raise ViewnetError(f"image {row}: there are {len(drawer)} test images: choose one from 0 on")
-    image, answer, told = drawer.shown([row])[0], drawer.answers([row])[0], drawer.aligned.selected[row]
-    return revolve(drawer, image, drawer.imagine([row]), answer, told, steps, hold, size)
 
 
 def revolve(

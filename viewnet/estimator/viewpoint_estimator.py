@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,16 +27,16 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from viewnet.config import RunConfig
 from viewnet.data.pairs import tight_crop
 from viewnet.errors import ViewnetError
-from viewnet.estimator import inputs, preprocess
+from viewnet.estimator import hub, inputs, preprocess, pretrained
 from viewnet.estimator.inputs import ImageLike, ImagesLike
 from viewnet.estimator.preprocess import Framing, Shown
+from viewnet.estimator.pretrained import Pretrained
 from viewnet.estimator.viewpoints import Viewpoints
 from viewnet.geometry import look_at, view_vector
 from viewnet.model.rendering import Imagined, Painter
-from viewnet.model.viewnet import Hypotheses, ViewNet
+from viewnet.model.viewnet import Hypotheses
 
 if TYPE_CHECKING:
     import trimesh
@@ -45,7 +45,7 @@ BATCH = 256
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class ViewpointEstimator(Painter):
+class ViewpointEstimator(Pretrained, Painter):
     """A trained network, ready for images from anywhere.
 
     Answers are in the annotated frame where the network's own was aligned to it on annotated validation views, as a
@@ -70,11 +70,6 @@ class ViewpointEstimator(Painter):
     `about` says where the network comes from, as plain JSON types: a run's key, metrics and so on.
     """
 
-    network: ViewNet
-    config: RunConfig
-    turned: np.ndarray | None = None  # (3, 3), from the own frame to the annotated one
-    about: dict[str, Any] = field(default_factory=dict)
-
     @classmethod
     def from_pretrained(
         cls,
@@ -87,7 +82,7 @@ class ViewpointEstimator(Painter):
         force_download: bool = False,
         local_files_only: bool = False,
     ) -> ViewpointEstimator:
-        """Of a category whose model comes with the package ("car", viewnet.estimator.hub.shipped), or from elsewhere.
+        """Of a category whose model comes with the package ("car", viewnet.estimator.pretrained.shipped), or from elsewhere.
 
         That is a folder of `save_pretrained`, a finished run's folder or key, or the Hugging Face hub ("name/model").
 
@@ -96,22 +91,19 @@ class ViewpointEstimator(Painter):
         safetensors: nothing is unpickled. Raises ViewnetError for what is not there, is of another version, or is
         damaged, and for a hub that cannot be reached.
         """
-        from viewnet.estimator import hub
-
-        source = hub.Hub(revision, cache_dir, token, force_download, local_files_only)
-        found = hub.load(where, source)
-        network = found.network.to(hub.device(device)).eval()
-        return cls(network, found.config, found.rotation, found.about)
-
-    @property
-    def aligned(self) -> bool:
-        """Whether answers are in the annotated frame, and not in the network's own."""
-        return self.turned is not None
+        options = {"revision": revision, "cache_dir": cache_dir, "token": token, "force_download": force_download}
+        model = pretrained.load(where, **options, local_files_only=local_files_only)
+        network = model.network.to(pretrained.device(device)).eval()
+        return cls(network, model.config, model.annotated_from_model, model.about)
 
     @property
     def rotation(self) -> Tensor:
         """(3, 3), from the network's own frame to that of the answers: the identity where it is not aligned."""
-        return torch.eye(3) if self.turned is None else torch.tensor(self.turned, dtype=torch.float32)
+        return (
+            torch.eye(3)
+            if self.annotated_from_model is None
+            else torch.tensor(self.annotated_from_model, dtype=torch.float32)
+        )
 
     @cached_property
     def framing(self) -> Framing:
@@ -245,10 +237,10 @@ class ViewpointEstimator(Painter):
         hub as `repo_id` (default: the folder's name), with what else viewnet.estimator.hub.push takes; the address of the
         commit is returned. ViewnetError where it cannot be written or pushed.
         """
-        from viewnet.estimator import hub
-
-        hub.save(self, Path(folder), license, half, scores)
-        return hub.push(Path(folder), repo_id or Path(folder).absolute().name, **push) if push_to_hub else None
+        place = Path(folder)
+        pretrained.save(self, place, license, half, scores)
+        files = (pretrained.WEIGHTS, pretrained.CONFIG, pretrained.CARD)
+        return hub.push(place, repo_id or place.absolute().name, files, **push) if push_to_hub else None
 
     def export_onnx(self, path: str | os.PathLike[str]) -> Path:
         """Write the viewpoint network as ONNX, see viewnet.estimator.onnx_export.export. Needs `pip install "viewnet[onnx]"`."""
@@ -281,8 +273,11 @@ class ViewpointEstimator(Painter):
 
     def _told(self, vectors: np.ndarray, logits: np.ndarray, ups: np.ndarray | None) -> Viewpoints:
         """Own hypotheses (N, M, 3) in the frame of the answers."""
-        if self.turned is not None:
-            vectors, ups = vectors @ self.turned.T, None if ups is None else ups @ self.turned.T
+        if self.annotated_from_model is not None:
+            vectors, ups = (
+                vectors @ self.annotated_from_model.T,
+                None if ups is None else ups @ self.annotated_from_model.T,
+            )
         return Viewpoints.of(vectors, logits, ups, self.aligned)
 
     def _seen(self, images: ImagesLike, masks: Any, boxes: Any, batch_size: int) -> Iterator[Tensor]:

@@ -6,7 +6,6 @@ half sides of the volume. Colours are those of the volume weighted by occupancy,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from torch import Tensor
 
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import replacing
-from viewnet.tables.run_renderer import BATCH, RunRenderer
 
 LEVEL = 0.5
 SUFFIXES = (".glb", ".ply")
@@ -70,22 +68,6 @@ def as_glb(mesh: trimesh.Trimesh) -> bytes:
     scene.add_geometry(mesh, transform=Y_UP, geom_name="volume", node_name="volume")
     data: bytes = scene.export(file_type="glb")
     return data
-
-
-def export(drawer: RunRenderer, rows: Sequence[int], folder: Path, suffix: str = ".glb", level: float = LEVEL) -> list[Path]:
-    """`<model>-<view><suffix>` in `folder` for each of some test views: what the network makes of it, aligned.
-
-    Raises ViewnetError for a HoloGAN decoder, whose features are no volume of colours, and as `surface` and `write` do.
-    """
-    if drawer.hologan:
-        raise ViewnetError("mesh: the HoloGAN decoder has no volume of colours and occupancy: choose another variant")
-    ids, files = drawer.aligned.predictions.ids, []
-    for start in range(0, len(rows), BATCH):
-        part = list(rows[start : start + BATCH])
-        for row, volume in zip(part, drawer.imagine(part).shape, strict=True):
-            stem = f"{ids['model_id'].iloc[row]}-{ids['view'].iloc[row]}"
-            files.append(write(surface(volume, drawer.rotation, level), folder / f"{stem}{suffix}"))
-    return files
 
 
 def _colours(volume: Tensor, points: Tensor) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Scores of a finished run or of a saved model, on its own test views or on other data, by each alignment.
 
-A saved model (viewnet.estimator.hub) is laid out as the run it was saved from, in a folder that passes, so that both are
+A saved model (viewnet.estimator.pretrained) is laid out as the run it was saved from, in a folder that passes, so that both are
 scored by the same functions. Its own views are drawn again where they are not there.
 """
 
@@ -21,7 +21,7 @@ from viewnet.config import PhotoConfig, RunConfig, known
 from viewnet.data import catalogue
 from viewnet.data.build import photo_views
 from viewnet.errors import ViewnetError
-from viewnet.estimator import hub
+from viewnet.estimator import pretrained
 from viewnet.estimator.model_card import METRICS, with_interval
 from viewnet.evaluation import evaluate, features
 from viewnet.evaluation.predictions import Predictions
@@ -60,7 +60,7 @@ class Elsewhere:
 def scores(
     where: str, on: Elsewhere | None = None, calibration: int | None = None, steps: Steps | None = None
 ) -> dict[str, Any]:
-    """How a model does, as JSON values. `where`: a finished run's key or folder, or what viewnet.estimator.hub.load takes.
+    """How a model does, as JSON values. `where`: a finished run's key or folder, or what viewnet.estimator.pretrained.load takes.
 
     model, name  what was asked for, and what it is
     key          of the run, or of the run that the model was saved from
@@ -117,7 +117,7 @@ def _run(where: str, cad_root: str | None, folder: Path) -> Run:
         if (place / "result.json").is_file():
             config = RunConfig.from_dict(read_json(place / "config.json"))
             return Run(_rooted(config, cad_root), place)
-    model = hub.load(where)
+    model = pretrained.load(where)
     config = _rooted(model.config, cad_root)
     weights = {name: value.contiguous() for name, value in model.network.state_dict().items()}
     save_file(weights, folder / checkpoint.CHECKPOINT, metadata={"config": json.dumps(config.to_dict())})

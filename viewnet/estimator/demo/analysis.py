@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from viewnet.estimator import inputs, preprocess
+from viewnet.estimator import ViewpointEstimator, inputs, preprocess
 from viewnet.estimator.inputs import Given, ImageLike
-from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 from viewnet.estimator.viewpoints import Viewpoint
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering

@@ -18,12 +18,11 @@ from gradio.processing_utils import save_bytes_to_cache
 from PIL import Image
 
 from viewnet.errors import ViewnetError
-from viewnet.estimator import volume_mesh
+from viewnet.estimator import ViewpointEstimator, volume_mesh
 from viewnet.estimator.demo import analysis, compass_svg
 from viewnet.estimator.demo.analysis import Inspection
 from viewnet.estimator.demo.box_picker import Chosen, box_of, box_text, read
 from viewnet.estimator.demo.examples import Example
-from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
 from viewnet.model.rendering import Imagined
 
 KEPT = 3600

@@ -11,7 +11,7 @@ from viewnet.config import CATEGORIES
 from viewnet.data.crop import Box, bounds
 from viewnet.data.synthetic import scenes
 from viewnet.data.synthetic.pascal3d_standin import built_in_mesh
-from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
+from viewnet.estimator import ViewpointEstimator
 from viewnet.render import render
 
 VIEWPOINTS = ((35.0, 15.0), (140.0, 10.0), (250.0, 25.0), (320.0, 5.0))

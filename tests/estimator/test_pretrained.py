@@ -14,14 +14,13 @@ import onnxruntime
 import pytest
 import torch
 from helpers.boxes import box_store
+from helpers.estimators import same, untrained
 from helpers.untrained_models import finished_run, turned, untrained_run
 from safetensors.torch import load_file, save_file
-from test_estimator import same, untrained
 
 from viewnet.config import DataConfig, VideoConfig
 from viewnet.errors import ViewnetError
-from viewnet.estimator import hub
-from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
+from viewnet.estimator import ViewpointEstimator, pretrained
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.runtime.files import read_json, write_json
@@ -79,10 +78,10 @@ def test_what_is_no_finished_run_is_said(run, tmp_path):
             ViewnetError, match=r"no model there: expected a model that .*, a folder of save_pretrained"
         ):
             load(where)
-    with pytest.raises(ViewnetError, match="device gpu: cannot be had here"):
+    with pytest.raises(ViewnetError, match="device gpu: not available here"):
         load(run.folder, device="gpu")
     if not torch.cuda.is_available():
-        with pytest.raises(ViewnetError, match="device cuda: cannot be had here"):
+        with pytest.raises(ViewnetError, match="device cuda: not available here"):
             load(run.folder, device="cuda")
 
 
@@ -101,7 +100,7 @@ def test_saved_models_say_the_same_to_the_bit(run, images, tmp_path):
     again.save_pretrained(tmp_path / "again")
     untrained(rotation=turned(90)).save_pretrained(tmp_path / "saved")
     again.save_pretrained(tmp_path / "saved")
-    for name in hub.WEIGHTS, hub.CONFIG, hub.CARD:
+    for name in pretrained.WEIGHTS, pretrained.CONFIG, pretrained.CARD:
         assert (tmp_path / "saved" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
@@ -154,7 +153,7 @@ def test_a_configuration_that_does_not_fit_is_said(tmp_path, change, message):
 @pytest.mark.parametrize("rotation", [np.diag([1.0, 1.0, -1.0]), 2 * np.eye(3), np.ones(5)])
 def test_an_alignment_that_is_no_rotation_is_said(tmp_path, rotation):
     untrained(rotation=rotation).save_pretrained(tmp_path)
-    with pytest.raises(ViewnetError, match=r"config\.json: its alignment is no rotation"):
+    with pytest.raises(ViewnetError, match=r"config\.json: its alignment is not a rotation"):
         load(tmp_path)
 
 
@@ -315,16 +314,16 @@ def test_what_half_precision_cannot_hold_is_said(tmp_path):
     estimator = untrained()
     with torch.no_grad():
         next(estimator.network.viewpoint.encoder.parameters()).fill_(1e6)
-    with pytest.raises(ViewnetError, match=r"viewpoint\.encoder.* holds values that half precision does not"):
+    with pytest.raises(ViewnetError, match=r"viewpoint\.encoder.* holds values that half precision cannot"):
         estimator.save_pretrained(tmp_path / "saved", half=True)
     assert not (tmp_path / "saved").exists()
 
 
 def test_models_that_come_with_the_package_are_called_by_their_category(tmp_path, monkeypatch, images):
     untrained().save_pretrained(tmp_path / "car", half=True)
-    monkeypatch.setattr(hub, "SHIPPED", tmp_path)
+    monkeypatch.setattr(pretrained, "SHIPPED", tmp_path)
     (tmp_path / "not a model").mkdir()
-    assert hub.shipped() == ["car"]
+    assert pretrained.shipped() == ["car"]
     assert np.allclose(load("car").predict(images).hypotheses, load(tmp_path / "car").predict(images).hypotheses)
     with pytest.raises(ViewnetError, match=r"boat: no model there: expected a model that comes with viewnet \(car\)"):
         load("boat")
@@ -333,5 +332,5 @@ def test_models_that_come_with_the_package_are_called_by_their_category(tmp_path
 def test_the_configuration_is_json(tmp_path):
     untrained().save_pretrained(tmp_path)
     values = json.loads((tmp_path / "config.json").read_text())
-    assert tuple(values) == hub.FIELDS
+    assert tuple(values) == pretrained.FIELDS
     assert values["config"] == untrained().config.to_dict()

@@ -1,0 +1,211 @@
+"""Trained networks as folders: saved for others, and loaded from a folder, a finished run or the Hugging Face hub.
+
+    model.safetensors    the weights, in single or half precision; its metadata holds a digest of config.json
+    config.json          format, version of the package, RunConfig, alignment, and where the weights come from
+    README.md            a model card (viewnet.estimator.model_card)
+
+Files and methods are named as in huggingface_hub's ModelHubMixin, but folders need nothing of that library, and no
+pickled file is ever read. Three such folders come with the package (`SHIPPED`), named by their category.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from viewnet.config import RunConfig
+from viewnet.errors import ViewnetError
+from viewnet.estimator import hub, model_card
+from viewnet.model import checkpoint
+from viewnet.model.viewnet import ViewNet
+from viewnet.runtime.files import read_json, replacing, write_json, write_text
+
+FORMAT = 1
+WEIGHTS, CONFIG, CARD = "model.safetensors", "config.json", "README.md"
+FIELDS = ("format", "viewnet", "config", "alignment", "about")
+RESULT = ("key", "variant", "category", "profile", "recipe", "seed", "views", "metrics", "git")
+"""The fields of a run's result that a saved model keeps."""
+SHIPPED = Path(__file__).parent / "models"
+"""Folders that come with the package, named by their category."""
+HUB_ID = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Pretrained:
+    """A trained network and what is known of it.
+
+    network                the network, ready to predict
+    config                 the configuration of its run
+    annotated_from_model   (3, 3) rotation from the network's own frame to the annotated one; None: not aligned
+    about                  where the network comes from, as plain JSON types: the run's key, metrics and so on
+    """
+
+    network: ViewNet
+    config: RunConfig
+    annotated_from_model: np.ndarray | None = None
+    about: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def aligned(self) -> bool:
+        """Whether predicted viewpoints are in the annotated frame, not in the network's own."""
+        return self.annotated_from_model is not None
+
+
+def load(where: str | os.PathLike[str], **hub_options: Any) -> Pretrained:
+    """Load a saved folder, a finished run by folder or key, a shipped model by category, or a hub id.
+
+    `hub_options` are those of viewnet.estimator.hub.download. ViewnetError where there is no model of any kind.
+    """
+    place, name = Path(where).expanduser(), os.fspath(where)
+    if (place / WEIGHTS).is_file() or ((place / CONFIG).is_file() and not (place / checkpoint.CHECKPOINT).is_file()):
+        return _from_folder(place)
+    if name in shipped():
+        return _from_folder(SHIPPED / name)
+    try:
+        file = checkpoint.locate(name)
+    except ViewnetError:
+        if place.exists() or not HUB_ID.fullmatch(name):
+            raise ViewnetError(
+                f"{name}: no model there: expected a model that comes with viewnet ({', '.join(shipped())}), a folder "
+                "of save_pretrained, the folder or key of a finished run (viewnet train prints it), or NAME/MODEL of "
+                "the Hugging Face hub"
+            ) from None
+        return _from_folder(hub.download(name, [WEIGHTS, CONFIG], **hub_options))
+    return _from_run(file)
+
+
+def shipped() -> list[str]:
+    """The categories whose models come with the package."""
+    return sorted(path.parent.name for path in SHIPPED.glob(f"*/{WEIGHTS}"))
+
+
+def device(name: str | torch.device | None) -> torch.device:
+    """The device of this name; None: a GPU if there is one. ViewnetError for a device that is not available."""
+    if name is None:
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        named = torch.device(name)
+        torch.empty(0, device=named)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        raise ViewnetError(f"device {name}: not available here ({checkpoint.first_line(error)})") from None
+    return named
+
+
+def _from_run(file: Path) -> Pretrained:
+    path = file.parent / "result.json"
+    result = read_json(path) if path.is_file() else {}
+    if "metrics" not in result:
+        raise ViewnetError(f"{file.parent}: a run that is not finished: give the command that trains it again")
+    config, metrics = checkpoint.config_of(file), result["metrics"]
+    alignment = None if metrics is None else metrics["procrustes"]["alignment"]
+    network = checkpoint.build(config.model, checkpoint.read(file)[0], file)
+    about = {name: result[name] for name in RESULT if name in result}
+    return Pretrained(network, config, _rotation(alignment, path), about)
+
+
+def _from_folder(folder: Path) -> Pretrained:
+    path, file = folder / CONFIG, folder / WEIGHTS
+    if not path.is_file():
+        raise ViewnetError(f"{folder}: no {CONFIG} in it: save the model again (save_pretrained)")
+    values = read_json(path)
+    if not isinstance(values, dict) or not isinstance(values.get("format"), int):
+        raise ViewnetError(f"{folder}: neither a model of save_pretrained nor a finished run: train it to the end")
+    if not file.is_file():
+        raise ViewnetError(f"{folder}: no {WEIGHTS} in it: save the model again (save_pretrained)")
+    if values["format"] != FORMAT:
+        raise ViewnetError(
+            f"{path}: format {values['format']}, written by viewnet {values.get('viewnet', '?')}: this version reads "
+            f"format {FORMAT}: install that one"
+        )
+    if missing := [name for name in FIELDS if name not in values]:
+        raise ViewnetError(f"{path}: {missing[0]!r} is missing: save the model again")
+    try:
+        config = RunConfig.from_dict(values["config"])
+    except ViewnetError as error:
+        raise ViewnetError(f"{path} is of another version of viewnet ({error}): install that one") from error
+    weights, metadata = checkpoint.read(file, "save the model again")
+    network = checkpoint.build(config.model, weights, file)
+    if metadata.get("config") != _digest(values):
+        raise ViewnetError(f"{folder}: {WEIGHTS} was not saved with this {CONFIG}: save the model again")
+    return Pretrained(network, config, _rotation(values["alignment"], path), values["about"])
+
+
+def _rotation(alignment: dict[str, Any] | None, path: Path) -> np.ndarray | None:
+    if alignment is None:
+        return None
+    try:
+        rotation = np.array(alignment["rotation"], dtype=np.float64).reshape(3, 3)
+        if np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0:
+            return rotation
+    except (KeyError, TypeError, ValueError):
+        pass
+    raise ViewnetError(f"{path}: its alignment is not a rotation: save the model again")
+
+
+def save(
+    model: Pretrained,
+    folder: Path,
+    license: str | None = None,
+    half: bool = False,
+    scores: Sequence[dict[str, Any]] = (),
+) -> None:
+    """Write the three files of a model; see ViewpointEstimator.save_pretrained for the options.
+
+    Of the folders of this machine that the configuration names only the last part is written. ViewnetError where the
+    folder cannot be written, for scores of another run, and for weights that half precision cannot hold.
+    """
+    if folder.is_file():
+        raise ViewnetError(f"{folder}: is a file: name a folder")
+    config, about, rotation = _without_places(model.config), dict(model.about), model.annotated_from_model
+    if scores:
+        about["scores"] = [model_card.selected(values, about.get("key")) for values in scores]
+    values = {
+        "format": FORMAT,
+        "viewnet": importlib.metadata.version("viewnet"),
+        "config": config.to_dict(),
+        "alignment": None if rotation is None else {"kind": "procrustes", "rotation": rotation.tolist()},
+        "about": about,
+    }
+    weights = {name: value.cpu().contiguous() for name, value in model.network.state_dict().items()}
+    if half:
+        weights = {name: _halved(name, value) for name, value in weights.items()}
+    with replacing(folder / WEIGHTS) as temporary:
+        save_file(weights, temporary, metadata={"config": _digest(values)})
+    write_json(folder / CONFIG, values)
+    write_text(folder / CARD, model_card.card(config, model.aligned, about, license))
+
+
+def _halved(name: str, value: Tensor) -> Tensor:
+    if not value.is_floating_point():
+        return value
+    if not value.half().isfinite().all():
+        raise ViewnetError(f"{name} holds values that half precision cannot: save the model without half")
+    return value.half()
+
+
+def _without_places(config: RunConfig) -> RunConfig:
+    """A configuration that keeps only the last part of each path."""
+
+    def last(place: str | None) -> str | None:
+        return None if place is None else Path(place).name or place
+
+    data, train = config.data, config.train
+    video = None if data.video is None else replace(data.video, root=last(data.video.root))
+    places: dict[str, Any] = {name: last(getattr(data, name)) for name in ("root", "splits", "extra", "backgrounds")}
+    return replace(config, data=replace(data, **places, video=video), train=replace(train, start=last(train.start)))
+
+
+def _digest(values: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
