@@ -17,7 +17,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.documents import NOTEBOOKS, PAGES, ROOT
+from helpers.documents import NOTEBOOKS, PAGES, ROOT, page
 from helpers.fake_steps import STEPS
 from helpers.photo_data import keep_apart, make_photos
 from helpers.untrained_models import finished_run
@@ -327,6 +327,14 @@ def test_names_of_the_package_exist():
                 importlib.import_module(".".join(parts[:end]))
             found = getattr(found, part)
             assert found is not None, (page, span)
+
+
+def test_the_changelog_names_modules_that_exist():
+    rows = page(HISTORY).table("before", "now")
+    assert len(rows) > 20
+    for _, now in rows:
+        for name in re.findall(r"viewnet[\w.]+", now):
+            assert importlib.import_module(name)
 
 
 def test_files_exist():
