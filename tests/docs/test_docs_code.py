@@ -269,7 +269,7 @@ PYTHON = [pytest.param(b.text, id=f"{p.name}: {b.text.splitlines()[0]}") for p, 
 @pytest.mark.slow
 def test_python_runs(source, world, monkeypatch, capsys):
     monkeypatch.setenv("VIEWNET_PROFILE", "smoke")
-    monkeypatch.setattr("viewnet.experiments.request.ensure", lambda configs, *_: ensure(configs, 1, False, STEPS))
+    monkeypatch.setattr("viewnet.experiments.cad.ensure", lambda configs, *_: ensure(configs, 1, False, STEPS))
     monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
     monkeypatch.setattr("viewnet.data.build.photo_views", lambda *_, **__: photographs(world))
     monkeypatch.setattr("viewnet.data.photo_store.summary", lambda store: f"{len(store)} photographs")

@@ -177,7 +177,7 @@ def test_the_study_of_an_experiment_has_every_predictor_of_the_table(tmp_path, m
 
     from helpers.fake_steps import STEPS
 
-    from viewnet.experiments.request import experiment
+    from viewnet.experiments import experiment
     from viewnet.training.run_store import ensure
 
     for name in ("RUNS", "DATA"):

@@ -11,8 +11,8 @@ import pytest
 
 from viewnet import cli
 from viewnet.errors import ViewnetError
-from viewnet.experiments import notebook
-from viewnet.experiments.request import DESIGNS, experiment
+from viewnet.experiments import experiment, notebook
+from viewnet.experiments.request import DESIGNS
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 PATHS = sorted(FOLDER.glob("*.ipynb"))

@@ -9,8 +9,9 @@ from helpers.photo_data import keep_apart, make_photos
 from viewnet.config import PhotoConfig, VideoConfig
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
+from viewnet.experiments import experiment
 from viewnet.experiments.objectron import ObjectronExperiment
-from viewnet.experiments.request import accepted, experiment
+from viewnet.experiments.request import accepted
 
 ROWS = ("Constant", "ShapeNet", "+ Objectron, supervised masks", "+ Objectron, weak masks")
 ALIGNED = {row: (f"{row}*", row, f"{row} (robust)") for row in ROWS[1:]}
@@ -57,11 +58,11 @@ def test_of_objectron_itself_weak_masks_are_used_where_they_are_named(tmp_path):
     plain = experiment("objectron", video_root=root, masks="deeplabv3", cad_root=root)
     assert [config.data.video and config.data.video.masks for config in plain.configs] == [None, "deeplabv3"]
     assert plain.configs[0].data.root == root and "a CAD collection, then on Objectron" in plain.note
-    assert plain.unasked == ALIGNED[ROWS[3]]
+    assert plain.unmeasured_rows == ALIGNED[ROWS[3]]
     both = experiment("objectron", video_root=root, masks="deeplabv3", weak_masks="elsewhere")
     weak = both.configs[2].data.video
     assert (weak.masks, weak.mask_folder, weak.count) == ("files", "elsewhere", 10)
-    assert both.unasked == ()
+    assert both.unmeasured_rows == ()
 
 
 def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
@@ -81,7 +82,7 @@ def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
         ({"masks": "none"}, "unknown masks 'none': choose one of files, alpha, maskrcnn, deeplabv3"),
         ({"weak_masks": "weak"}, "weak_masks weak: the stand-in has masks of its own"),
         ({"video_root": "nowhere"}, "video_root nowhere: no such folder"),
-        ({"categories": "chair"}, "objectron takes no categories"),
+        ({"categories": "chair"}, "unknown parameter of objectron 'categories'"),
         ({"start": "shapenet"}, "unknown parameter of objectron 'start'"),
     ],
 )

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
-import types
 
 import numpy as np
 import pandas as pd
@@ -23,8 +21,9 @@ from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Predictions, true_vectors
 from viewnet.experiments import own_method
 from viewnet.experiments.own_method import Submission, angles, held_out, predictions, view_vectors, with_methods
-from viewnet.experiments.own_method_request import MethodExperiment
-from viewnet.experiments.request import accepted, experiment
+from viewnet.experiments.own_method import OwnMethodExperiment
+from viewnet.experiments import experiment
+from viewnet.experiments.request import accepted
 from viewnet.tables.columns import DASH
 from viewnet.tables.table import Entry, Table
 from viewnet.training.other_views import on_photographs
@@ -97,9 +96,7 @@ def photographs(tmp_path, monkeypatch):
         return make_photos(folder, category=config.category, seed=CATEGORIES.index(config.category))
 
     monkeypatch.setattr("viewnet.data.build.photo_views", views)
-    monkeypatch.setitem(
-        sys.modules, "viewnet.data.photo_store", types.SimpleNamespace(summary=lambda store: "all used")
-    )
+    monkeypatch.setattr("viewnet.data.photo_store.summary", lambda store: "all used")
 
 
 @pytest.fixture
@@ -344,7 +341,7 @@ def with_nan(count):
 @pytest.mark.parametrize(
     ("said", "message"),
     [
-        (with_nan, r"predict returned \(nan, nan, nan\) for image 5 of the 40 it was shown: .* \(1 are none\)"),
+        (with_nan, r"predict returned \(nan, nan, nan\) for image 5 of the 40 in this call: .* \(1 are none\)"),
         (lambda n: 2 * straight(n), r"predict returned \(2, 0, 0\) for image 0 of the 40 .* \(40 are none\)"),
         (lambda n: straight(n - 1), r"predict returned \(39, 3\) for 40 images: expected \(40, 3\)"),
         (lambda n: straight(n)[:, :2], r"predict returned \(40, 2\) for 40 images"),
@@ -395,7 +392,7 @@ class TestTheNotebook:
     @pytest.mark.slow
     def test_runs_are_those_of_its_tables_each_once(self, photographs, drawn):
         asked = experiment("your_method", categories="car", seeds=2)
-        assert isinstance(asked, MethodExperiment)
+        assert isinstance(asked, OwnMethodExperiment)
         assert asked.profile == "smoke"
         names = ("table1_shapenet", "table3_pascal3d", "table5_dva")
         alone = {name: experiment(name, profile="smoke", categories="car", seeds=2) for name in names}
@@ -429,6 +426,6 @@ class TestTheNotebook:
         "option", [{"recipe": "paper"}, {"splits": "x"}, {"eval_root": "x"}, {"variant": "viewnet"}]
     )
     def test_what_it_does_not_take_is_told(self, option):
-        with pytest.raises(ViewnetError, match=f"your_method takes no {next(iter(option))}"):
+        with pytest.raises(ViewnetError, match=f"unknown parameter of your_method '{next(iter(option))}'"):
             experiment("your_method", **option)
         assert not set(option) & accepted("your_method")

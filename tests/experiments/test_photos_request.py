@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import os
-import sys
-import types
 
 import numpy as np
 import pytest
@@ -13,9 +11,9 @@ from viewnet import config
 from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES, PhotoConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
-from viewnet.experiments import photos
+from viewnet.experiments import experiment
 from viewnet.experiments.photos import PhotoExperiment
-from viewnet.experiments.request import accepted, experiment
+from viewnet.experiments.request import PHOTO_RECIPE, accepted
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.training.other_views import on_photographs
 from viewnet.training.run_store import ensure
@@ -42,8 +40,9 @@ def photographs(tmp_path, monkeypatch):
 
     photo_store = ViewStore.open
     monkeypatch.setattr("viewnet.data.build.photo_views", views, raising=False)
-    photos = types.SimpleNamespace(summary=lambda store: f"{len(store)} used, {len(store.rejected)} left out")
-    monkeypatch.setitem(sys.modules, "viewnet.data.photo_store", photos)
+    monkeypatch.setattr(
+        "viewnet.data.photo_store.summary", lambda store: f"{len(store)} used, {len(store.rejected)} left out"
+    )
     return asked
 
 
@@ -120,8 +119,8 @@ def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
         ({"backbone": "resnet18"}, "no resnet18 weights at"),
         ({"data_root": "nowhere"}, "data_root nowhere: no such folder"),
         ({"backgrounds": "nowhere"}, "backgrounds nowhere: no such folder"),
-        ({"eval_root": "x"}, "table3_pascal3d takes no eval_root"),
-        ({"variant": "viewnet"}, "table3_pascal3d takes no variant"),
+        ({"eval_root": "x"}, "unknown parameter of table3_pascal3d 'eval_root': choose one of"),
+        ({"variant": "viewnet"}, "unknown parameter of table3_pascal3d 'variant'"),
         ({"margins": 1}, "unknown parameter of table3_pascal3d 'margins': choose one of"),
     ],
 )
@@ -131,7 +130,7 @@ def test_bad_parameters_are_named(option, message):
 
 
 def test_other_notebooks_take_nothing_of_photographs():
-    with pytest.raises(ViewnetError, match="table2_ablation takes no ridge"):
+    with pytest.raises(ViewnetError, match="unknown parameter of table2_ablation 'ridge'"):
         experiment("table2_ablation", ridge=3)
     assert "ridge" in accepted("table5_dva") and "ridge" not in accepted("table2_ablation")
     assert "eval_root" in accepted("table2_ablation") and "eval_root" not in accepted("table5_dva")
@@ -254,5 +253,5 @@ def test_baselines_are_fitted_on_as_many_photographs_as_are_asked_for(photograph
 
 
 def test_recipes_named_here_exist():
-    assert set(photos.PROFILE_RECIPE) == set(config.PROFILES)
-    assert set(photos.PROFILE_RECIPE.values()) <= set(config.RECIPES)
+    assert set(PHOTO_RECIPE) == set(config.PROFILES)
+    assert set(PHOTO_RECIPE.values()) <= set(config.RECIPES)

@@ -4,7 +4,8 @@ import pytest
 
 from viewnet.config import SHAPENET_CATEGORIES
 from viewnet.errors import ViewnetError
-from viewnet.experiments.request import DESIGNS, experiment
+from viewnet.experiments import experiment
+from viewnet.experiments.request import DESIGNS
 
 
 @pytest.fixture(autouse=True)

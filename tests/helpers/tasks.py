@@ -15,7 +15,7 @@ from helpers.works import PLACES, damage, differences
 from viewnet.config import RunConfig
 from viewnet.data.build import view_store
 from viewnet.errors import ViewnetError
-from viewnet.experiments.request import experiment
+from viewnet.experiments import experiment
 from viewnet.recipes import make_config
 from viewnet.training.run_store import ensure
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predict import _least
-from viewnet.experiments.request import experiment
+from viewnet.experiments import experiment
 from viewnet.model.viewnet import ViewNet
 from viewnet.recipes import VARIANTS, make_config
 

@@ -50,7 +50,7 @@ def add_configuration(parser: argparse.ArgumentParser) -> None:
 
 def configurations(options: argparse.Namespace, seed: int = 0) -> list[RunConfig]:
     """One configuration for each category. Raises ViewnetError as make_config does."""
-    from viewnet.experiments.request import folder_named
+    from viewnet.experiments.parameters import folder_named
 
     settings = dict(_setting(text) for text in options.set)
     root, splits = (folder_named(getattr(options, name) or "", name) for name in ("data_root", "splits"))

@@ -1,1 +1,37 @@
-"""What notebooks ask for: checked, trained where missing, and turned into tables and figures."""
+"""What notebooks run: requests checked, missing models trained, runs turned into tables and figures.
+
+experiment("table2_ablation", profile="smoke", categories="car").run()
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from viewnet.config import known
+from viewnet.experiments.cad import Experiment
+from viewnet.experiments.objectron import ObjectronExperiment
+from viewnet.experiments.own_method import OwnMethodExperiment
+from viewnet.experiments.photos import PhotoExperiment
+from viewnet.experiments.request import DESIGNS
+from viewnet.experiments.videos import VideoExperiment
+
+_KINDS: dict[str, type[Experiment]] = {
+    "cad": Experiment,
+    "photos": PhotoExperiment,
+    "videos": VideoExperiment,
+    "objectron": ObjectronExperiment,
+    "own_method": OwnMethodExperiment,
+}
+
+
+def experiment(name: str, **parameters: Any) -> Any:
+    """The experiment of the notebook `name`, its parameters checked (viewnet.experiments.parameters.PARAMETERS).
+
+    An Experiment, or for notebooks that score photographs, train on videos or add methods the subclass for that.
+    Raises ViewnetError naming the parameter and its valid values.
+
+    >>> request = experiment("table2_ablation", profile="smoke", categories="car", seeds="0,2")
+    >>> request.label, request.seeds, len(request.configs)  # six trained rows with two seeds, two constants
+    ('smoke-car', (0, 2), 14)
+    """
+    return _KINDS[DESIGNS[known(name, DESIGNS, "notebook")].kind].check(name, **parameters)

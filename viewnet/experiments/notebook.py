@@ -11,7 +11,9 @@ from typing import Any, NoReturn
 from viewnet import paths
 from viewnet.config import known
 from viewnet.errors import ViewnetError
-from viewnet.experiments.request import Experiment, accepted, experiment
+from viewnet.experiments import experiment
+from viewnet.experiments.cad import Experiment
+from viewnet.experiments.request import accepted
 from viewnet.runtime.files import replacing
 
 PATIENCE = 600

@@ -3,17 +3,18 @@
     class Mine:                                 # any class with the methods of `Method`
         def predict(self, images): ...          # images (N, S, S, 3) uint8 -> unit view vectors (N, 3)
 
-    asked = experiment("table3_pascal3d", categories="car")
-    table = with_methods(asked, asked.run(), [Submission("Mine", Mine())])
+    table3 = experiment("table3_pascal3d", categories="car")
+    table = with_methods(table3, table3.run(), [Submission("Mine", Mine())])
 
-A method is given images, and to fit on, where it has `fit`, the true viewpoints of calibration images. Where an
-image comes from, and the viewpoint of an image that is scored, stay here. What it says goes through the same alignment,
-scores and bootstrap intervals as every other row. Instead of a method there may be a file that another program wrote
-(viewnet.evaluation.submitted_predictions).
+A method is given images and, if it has `fit`, calibration images with their true viewpoints to learn from. It never
+learns where an image comes from, nor the viewpoint of an image that is scored. Its predictions go through the same
+alignment, scores and bootstrap intervals as every other row. Instead of a method there may be a file that another
+program wrote (viewnet.evaluation.submitted_predictions).
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -27,21 +28,21 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from viewnet import geometry
-from viewnet.config import known
-from viewnet.data.store import ViewStore
+from viewnet.config import RunConfig, known
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, submitted_predictions
 from viewnet.evaluation.alignment import ALIGNMENTS
 from viewnet.evaluation.predictions import ID_COLUMNS, UNIT_TOLERANCE, Floats, Predictions, joined, true_vectors
 from viewnet.evaluation.run import Run
+from viewnet.experiments.cad import Experiment, Rows
 from viewnet.experiments.photos import PhotoExperiment
-from viewnet.experiments.request import Experiment
+from viewnet.experiments.request import DESIGNS
 from viewnet.runtime import provenance
 from viewnet.tables.layouts import ADDED, LAYOUTS
 from viewnet.tables.table import Entry, Table
 
 BATCH = 256
-"""Images that a method is shown at once, at most."""
+"""Images in one call of `predict`, at most."""
 
 Images = NDArray[np.uint8]
 
@@ -49,41 +50,41 @@ Images = NDArray[np.uint8]
 class Method(Protocol):
     """Estimates viewpoints.
 
-    Images are (N, S, S, 3) uint8, RGB. Photographs are cut to the object's box and brought to 128 pixels a side, as the
-    view regression sees them; the profile's networks see the same at their own size. Views of CAD models have the size
-    they are drawn at (32 pixels at the profile smoke, else 64) and black where nothing is, which is what ViewNet's
-    viewpoint network sees of them but for the recipe `paper`'s cut to the object.
+    Images are (N, S, S, 3) uint8, RGB. Photographs are cropped to the object's box at 128 pixels a side, as the view
+    regression gets them; the profile's networks get the same at their own size. Views of CAD models have the size they
+    are rendered at (32 pixels at the profile smoke, else 64) and a black background, which is what ViewNet's viewpoint
+    network gets, except for the crop to the object in the recipe `paper`.
     """
 
     def predict(self, images: Images) -> ArrayLike:
         """Unit view vectors (N, 3), from object to camera: see viewnet.geometry, and `view_vectors` for angles.
 
         They may be in any frame that a rotation takes to the annotated one (alignment "procrustes" or "robust"), an
-        affine map ("linear"), or nothing needs to ("none"). Called several times, with at most BATCH images in an order
-        drawn at random.
+        affine map ("linear"), or in the annotated frame itself ("none"). Called several times, each with at most BATCH
+        images in random order.
         """
         ...
 
 
 class Supervised(Method, Protocol):
-    """One that learns from calibration images, as SSV's regression does."""
+    """A method that learns from calibration images, as SSV's regression does."""
 
     def fit(self, images: Images, view_vectors: Floats) -> None:
         """Learn from the images that predictions are aligned on, and their true view vectors (N, 3).
 
-        Called before `predict`, for each category anew: what was learned of another must not stay.
+        Called before `predict`, once for each category: nothing learned from another category may remain.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Submission:
-    """A method, the row it fills and how it is aligned.
+    """A method, the label of its row and its alignment.
 
     label      the row's
-    method     a Method; several by category, where each has its own; or a file (viewnet.evaluation.submitted_predictions)
-    alignment  none, procrustes, robust, linear or per_angle (viewnet.evaluation.alignment), fitted on calibration images. "none"
-               is for methods that speak in the annotated frame, as those do that are fitted on it
+    method     a Method; a mapping from category to Method; or a file (viewnet.evaluation.submitted_predictions)
+    alignment  none, procrustes, robust, linear or per_angle (viewnet.evaluation.alignment), fitted on calibration
+               images; "none" is for methods that predict in the annotated frame, as those do that are fitted in it
 
     Raises ViewnetError for a label that cannot stand in a table, a class in place of a method, and unknown alignments.
     """
@@ -96,38 +97,36 @@ class Submission:
         if not isinstance(self.label, str) or not self.label.strip() or not self.label.isprintable():
             raise ViewnetError(f"method {self.label!r}: expected a label in a line of text")
         known(self.alignment, ALIGNMENTS, f"alignment of {self.label}")
-        methods = self.method.values() if isinstance(self.method, Mapping) else [self.method]
-        for method in methods:
+        for method in self._methods:
             if isinstance(method, type):
                 raise ViewnetError(f"method {self.label!r}: {method.__name__} is a class: give {method.__name__}()")
             if not isinstance(method, (str, Path)) and not callable(getattr(method, "predict", None)):
-                raise ViewnetError(
-                    f"method {self.label!r}: has no predict(images): see viewnet.experiments.own_method.Method"
-                )
+                raise ViewnetError(f"method {self.label!r}: has no predict(images): see {__name__}.Method")
+
+    @property
+    def _methods(self) -> list[Any]:
+        return list(self.method.values()) if isinstance(self.method, Mapping) else [self.method]
 
     @property
     def file(self) -> Path | None:
-        """The file of its predictions, where it is one."""
+        """The file of its predictions; None for a method."""
         return Path(self.method) if isinstance(self.method, (str, Path)) else None
 
     def of(self, category: str) -> Any:
-        """The method of a category. ViewnetError where there is none."""
+        """The method of a category. Raises ViewnetError where there is none."""
         if not isinstance(self.method, Mapping):
             return self.method
         if category not in self.method:
-            raise ViewnetError(
-                f"method {self.label!r}: there is none for {category}, only for {', '.join(self.method)}"
-            )
+            names = ", ".join(self.method)
+            raise ViewnetError(f"method {self.label!r}: there is none for {category}, only for {names}")
         return self.method[category]
 
     @property
     def remark(self) -> str:
-        """What is said of it under a table."""
-        made = f"from {self.file.name}" if self.file else "by predict"
-        methods = self.method.values() if isinstance(self.method, Mapping) else [self.method]
-        if any(hasattr(method, "fit") for method in methods):
-            made += ", fitted on calibration images"
-        return f"{self.label}: added, {made}; alignment {self.alignment}"
+        """The line about it under a table."""
+        source = f"from {self.file.name}" if self.file else "by predict"
+        fitted = ", fitted on calibration images" if any(hasattr(method, "fit") for method in self._methods) else ""
+        return f"{self.label}: added, {source}{fitted}; alignment {self.alignment}"
 
 
 @dataclass(frozen=True)
@@ -139,84 +138,108 @@ class HeldOut:
     """
 
     ids: pd.DataFrame
-    stores: dict[str, tuple[ViewStore, NDArray[np.intp]]]
+    stores: Rows
 
     @property
     def identity(self) -> str:
-        """Of everything that decided the images."""
+        """Identifies the content of both view stores."""
         return "-".join(dict.fromkeys(store.identity for store, _ in self.stores.values()))
 
     def images(self, split: str, rows: NDArray[np.intp]) -> Images:
-        """Some images (n, S, S, 3) of a split, over black: new arrays that know nothing of their store."""
+        """Some images (n, S, S, 3) of a split, over black: new arrays without a reference to their store."""
         store, mine = self.stores[split]
-        straight = np.array(store.images[mine[rows]], dtype=np.uint16)
+        straight = np.array(store.images[mine[rows]], dtype=np.uint16)  # (n, S, S, 4)
         return ((straight[..., :3] * straight[..., 3:] + 127) // 255).astype(np.uint8)
 
 
-def held_out(asked: Experiment, category: str) -> HeldOut:
+class OwnMethodExperiment(Experiment):
+    """The tables that methods are added to, with their runs.
+
+    Photographs are in `data_root`; `cad_root` has the CAD models to train on, which Table 1 is scored on, too.
+    `calibration` is of photographs only.
+    """
+
+    @functools.cached_property
+    def tables(self) -> dict[str, Experiment]:
+        """Table -> the experiment that makes it."""
+        shared: dict[str, Any] = {name: getattr(self, name) for name in ("profile", "categories", "seeds")}
+        shared["workers"] = self.workers or 0
+        cad, photographs = self.cad_root or "", self.data_root or ""
+        photo_settings: dict[str, Any] = {"data_root": photographs, "cad_root": cad, "backgrounds": self.backgrounds}
+        photo_settings["calibration"] = self.calibration or 0
+        return {
+            table: PhotoExperiment.check(table, **shared, **photo_settings)
+            if DESIGNS[table].kind == "photos"
+            else Experiment.check(table, **shared, data_root=cad)
+            for table in DESIGNS[self.name].tables
+        }
+
+    @property
+    def cad_collection(self) -> str | None:
+        """The folder of the CAD models to train on; None: the built-in models."""
+        return self.cad_root
+
+    @property
+    def configs(self) -> list[RunConfig]:
+        """The runs of all tables, each once."""
+        return list(dict.fromkeys(config for table in self.tables.values() for config in table.configs))
+
+    @property
+    def folder(self) -> Path:
+        """Where the tables go: apart from the paper's."""
+        return self.output / self.name / self.label
+
+    def score(self, runs: Sequence[Run], submissions: Sequence[Submission]) -> dict[str, Table]:
+        """Every table with a row for each method. Raises ViewnetError as `entries` does."""
+        return {
+            name: with_methods(table, [run for run in runs if run.config in table.configs], submissions)
+            for name, table in self.tables.items()
+        }
+
+
+def held_out(table: Experiment, category: str) -> HeldOut:
     """The images that a table's rows are aligned on and scored on, of one of its categories.
 
-    Raises ViewnetError where a model is in the collection trained on and in the one scored on.
+    Raises ViewnetError as Experiment.scored_views does, and for images without annotated viewpoints.
     """
-    if isinstance(asked, PhotoExperiment):
-        store = asked.stores()[category]
-        stores = {split: (store, store.split(split)) for split in ("val", "test")}
-    else:
-        from viewnet.data.build import view_store
-
-        config = next(config for config in asked.configs if config.data.category == category)
-        own = view_store(config.data, asked.workers)
-        stores = {split: (own, own.split(split)) for split in ("val", "test")}
-        if asked.eval_root is not None:
-            other = view_store(asked.eval_data(config), asked.workers)
-            if both := set(own.index["model_id"]) & set(other.index["model_id"]):
-                raise ViewnetError(
-                    f"{asked.eval_root}: model {sorted(both)[0]} is in the collection trained on as well"
-                )
-            stores["test"] = (other, np.arange(len(other)))
-    for split, (store, _) in stores.items():
-        store.require_viewpoints(store.index["split"].iloc[stores[split][1]].unique(), "nothing can be scored on it")
+    stores = table.scored_views(category)
+    for store, rows in stores.values():
+        store.require_viewpoints(store.index["split"].iloc[rows].unique(), "nothing can be scored on it")
     ids = [store.index.iloc[rows].assign(split=split) for split, (store, rows) in stores.items()]
     return HeldOut(pd.concat(ids, ignore_index=True)[list(ID_COLUMNS)], stores)
 
 
-def with_methods(asked: Experiment, runs: Sequence[Run], submissions: Sequence[Submission]) -> Table:
+def with_methods(table: Experiment, runs: Sequence[Run], submissions: Sequence[Submission]) -> Table:
     """The table of these runs with a row for each method below. Raises ViewnetError as `entries` does."""
-    return asked.table(runs, entries(asked, submissions), [submission.remark for submission in submissions])
+    return table.table(runs, entries(table, submissions), [submission.remark for submission in submissions])
 
 
-def entries(asked: Experiment, submissions: Sequence[Submission]) -> list[Entry]:
-    """What the methods say of each category of a table, ready to stand in it.
+def entries(table: Experiment, submissions: Sequence[Submission]) -> list[Entry]:
+    """The entries of the methods in a table, for each of its categories.
 
-    Raises ViewnetError, before a method is asked anything, for a notebook that makes no table, and for a label that is
-    there twice or is a row already; and for predictions that `Submission.method` may not give.
+    Raises ViewnetError before any method is called: for an experiment that makes no table, and for a label that is
+    given twice or is a row already. Then for invalid predictions.
     """
-    known(asked.name, LAYOUTS, "table")
-    layout = LAYOUTS[asked.name]
-    if isinstance(asked, PhotoExperiment):
-        layout = layout.extended(asked.called.values())
+    layout = LAYOUTS[known(table.name, LAYOUTS, "table")].extended(table.renamed_rows.values())
     for submission in submissions:
         layout = layout.extended([submission.label])
-    found = []
-    for category in asked.categories:
-        images = held_out(asked, category)
-        for submission in submissions:
-            said = _said(submission, images, category, _calibration(asked))
-            found.append(_entry(submission, images, category, said, _calibration(asked)))
-    return found
+    return [
+        _entry(submission, images, category, table.calibration)
+        for category, images in ((category, held_out(table, category)) for category in table.categories)
+        for submission in submissions
+    ]
 
 
-def predictions(asked: Experiment, submission: Submission) -> Predictions:
-    """What one method says of all images that a table aligns on and scores, one category after another.
+def predictions(table: Experiment, submission: Submission) -> Predictions:
+    """One method's predictions of all images that a table aligns on and scores, one category after another.
 
-    Its `to_parquet` writes a file that is a submission itself.
+    Their `to_parquet` writes a file that is a submission itself.
     """
-    parts = [_said(submission, held_out(asked, c), c, _calibration(asked)) for c in asked.categories]
-    return joined(parts)
+    return joined([_predict(submission, held_out(table, c), c, table.calibration) for c in table.categories])
 
 
 def view_vectors(azimuth: ArrayLike, elevation: ArrayLike) -> Floats:
-    """Unit view vectors (N, 3) of azimuths and elevations (N,) in degrees; the conventions are viewnet.geometry's.
+    """Unit view vectors (N, 3) of azimuths and elevations (N,) in degrees, by viewnet.geometry's conventions.
 
     >>> view_vectors([0, 90], [0, 30]).round(3)
     array([[1.   , 0.   , 0.   ],
@@ -235,52 +258,48 @@ def angles(vectors: ArrayLike) -> tuple[Floats, Floats]:
     return azimuth.numpy(), elevation.numpy()
 
 
-def _calibration(asked: Experiment) -> int | None:
-    return asked.calibration if isinstance(asked, PhotoExperiment) else None
-
-
-def _said(submission: Submission, images: HeldOut, category: str, calibration: int | None) -> Predictions:
+def _predict(submission: Submission, images: HeldOut, category: str, calibration: int | None) -> Predictions:
     if submission.file is not None:
         return submitted_predictions.read(submission.file, images.ids)
     method, who = submission.of(category), f"method {submission.label!r}, {category}"
     if hasattr(method, "fit"):
         rows = np.flatnonzero(baselines.calibrating(images.ids, calibration)[: len(images.stores["val"][1])])
         method.fit(images.images("val", rows), true_vectors(images.ids.iloc[rows]))
-    # Neighbours in a store show the same object, and its order may tell more than an image does.
+    # Neighbours in a store show the same object: its order may tell more than an image does.
     rng = np.random.default_rng(0)
-    found = []
+    parts = []
     for split, (_, mine) in images.stores.items():
         vectors = np.empty((len(mine), 3))
-        shuffled = rng.permutation(len(mine))
+        order = rng.permutation(len(mine))
         for start in range(0, len(mine), BATCH):
-            rows = shuffled[start : start + BATCH]
-            vectors[rows] = _checked(method.predict(images.images(split, rows)), len(rows), who)
-        found.append(vectors)
-    return Predictions(images.ids, np.concatenate(found)[:, None], np.zeros((len(images.ids), 1)))
+            rows = order[start : start + BATCH]
+            vectors[rows] = _unit_vectors(method.predict(images.images(split, rows)), len(rows), who)
+        parts.append(vectors)
+    return Predictions(images.ids, np.concatenate(parts)[:, None], np.zeros((len(images.ids), 1)))
 
 
-def _checked(said: Any, count: int, who: str) -> Floats:
-    """What `predict` returned as unit vectors (count, 3)."""
+def _unit_vectors(values: Any, count: int, who: str) -> Floats:
+    """What `predict` returned, checked to be unit vectors (count, 3)."""
     try:
-        vectors = np.asarray(said, dtype=np.float64)
+        vectors = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError, RuntimeError) as error:
         problem = str(error).splitlines()[0]
         raise ViewnetError(f"{who}: predict returned no array of numbers ({problem})") from error
     if vectors.shape != (count, 3):
         raise ViewnetError(f"{who}: predict returned {vectors.shape} for {count} images: expected ({count}, 3)")
-    lengths = np.linalg.norm(vectors, axis=1)
-    off = ~(np.abs(lengths - 1) <= UNIT_TOLERANCE)  # NaN is off as well
-    if off.any():
-        at = int(np.flatnonzero(off)[0])
-        told = ", ".join(f"{value:g}" for value in vectors[at])
+    wrong = ~(np.abs(np.linalg.norm(vectors, axis=1) - 1) <= UNIT_TOLERANCE)  # NaN is wrong as well
+    if wrong.any():
+        at = int(np.flatnonzero(wrong)[0])
+        numbers = ", ".join(f"{value:g}" for value in vectors[at])
         raise ViewnetError(
-            f"{who}: predict returned ({told}) for image {at} of the {count} it was shown: expected unit vectors"
-            f" ({int(off.sum())} are none)"
+            f"{who}: predict returned ({numbers}) for image {at} of the {count} in this call: expected unit vectors"
+            f" ({int(wrong.sum())} are none)"
         )
     return vectors
 
 
-def _entry(submission: Submission, images: HeldOut, category: str, said: Predictions, calibration: int | None) -> Entry:
+def _entry(submission: Submission, images: HeldOut, category: str, calibration: int | None) -> Entry:
+    said = _predict(submission, images, category, calibration)
     method = None if submission.file is not None else submission.of(category)
     origin: dict[str, Any] = {
         "variant": ADDED,
@@ -298,9 +317,10 @@ def _entry(submission: Submission, images: HeldOut, category: str, said: Predict
     return Entry(submission.label, category, 0, submission.alignment, key, said, origin, calibration)
 
 
-def digest(said: Predictions) -> str:
-    """16 hex digits of predictions: of which images, and every number."""
-    hashed = hashlib.sha256(said.ids.to_csv(index=False, lineterminator="\n").encode())
-    for values in (said.hypotheses, said.logits, *([] if said.ups is None else [said.ups])):
-        hashed.update(json.dumps(values.shape).encode() + np.ascontiguousarray(values, dtype="<f8").tobytes())
-    return hashed.hexdigest()[:16]
+def digest(predictions: Predictions) -> str:
+    """16 hex digits that identify predictions: which images, and every number."""
+    content = hashlib.sha256(predictions.ids.to_csv(index=False, lineterminator="\n").encode())
+    arrays = [predictions.hypotheses, predictions.logits]
+    for values in arrays if predictions.ups is None else [*arrays, predictions.ups]:
+        content.update(json.dumps(values.shape).encode() + np.ascontiguousarray(values, dtype="<f8").tobytes())
+    return content.hexdigest()[:16]

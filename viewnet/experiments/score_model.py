@@ -26,8 +26,8 @@ from viewnet.estimator.model_card import METRICS, with_interval
 from viewnet.evaluation import evaluate, features
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
+from viewnet.experiments.parameters import folder_named
 from viewnet.experiments.photos import SMOKE_COUNT, SMOKE_MODELS
-from viewnet.experiments.request import folder_named
 from viewnet.model import checkpoint
 from viewnet.recipes import make_config
 from viewnet.runtime.files import read_json, write_json

@@ -1,0 +1,107 @@
+"""Experiments on CAD models: trained on rendered views of some, scored on views of others (Tables 1 and 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewnet.config import DataConfig, RunConfig
+from viewnet.data import build
+from viewnet.data.store import ViewStore
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.baselines import UNTRAINED
+from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import Run
+from viewnet.experiments.request import Request
+from viewnet.recipes import make_config
+from viewnet.tables.table import Entry, Table, own_predictions
+from viewnet.training.other_views import transferred
+from viewnet.training.run_store import ensure, untrained
+
+Rows = dict[str, tuple[ViewStore, NDArray[np.intp]]]
+"""Split, "val" to align on and "test" to score -> a view store and which of its rows."""
+
+
+class Experiment(Request):
+    """A request that can be run. Of CAD models, their collection is `data_root`."""
+
+    @property
+    def cad_collection(self) -> str | None:
+        """The folder of the CAD models to train on; None: the built-in models."""
+        return self.data_root
+
+    @property
+    def configs(self) -> list[RunConfig]:
+        """One configuration a run: by variant, category and seed; untrained variants once a category."""
+        configs = []
+        for variant in self.variants:
+            for category in self.categories:
+                for seed in self.seeds:
+                    base = self._config("viewnet" if variant in UNTRAINED else variant, category, seed)
+                    configs.append(untrained(variant, base) if variant in UNTRAINED else base)
+        return list(dict.fromkeys(configs))
+
+    def _config(self, variant: str, category: str, seed: int, **overrides: Any) -> RunConfig:
+        """A training on CAD models."""
+        place = (self.cad_collection, self.splits)
+        return make_config(variant, category, self.profile, self.recipe, seed, *place, **overrides)
+
+    @property
+    def trained_on(self) -> str:
+        """The kind of CAD models, in words."""
+        return "built-in models" if self.cad_collection is None else "a CAD collection"
+
+    @property
+    def note(self) -> str:
+        """What the numbers were measured on, in one line."""
+        return f"{self.trained_on}{', scored on another collection' if self.eval_root else ''}, {self.settings}"
+
+    @property
+    def settings(self) -> str:
+        """Profile, recipe and number of seeds, in words."""
+        seeds = "1 seed" if len(self.seeds) == 1 else f"mean of {len(self.seeds)} seeds"
+        return f"profile {self.profile}, recipe {self.recipe}, {seeds}"
+
+    def run(self, progress: bool = True) -> list[Run]:
+        """Every run of the experiment; missing ones are trained first (viewnet.training.run_store.ensure)."""
+        return ensure(self.configs, self.workers, progress)
+
+    def table(self, runs: Sequence[Run], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
+        """The table of these runs, scored on all models of `eval_root` or, without one, on their own test views.
+
+        `added` are entries of other methods (viewnet.experiments.own_method), `remarks` further lines under the table.
+        """
+        predictions = self._transferred if self.eval_root else own_predictions
+        return Table.build(self.name, runs, self.categories, predictions, self.note, remarks, added)
+
+    def _transferred(self, run: Run) -> Predictions:
+        return transferred(run, build.view_store(self.eval_data(run.config)))
+
+    def eval_data(self, config: RunConfig) -> DataConfig:
+        """The views of `eval_root`, rendered as those of a run."""
+        assert self.eval_root is not None
+        models: dict[str, Any] = {} if self.profile == "smoke" else {"models": 0}
+        return make_config(category=config.category, profile=self.profile, data_root=self.eval_root, **models).data
+
+    @property
+    def renamed_rows(self) -> dict[str, str]:
+        """Rows of the table's layout that are called otherwise: label -> label."""
+        return {}
+
+    def scored_views(self, category: str) -> Rows:
+        """The views that predictions of a category are aligned on and scored on.
+
+        Raises ViewnetError where a model of `eval_root` is in the collection trained on.
+        """
+        config = next(config for config in self.configs if config.category == category)
+        own = build.view_store(config.data, self.workers)
+        views = {split: (own, own.split(split)) for split in ("val", "test")}
+        if self.eval_root is not None:
+            other = build.view_store(self.eval_data(config), self.workers)
+            if both := set(own.index["model_id"]) & set(other.index["model_id"]):
+                raise ViewnetError(f"{self.eval_root}: model {min(both)} is in the collection trained on as well")
+            views["test"] = (other, np.arange(len(other)))
+        return views
