@@ -7,13 +7,14 @@ import pytest
 from helpers.fake_steps import STEPS
 from helpers.photo_data import keep_apart, make_photos
 
-from viewnet import config
+
 from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES, PhotoConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
 from viewnet.experiments import experiment
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.experiments.request import PHOTO_RECIPE, accepted
+from viewnet.recipes import PROFILES, RECIPES
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.training.other_views import on_photographs
 from viewnet.training.run_store import ensure
@@ -253,5 +254,5 @@ def test_baselines_are_fitted_on_as_many_photographs_as_are_asked_for(photograph
 
 
 def test_recipes_named_here_exist():
-    assert set(PHOTO_RECIPE) == set(config.PROFILES)
-    assert set(PHOTO_RECIPE.values()) <= set(config.RECIPES)
+    assert set(PHOTO_RECIPE) == set(PROFILES)
+    assert set(PHOTO_RECIPE.values()) <= set(RECIPES)

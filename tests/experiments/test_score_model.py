@@ -132,7 +132,7 @@ def test_the_card_of_a_saved_model_tells_scores_on_photographs(run, store, tmp_p
     assert "| | own | procrustes | robust | linear |\n" in card
     median = " | ".join(with_interval(found["alignments"][kind], "median") for kind in ("own", *score_model.LEARNED))
     assert f"| median error, degrees | {median} |\n" in card
-    assert "On photographs of photos: 12 images of 12 objects, after each" in card
+    assert "On photographs of photos: 12 images of 12 objects. A column for each alignment" in card
     assert "| licence of the weights | cc0-1.0 |" in card
     (kept,) = ViewpointEstimator.from_pretrained(tmp_path / "saved").about["scores"]
     assert kept["alignments"]["robust"]["intervals"] == found["alignments"]["robust"]["intervals"]
