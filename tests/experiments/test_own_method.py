@@ -19,10 +19,16 @@ from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Predictions, true_vectors
-from viewnet.experiments import own_method
-from viewnet.experiments.own_method import Submission, angles, held_out, predictions, view_vectors, with_methods
-from viewnet.experiments.own_method import OwnMethodExperiment
-from viewnet.experiments import experiment
+from viewnet.experiments import experiment, own_method
+from viewnet.experiments.own_method import (
+    OwnMethodExperiment,
+    Submission,
+    angles,
+    held_out,
+    predictions,
+    view_vectors,
+    with_methods,
+)
 from viewnet.experiments.request import accepted
 from viewnet.tables.columns import DASH
 from viewnet.tables.table import Entry, Table
@@ -304,11 +310,11 @@ def test_a_category_may_have_a_method_of_its_own_and_learns_by_itself(photograph
 @pytest.mark.parametrize(
     ("labels", "message"),
     [
-        (["Mine", "Mine"], "row 'Mine': there is one of that name already: choose another label"),
-        (["ViewNet"], "row 'ViewNet': there is one"),
-        (["SSV*"], r"row 'SSV\*': there is one"),
-        (["Liao"], "row 'Liao': there is one"),  # in print under that name
-        (["VGG view* (pixels)"], r"row 'VGG view\* \(pixels\)': there is one"),
+        (["Mine", "Mine"], "row 'Mine': the table has a row of that name: choose another label"),
+        (["ViewNet"], "row 'ViewNet': the table has a row"),
+        (["SSV*"], r"row 'SSV\*': the table has a row"),
+        (["Liao"], "row 'Liao': the table has a row"),  # in print under that name
+        (["VGG view* (pixels)"], r"row 'VGG view\* \(pixels\)': the table has a row"),
     ],
 )
 def test_a_label_is_there_once_and_that_is_found_before_a_method_is_asked(photographs, labels, message):

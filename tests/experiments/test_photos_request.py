@@ -7,7 +7,6 @@ import pytest
 from helpers.fake_steps import STEPS
 from helpers.photo_data import keep_apart, make_photos
 
-
 from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES, PhotoConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
