@@ -258,7 +258,7 @@ def test_without_alignment_the_frame_is_the_network_s(images):
 def test_volumes_and_meshes_are_those_of_the_run(store, images):
     renderer = untrained_renderer(store)
     estimator = estimator_of(renderer)
-    volume = renderer.imagine([4]).shape[0]
+    volume = renderer.encode([4]).shape[0]
     assert torch.allclose(estimator.volume(images[4]), volume, atol=1e-4)
     expected = volume_mesh.surface(volume, renderer.rotation, 0.3)
     mesh = estimator.mesh(images[4], level=0.3)

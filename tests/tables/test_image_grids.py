@@ -29,7 +29,7 @@ def test_reconstructions_stand_beside_their_image(runs, store):
     assert [len(line) for line in shown] == [3, 3]
     assert [axes.get_title() for axes in figure.axes[:3]] == ["car", "ViewNet", "ViewNet +\ncycle"]
     drawer = run_renderer.RunRenderer.of(runs[1].folder, store)
-    assert np.array_equal(shown[1][0], drawer.shown([6])[0])
+    assert np.array_equal(shown[1][0], drawer.test_images([6])[0])
     assert np.array_equal(shown[1][2], rendering.shown(drawer.reconstruct([6]))[0])
     assert inside(figure)
 
@@ -71,7 +71,7 @@ def test_volumes_stand_below_their_images_from_one_viewpoint(runs, store):
     shown = images(figure)
     assert [[p is not None for p in line] for line in shown] == [[True] * 3] * 2 + [[True, False, False]] * 2
     drawer = run_renderer.RunRenderer.of(runs[0].folder, store)
-    assert np.array_equal(shown[2][0], drawer.shown([9])[0])
+    assert np.array_equal(shown[2][0], drawer.test_images([9])[0])
     assert inside(figure)
 
 

@@ -56,7 +56,7 @@ def test_turn_is_what_own_azimuths_lack(store):
     said = view_vector(next(angles) - 70, next(angles) * 0.5).numpy()[:, None]
     calibration = Predictions(ids, said, np.zeros((len(ids), 1)))
     drawer = replace(drawer, aligned=replace(drawer.aligned, calibration=calibration))
-    assert drawer.turn == pytest.approx(70)
+    assert drawer.azimuth_offset == pytest.approx(70)
     level = drawer.level(torch.tensor([100.0]), torch.tensor([15.0]))
     assert np.allclose([float(x) for x in azimuth_elevation(level[0, :, 2])], [30, 15], atol=1e-3)
 
@@ -66,18 +66,18 @@ def test_answers_are_the_selected_frames(store):
     rows = [4, 1]
     found = drawer.network.viewpoint(drawer.network.see(drawer.images(rows, 32)))
     frames = found.frames[torch.arange(2), found.logits.argmax(1)]
-    assert torch.allclose(drawer.answers(rows), frames, atol=1e-4)
+    assert torch.allclose(drawer.predicted_frames(rows), frames, atol=1e-4)
 
 
 def test_larger_drawings_show_the_same(store):
     drawer = untrained_renderer(store)
-    imagined, frames = drawer.imagine([0, 3]), drawer.answers([0, 3])
+    imagined, frames = drawer.encode([0, 3]), drawer.predicted_frames([0, 3])
     small, large = (drawer.draw(imagined, frames, size) for size in (None, 64))
     assert large.shape == (2, 4, 64, 64)
     pair = torch.stack([torch.nn.functional.avg_pool2d(large, 4).flatten(), small.flatten()])
     assert torch.corrcoef(pair)[0, 1] > 0.95
     hologan = untrained_renderer(store, variant="hologan_decoder")
-    assert hologan.draw(hologan.imagine([0]), frames[:1], 64).shape == (1, 4, 16, 16)
+    assert hologan.draw(hologan.encode([0]), frames[:1], 64).shape == (1, 4, 16, 16)
 
 
 def test_photographs_are_drawn_cut_to_their_object(tmp_path):
@@ -96,11 +96,11 @@ def test_shown_is_before_a_wall():
     assert rendering.shown(image, 0.0).tolist() == [[[[51, 0, 153]]]]
 
 
-def test_what_draws_nothing_is_said(store, tmp_path):
+def test_runs_that_render_nothing_are_refused(store, tmp_path):
     drawer = untrained_renderer(store)
-    with pytest.raises(ViewnetError, match="no runs to draw with"):
+    with pytest.raises(ViewnetError, match="no runs to render"):
         run_renderer.renderers([])
-    with pytest.raises(ViewnetError, match=r"constant car seed 0 .* draws nothing"):
+    with pytest.raises(ViewnetError, match=r"constant car seed 0 .* renders nothing"):
         run_renderer.renderers([Run(untrained("constant", drawer.config), tmp_path)])
     with pytest.raises(ViewnetError, match="alignment none is no rotation"):
         _ = replace(drawer, aligned=replace(drawer.aligned, alignment=Identity())).rotation

@@ -20,6 +20,7 @@ from viewnet.tables import latex, plots
 from viewnet.tables.benchmark import CONTESTANTS, HEADINGS, NOT_MEASURED, cells, notes, number
 from viewnet.tables.columns import DASH
 
+COLUMN = 3.25  # inches: a column of the paper
 COLOURS = {"textbook": "#d55e00", "viewnet": "#0072b2"}  # told apart by colour-blind readers, and by their markers
 MARKERS = {"textbook": "s", "viewnet": "o"}
 RATIOS = {"time": "#009e73", "memory": "#e69f00"}
@@ -86,7 +87,7 @@ def figure(result: dict[str, Any]) -> Figure:
     rows = [row for row in result["rows"] if row["speedup"] is not None]
     shown = [row for row in rows if row["memory_ratio"] is not None or row["size"] == _largest(rows, row)]
     with matplotlib.rc_context(plots.STYLE):
-        image = Figure(figsize=(2.4 * plots.COLUMN, max(2.6, 0.33 * len(shown) + 0.7)), layout="constrained")
+        image = Figure(figsize=(2.4 * COLUMN, max(2.6, 0.33 * len(shown) + 0.7)), layout="constrained")
         left, middle, right = image.subplots(1, 3, width_ratios=(1.3, 1, 1))
         _bars(left, shown)
         grown = [row for row in rows if row["work"] == BOTH and row["volume"] == "object"]

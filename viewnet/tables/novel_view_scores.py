@@ -1,18 +1,17 @@
-"""Novel views in numbers: how true they are to the object, and whether they tell where they were drawn from.
+"""Scores of rendered novel views: fidelity to the object, and consistency with the viewpoint.
 
-Fidelity: every test view is drawn from the appearance of its object's next view and from its true viewpoint, brought
-into the network's own frame by the inverse of the rotation that was fitted on validation views. Drawing and target are
-compared over black, whatever was behind them in training: PSNR and SSIM (Wang et al. 2004) of colours, and the
-intersection over union of masks, cut at one half. Black is right wherever both agree that nothing is, so these are to
-be compared with the row COPY, the appearance view itself in the drawing's place.
+Fidelity: every test view is rendered with the appearance of its object's next view from its true viewpoint, taken into
+the network's own frame by the inverse of the rotation that was fitted on validation views. Rendered and test view are
+compared on black: PSNR and SSIM (Wang et al. 2004) of colours, and the intersection over union of masks, cut at one
+half. Empty space counts as right, so the scores are to be compared with the row COPY, the appearance view itself.
 
-Consistency: every object is drawn from a random viewpoint and shown to a viewpoint network, whose answer is as far off
-as drawing and viewpoint belong together. Asked is the network's own, in its own frame; that needs no alignment, but a
-decoder and a viewpoint network may have agreed on signs that have nothing to do with viewpoints. So a judge is asked
-too: the viewpoint network of ViewNet of the same category, up to a rotation fitted on the other half of the objects.
+Consistency: every object is rendered from a random viewpoint and shown to a viewpoint network, whose error measures how
+well rendered view and viewpoint fit together. The model's own network needs no alignment, but decoder and network may
+share conventions that have nothing to do with viewpoints. So the category's ViewNet judges too, up to a rotation fitted
+on the other half of the objects.
 
-The HoloGAN decoder paints no mask: its drawings are whole images, on black, and it has no IoU. What is trained on
-masks alone (segmentation_target) learns no colours: it has neither PSNR nor SSIM.
+The HoloGAN decoder has no mask: whole images on black, no IoU. A network trained on masks alone (segmentation_target)
+learns no colours: neither PSNR nor SSIM.
 """
 
 from __future__ import annotations
@@ -41,141 +40,131 @@ from viewnet.tables.columns import COLUMNS, DASH, FIDELITY, HEADLINE, NOVEL_VIEW
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, renderers
 
-VARIANTS = (
-    "viewnet",
-    "viewnet_cycle",
-    "segmentation_target",
-    "no_shape_prior",
-    "encoder_decoder",
-    "hologan_decoder",
-)
-"""The rows of the table, under COPY."""
+VARIANTS = ("viewnet", "viewnet_cycle", "segmentation_target", "no_shape_prior", "encoder_decoder", "hologan_decoder")
+"""The rows of the table, below COPY."""
 COPY = "Appearance view"
-"""The row of what it is worth to draw nothing and show the appearance view as it is."""
+"""The row of the appearance view itself, in the place of a rendered view."""
 HIGHEST = 100.0
-"""dB: what equal images get, which have no error to compare with."""
+"""dB: the PSNR of equal images."""
 BRIGHT = 0.1
-"""What an image without a mask is brighter than where the object is, for networks that see objects cut out."""
+"""The brightness that separates object and background in images without a mask."""
 DRAWS = 1000
 
 
-def fidelity(drawer: RunRenderer, copy: bool = False) -> pd.DataFrame:
-    """A row for each test view: model_id, view, psnr (dB), ssim, iou; NaN for what the network does not draw.
+def fidelity(renderer: RunRenderer, copy: bool = False) -> pd.DataFrame:
+    """A row for each test view: model_id, view, psnr (dB), ssim, iou; NaN for what the network does not render.
 
-    With `copy`, of the appearance view in the drawing's place. Raises ViewnetError for photographs, which have no mask
-    to compare with, and for objects of a single view.
+    With `copy`, of the appearance view in the rendered view's place. Raises ViewnetError for photographs, which have no
+    mask to compare with, and for objects of a single view.
     """
-    views = drawer.views
+    views, ids = renderer.views, renderer.aligned.predictions.ids
     if views.opaque:
-        raise ViewnetError(f"{drawer.store.folder}: photographs have no mask: score novel views on rendered ones")
+        raise ViewnetError(f"{renderer.store.folder}: photographs have no mask: score novel views on rendered ones")
     if int(views.count.min()) < 2:
-        raise ViewnetError(f"{drawer.store.folder}: an object has a single view: render two or more a model")
-    said = drawer.aligned.predictions
-    frames = drawer.own(look_at(torch.from_numpy(true_vectors(said.ids))))
+        raise ViewnetError(f"{renderer.store.folder}: an object has a single view: render two or more a model")
+    frames = renderer.own(look_at(torch.from_numpy(true_vectors(ids))))
     parts = []
-    for rows in _batches(len(drawer)):
-        other = drawer.partners(rows)
-        drawn = drawer.images(other) if copy else drawer.draw(drawer.imagine(other), frames[rows])
-        parts.append(compare(drawn, drawer.images(rows)))
-    found = pd.concat([said.ids[["model_id", "view"]], pd.concat(parts, ignore_index=True)], axis=1)
-    if not copy and drawer.hologan:
-        found["iou"] = np.nan
-    if not copy and drawer.config.train.target == "mask":
-        found[["psnr", "ssim"]] = np.nan
-    return found
+    for rows in _batches(len(renderer)):
+        other = renderer.partners(rows)
+        rendered = renderer.images(other) if copy else renderer.draw(renderer.encode(other), frames[rows])
+        parts.append(compare(rendered, renderer.images(rows)))
+    scores = pd.concat([ids[["model_id", "view"]], pd.concat(parts, ignore_index=True)], axis=1)
+    if not copy and renderer.hologan:
+        scores["iou"] = np.nan
+    if not copy and renderer.config.train.target == "mask":
+        scores[["psnr", "ssim"]] = np.nan
+    return scores
 
 
-def compare(drawn: Tensor, target: Tensor) -> pd.DataFrame:
-    """psnr, ssim and iou of images (N, 4, S, S), RGB times mask and mask in [0, 1], against as many others."""
-    a, b = (p.clamp(0, 1).double().cpu().movedim(1, -1).numpy() for p in (drawn, target))
+def compare(rendered: Tensor, target: Tensor) -> pd.DataFrame:
+    """psnr, ssim and iou of images (N, 4, S, S), RGB times mask and mask in [0, 1], against as many targets."""
+    pairs = zip(*(x.clamp(0, 1).double().cpu().movedim(1, -1).numpy() for x in (rendered, target)), strict=True)
     lines = []
-    for one, other in zip(a, b, strict=True):
-        said, true = one[..., :3], other[..., :3]
+    for one, true in pairs:
+        colours, true_colours = one[..., :3], true[..., :3]
         with np.errstate(divide="ignore"):
-            psnr = min(HIGHEST, float(peak_signal_noise_ratio(true, said, data_range=1.0)))
+            psnr = min(HIGHEST, float(peak_signal_noise_ratio(true_colours, colours, data_range=1.0)))
         ssim = structural_similarity(
-            true, said, data_range=1.0, channel_axis=-1, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
-        )
-        inside, truly = one[..., 3] > 0.5, other[..., 3] > 0.5
-        union = (inside | truly).sum()
-        lines.append({"psnr": psnr, "ssim": float(ssim), "iou": (inside & truly).sum() / union if union else 1.0})
+            true_colours, colours, data_range=1.0, channel_axis=-1,
+            gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+        )  # fmt: skip
+        mask, true_mask = one[..., 3] > 0.5, true[..., 3] > 0.5
+        union = (mask | true_mask).sum()
+        lines.append({"psnr": psnr, "ssim": float(ssim), "iou": (mask & true_mask).sum() / union if union else 1.0})
     return pd.DataFrame(lines, columns=list(FIDELITY))
 
 
 @torch.no_grad()
-def consistency(drawer: RunRenderer, judge: RunRenderer | None = None, seed: int = 0) -> Floats:
-    """Degrees (N,) between random viewpoints and what is said of drawings from them, one for each test view.
+def consistency(renderer: RunRenderer, judge: RunRenderer | None = None, seed: int = 0) -> Floats:
+    """Errors (N,), degrees, of the viewpoints predicted for views rendered from random viewpoints, one per test view.
 
-    The network's own viewpoint network is asked or, if given, the judge's; see above. Each test view gives an
-    appearance. Azimuths are uniform, elevations uniform in the range of the run's views. All decoders' drawings are of
-    the size they were learned at and enlarged to what is seen, so that none has the sharper ones.
+    Predicted by the network's own viewpoint network or, if given, the judge's; see above. Each test view gives an
+    appearance. Azimuths are uniform, elevations uniform in the range of the run's views. All decoders render at the
+    size they were trained at, enlarged to the input size, so that none has an advantage in sharpness.
     """
-    reader, rng = judge or drawer, np.random.default_rng(seed)
-    low, high = drawer.config.data.elevation_range
-    angles = torch.from_numpy(rng.uniform((0, low), (360, high), (len(drawer), 2)))
+    reader, rng = judge or renderer, np.random.default_rng(seed)
+    low, high = renderer.config.data.elevation_range
+    angles = torch.from_numpy(rng.uniform((0, low), (360, high), (len(renderer), 2)))
     truth = view_vector(angles[:, 0], angles[:, 1])
-    vectors, tilts = [], []
-    for rows in _batches(len(drawer)):
-        found = reader.network.viewpoint(_seen(drawer.draw(drawer.imagine(rows), look_at(truth[rows])), drawer, reader))
-        chosen = found.logits.argmax(1)
-        vectors.append(found.pick(chosen).double().cpu().numpy())
-        if found.ups is not None:
-            tilts.append(found.ups[torch.arange(len(rows)), chosen].double().cpu().numpy())
-    said, true = np.concatenate(vectors), truth.numpy()
-    ups = np.concatenate(tilts) if tilts else None
+    vectors, up_vectors = [], []
+    for rows in _batches(len(renderer)):
+        rendered = renderer.draw(renderer.encode(rows), look_at(truth[rows]))
+        hypotheses = reader.network.viewpoint(_as_input(rendered, renderer, reader))
+        heads = hypotheses.logits.argmax(1)
+        vectors.append(hypotheses.pick(heads).double().cpu().numpy())
+        if hypotheses.ups is not None:
+            up_vectors.append(hypotheses.ups[torch.arange(len(rows)), heads].double().cpu().numpy())
+    predicted, true = np.concatenate(vectors), truth.numpy()
+    ups = np.concatenate(up_vectors) if up_vectors else None
     if judge is None:
-        return metrics.geodesic_error(said, true, ups)
-    errors, even = np.empty(len(said)), drawer.views.objects.numpy() % 2 == 0
-    # Each half is turned by what fits the other, so that no object has a say in how it is judged.
+        return metrics.geodesic_error(predicted, true, ups)
+    errors, even = np.empty(len(predicted)), renderer.views.objects.numpy() % 2 == 0
+    # Each half is aligned by a fit on the other, so that no object decides on its own score.
     for half in (even, ~even):
-        rotation = fit_rotation(said[~half], true[~half])
-        tilt = None if ups is None else ups[half] @ rotation.T
-        errors[half] = metrics.geodesic_error(said[half] @ rotation.T, true[half], tilt)
+        rotation = fit_rotation(predicted[~half], true[~half])
+        half_ups = None if ups is None else ups[half] @ rotation.T
+        errors[half] = metrics.geodesic_error(predicted[half] @ rotation.T, true[half], half_ups)
     return errors
 
 
-def _seen(drawn: Tensor, drawer: RunRenderer, reader: RunRenderer) -> Tensor:
-    """Drawings (N, 4, S, S) as the reader's viewpoint network takes them (N, 3, s, s)."""
+def _as_input(rendered: Tensor, renderer: RunRenderer, reader: RunRenderer) -> Tensor:
+    """Rendered views (N, 4, S, S) as inputs (N, 3, s, s) of the reader's viewpoint network."""
     model = reader.network.config
-    if drawer.hologan:
-        drawn = torch.cat([drawn[:, :3], (drawn[:, :3].amax(1, keepdim=True) > BRIGHT).float()], 1)
-    seen = F.interpolate(drawn, (model.input_size, model.input_size), mode="bilinear")
+    if renderer.hologan:
+        rendered = torch.cat([rendered[:, :3], (rendered[:, :3].amax(1, keepdim=True) > BRIGHT).float()], 1)
+    images = F.interpolate(rendered, (model.input_size, model.input_size), mode="bilinear")
     if model.crop != "none":
-        seen = tight_crop(seen, model.input_size, model.crop == "stretched")
-    return reader.network.see(seen)
+        images = tight_crop(images, model.input_size, model.crop == "stretched")
+    return reader.network.see(images)
 
 
 def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -> pd.DataFrame:
-    """A line for each row, category and metric, as viewnet.tables.table.Table.cells has them: what a table is made of.
+    """A line for each row, category and metric: the columns of viewnet.tables.table.Table.cells but printed and bold.
 
-    row, variant, category, metric (of NAMES), measured (mean over seeds), sd (over seeds), low and high (95 % bootstrap
-    interval over objects of that mean, `draws` resamplings), seeds, images, objects, runs (their keys). The first row
-    of a category is COPY, of its first run's views and size. The judge is the category's run of ViewNet, of its first
-    seed; without one nothing is judged. Raises ViewnetError for two runs of one variant, category and seed, and as
-    `fidelity` does.
+    Intervals have `draws` resamplings. The first row of a category is COPY, of its first run's views and size. The
+    judge is the category's run of ViewNet, of its first seed; without one nothing is judged. Raises ViewnetError for
+    two runs of one variant, category and seed, and as `fidelity` does.
     """
     if len({(r.config.variant, r.config.category, r.config.seed) for r in runs}) < len(runs):
         raise ViewnetError("novel views: two runs of one variant and category have the same seed: choose one")
-    order = {variant: i for i, variant in enumerate((*VARIANTS, *LABELS))}
     for run in runs:
         if run.config.variant not in LABELS:
             raise ViewnetError(f"novel views: {run.name} is no row: choose one of {', '.join(VARIANTS)}")
-    groups: dict[tuple[str, str], list[Run]] = {}
-    for run in sorted(runs, key=lambda r: order[r.config.variant]):
-        groups.setdefault((run.config.category, run.config.variant), []).append(run)
     lines: list[dict[str, object]] = []
     for category in dict.fromkeys(run.config.category for run in runs):
-        mine = {variant: renderers(group, stores) for (c, variant), group in groups.items() if c == category}
+        of_category = [run for run in runs if run.config.category == category]
+        groups = {v: [run for run in of_category if run.config.variant == v] for v in LABELS}
+        mine = {variant: renderers(group, stores) for variant, group in groups.items() if group}
         judge = mine["viewnet"][0] if "viewnet" in mine else None
         copied = fidelity(next(iter(mine.values()))[0], copy=True)
-        lines += _lines({"row": COPY, "variant": "", "category": category, "runs": ""}, [copied], {}, draws)
-        for variant, found in mine.items():
-            answers = {"consistency": [consistency(drawer) for drawer in found]}
+        lines += _lines({"row": COPY, "variant": "", "category": category}, "", [copied], {}, draws)
+        for variant, seeds in mine.items():
+            errors = {"consistency": [consistency(renderer) for renderer in seeds]}
             if judge is not None:
-                answers["judged"] = [consistency(drawer, judge) for drawer in found]
-            keys = " ".join(run.key for run in groups[category, variant])
-            about = {"row": LABELS[variant], "variant": variant, "category": category, "runs": keys}
-            lines += _lines(about, [fidelity(drawer) for drawer in found], answers, draws)
+                errors["judged"] = [consistency(renderer, judge) for renderer in seeds]
+            keys = " ".join(run.key for run in groups[variant])
+            about = {"row": LABELS[variant], "variant": variant, "category": category}
+            lines += _lines(about, keys, [fidelity(renderer) for renderer in seeds], errors, draws)
     return pd.DataFrame(lines)
 
 
@@ -183,13 +172,8 @@ def frame(cells: pd.DataFrame) -> pd.DataFrame:
     """`cells` for reading: a line per row, columns (category, metric), numbers with intervals as text, -- for none."""
     texts = [
         DASH if np.isnan(m) else f"{m:.{d}f} [{low:.{d}f}, {high:.{d}f}]"
-        for m, low, high, d in zip(
-            cells["measured"],
-            cells["low"],
-            cells["high"],
-            cells["metric"].map(lambda metric: COLUMNS[metric].digits),
-            strict=True,
-        )
+        for m, low, high, metric in cells[["measured", "low", "high", "metric"]].itertuples(index=False)
+        for d in [COLUMNS[metric].digits]
     ]
     wide = cells.assign(text=texts).pivot(index="row", columns=["category", "metric"], values="text")
     columns = [(c, m) for c in dict.fromkeys(cells["category"]) for m in NOVEL_VIEWS]
@@ -206,11 +190,11 @@ def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
 
 
 def _lines(
-    about: dict[str, str], scored: Sequence[pd.DataFrame], errors: dict[str, list[Floats]], draws: int
+    about: dict[str, str], keys: str, scored: Sequence[pd.DataFrame], errors: dict[str, list[Floats]], draws: int
 ) -> list[dict[str, object]]:
-    """Every metric of the seeds of one row, in the order of NOVEL_VIEWS; `about` is the row, variant, category, runs.
+    """Every metric of the seeds of one row; `about` is the row, variant and category, `keys` those of the runs.
 
-    `scored` are `fidelity` of each seed, `errors` the `consistency` of each by the kind of viewpoint network.
+    `scored` is `fidelity` of each seed, `errors` the `consistency` of each by the kind of viewpoint network.
     """
     objects = [scores["model_id"].to_numpy() for scores in scored]
     values: dict[str, tuple[list[float], tuple[float, float] | None]] = {}
@@ -221,7 +205,7 @@ def _lines(
         bounds = metrics.bootstrap_intervals(seeds, objects, np.random.default_rng(0), draws)
         for statistic in HEADLINE:
             values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in seeds], bounds[statistic]
-    keys, nothing = about.pop("runs"), ([float("nan")], None)
+    nothing = [float("nan")], None
     return [
         {**about, "metric": m, **table_cells.measured(*values.get(m, nothing), objects), "runs": keys}
         for m in NOVEL_VIEWS

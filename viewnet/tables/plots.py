@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -29,15 +30,15 @@ STYLE: Any = {
     "pdf.fonttype": 42,  # TrueType: text stays text
     "svg.hashsalt": "viewnet",
 }
-COLUMN = 3.25  # inches: a column of the paper; the page is twice as wide and a gap
 INK = "#1f4e79"
 STYLES = {"none": "-", "procrustes": "-", "robust": "-.", "linear": "--", "per_angle": ":"}
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Told apart by colour-blind readers too (Okabe and Ito 2008)."""
+"""Distinct for colour-blind readers too (Okabe and Ito 2008)."""
 DASHES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 LOGGED = ("epoch", "step", "seconds", "loss", "val_reconstruction", "val_accuracy")
 """Columns of a run's log that are no term of its loss."""
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
+LEGEND: Any = {"loc": "outside right upper", "frameon": False, "fontsize": 7}
 
 
 def azimuth_scatter(runs: Sequence[Run]) -> Figure:
@@ -46,16 +47,14 @@ def azimuth_scatter(runs: Sequence[Run]) -> Figure:
     ViewnetError without runs.
     """
     if not runs:
-        raise ViewnetError("figure 3: no runs to show")
+        raise ViewnetError("figure 3: no runs to show: train some first")
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(2.2 * len(runs), 2.5), layout="constrained")
+        ticks = [0, 90, 180, 270, 360]
         for axes, run in zip(np.atleast_1d(figure.subplots(1, len(runs), sharey=True)), runs, strict=True):
-            aligned = align(run.predictions, run.alignment)
             axes.plot([0, 360], [0, 360], color="0.8", linewidth=0.6, zorder=0)
-            axes.scatter(*azimuths(aligned), s=2, linewidths=0, alpha=0.5, color=INK)
-            axes.set_title(run.config.category)
-            axes.set_xlabel("true azimuth (degrees)")
-            ticks = [0, 90, 180, 270, 360]
+            axes.scatter(*azimuths(align(run.predictions, run.alignment)), s=2, linewidths=0, alpha=0.5, color=INK)
+            axes.set(title=run.config.category, xlabel="true azimuth (degrees)")
             axes.set(xlim=(0, 360), ylim=(0, 360), xticks=ticks, yticks=ticks, aspect="equal")
         figure.axes[0].set_ylabel("predicted azimuth (degrees)")
     return figure
@@ -70,8 +69,8 @@ def azimuths(aligned: Aligned) -> tuple[Floats, Floats]:
 def training_curves(runs: Sequence[Run]) -> Figure:
     """Validation accuracy and error, the loss and each of its terms over epochs: a colour a variant, a dash a category.
 
-    Terms are weighted, so they sum to the loss; a term that a run does not have is not drawn. Seeds look alike. Raises
-    ViewnetError without runs, and for one that has not been validated yet.
+    Terms are weighted, so they sum to the loss. Seeds look alike. Raises ViewnetError without runs, and for a run that
+    has not been validated yet.
     """
     if not runs:
         raise ViewnetError("training curves: no runs to show: train some first")
@@ -79,15 +78,16 @@ def training_curves(runs: Sequence[Run]) -> Figure:
     for run, log in zip(runs, logs, strict=True):
         if log.empty:
             raise ViewnetError(f"{run.name}: its log is empty: wait for the first validation")
-    terms = dict.fromkeys(column for log in logs for column in log.columns if column not in LOGGED)
     titles = {
         "val_accuracy": "validation accuracy (%)",
         "val_reconstruction": "validation error",
         "loss": "training loss",
-        **{term: f"loss: {term}" for term in terms},
+        **{term: f"loss: {term}" for log in logs for term in log.columns if term not in LOGGED},
     }
     variants = list(dict.fromkeys(run.config.variant for run in runs))
     categories = list(dict.fromkeys(run.config.category for run in runs))
+    colours = {variant: COLOURS[i % len(COLOURS)] for i, variant in enumerate(variants)}
+    dashes = {category: DASHES[i % len(DASHES)] for i, category in enumerate(categories)}
     across = min(4, len(titles))
     down = -(-len(titles) // across)
     with matplotlib.rc_context(STYLE):
@@ -96,10 +96,8 @@ def training_curves(runs: Sequence[Run]) -> Figure:
         for axes, (column, title) in zip(grid, titles.items(), strict=False):
             for run, log in zip(runs, logs, strict=True):
                 if column in log:
-                    variant, category = run.config.variant, run.config.category
-                    colour = COLOURS[variants.index(variant) % len(COLOURS)]
-                    dash = DASHES[categories.index(category) % len(DASHES)]
-                    axes.plot(log["epoch"], log[column], dash, color=colour, linewidth=1, marker="o", markersize=2)
+                    style: Any = {"color": colours[run.config.variant], "linestyle": dashes[run.config.category]}
+                    axes.plot(log["epoch"], log[column], linewidth=1, marker="o", markersize=2, **style)
             axes.set_title(title, fontsize=8)
             axes.set_ylim(0, 100 if column == "val_accuracy" else None)
             axes.set_xlim(left=0)
@@ -107,16 +105,19 @@ def training_curves(runs: Sequence[Run]) -> Figure:
             axes.remove()
         for axes in grid[max(0, len(titles) - across) : len(titles)]:
             axes.set_xlabel("epoch")
-        figure.legend(handles=_legend(variants, categories), loc="outside right upper", frameon=False, fontsize=7)
+        handles = [Line2D([], [], color=colours[v], linewidth=1, label=LABELS.get(v, v)) for v in variants]
+        if len(categories) > 1:
+            handles += [Line2D([], [], color="0.3", linestyle=dashes[c], linewidth=1, label=c) for c in categories]
+        figure.legend(handles=handles, **LEGEND)
     return figure
 
 
-def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = ("acc30", "median", "dva")) -> Figure:
+def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = tuple(AXES)) -> Figure:
     """Scores over the number of calibration photographs, a row a metric and a column a category.
 
-    `scores` is viewnet.experiments.alignment_study.Study.scores: a line is the median over draws and seeds of a predictor (colour)
-    by an alignment (style), the shade from the lowest to the highest. What was fitted on the photographs is shown as it
-    is, without an alignment on top of that.
+    `scores` is `scores` of viewnet.experiments.alignment_study.Study: a line is the median over draws and seeds of a
+    predictor (colour) by an alignment (style), the shade from the lowest to the highest. Predictors that are fitted on
+    the photographs are shown without an alignment on top.
     """
     categories = list(dict.fromkeys(scores["category"]))
     fitted = set(scores.loc[scores["alignment"] == "none", "predictor"])
@@ -130,13 +131,11 @@ def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = ("acc30", 
                 continue
             colour, label = colours[predictor], predictor if kind == "none" else f"{predictor}, {kind}"
             style: Any = {"color": colour, "linestyle": STYLES[kind], "label": label}
-            for i, metric in enumerate(metrics):
-                for j, category in enumerate(categories):
-                    axes = grid[i, j]
-                    shown = rows[rows["category"] == category].groupby("images")[metric].agg(["median", "min", "max"])
-                    images = shown.index.to_numpy(dtype=float)
-                    axes.plot(images, shown["median"], linewidth=1, markersize=2, marker="o", **style)
-                    axes.fill_between(images, shown["min"], shown["max"], color=colour, alpha=0.1, linewidth=0)
+            for (i, metric), (j, category) in itertools.product(enumerate(metrics), enumerate(categories)):
+                shown = rows[rows["category"] == category].groupby("images")[metric].agg(["median", "min", "max"])
+                images, axes = shown.index.to_numpy(dtype=float), grid[i, j]
+                axes.plot(images, shown["median"], linewidth=1, markersize=2, marker="o", **style)
+                axes.fill_between(images, shown["min"], shown["max"], color=colour, alpha=0.1, linewidth=0)
         for j, category in enumerate(categories):
             grid[0, j].set_title(category)
             grid[0, j].set_xscale("log", base=2)
@@ -145,36 +144,31 @@ def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = ("acc30", 
         for i, metric in enumerate(metrics):
             grid[i, 0].set_ylabel(AXES[metric])
             grid[i, 0].set_ylim(bottom=0)
-        handles, labels = grid[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=7)
+        figure.legend(*grid[0, 0].get_legend_handles_labels(), **LEGEND)
     return figure
 
 
 def collapse_curves(collapse: pd.DataFrame) -> Figure:
-    """What linear alignment does the more one-sided photographs are, a colour a category and a style a predictor.
+    """Linear alignment over the one-sidedness of photographs, a colour a category and a style a predictor.
 
-    `collapse` is viewnet.experiments.alignment_study.Study.collapse. Left: how far aligned predictions are spread, as a share of
-    the true viewpoints' spread. Middle and right: the accuracy and the DVA that it adds to rigid alignment, in points.
+    `collapse` is `collapse` of viewnet.experiments.alignment_study.Study. Left: the spread of aligned predictions, as a
+    share of the true viewpoints' spread. Middle and right: the accuracy and the DVA added to rigid alignment, points.
     """
-    names = list(dict.fromkeys(collapse["predictor"]))
-    categories = list(dict.fromkeys(collapse["category"]))
-    styles = dict(zip(names, ["-", "--", ":", "-."] * len(names), strict=False))
-    shown = collapse.assign(
-        acc30=collapse["acc30_linear"] - collapse["acc30_rigid"], dva=collapse["dva_linear"] - collapse["dva_rigid"]
-    )
+    styles = dict(zip(dict.fromkeys(collapse["predictor"]), itertools.cycle(["-", "--", ":", "-."]), strict=False))
+    colours = {category: f"C{i}" for i, category in enumerate(dict.fromkeys(collapse["category"]))}
+    gains = {metric: collapse[f"{metric}_linear"] - collapse[f"{metric}_rigid"] for metric in ("acc30", "dva")}
     titles = {"spread_linear": "spread left", "acc30": "accuracy added, points", "dva": "DVA added, points"}
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.2, 2.5), layout="constrained")
         for axes, (column, title) in zip(figure.subplots(1, 3), titles.items(), strict=True):
             axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)
-            for (category, name), rows in shown.groupby(["category", "predictor"], sort=False):
+            for (category, predictor), rows in collapse.assign(**gains).groupby(["category", "predictor"], sort=False):
                 means = rows.groupby("concentration")[["side", column]].mean()
-                told = {"color": f"C{categories.index(category)}", "linestyle": styles[name]}
-                axes.plot(means["side"], means[column], linewidth=1, markersize=2.5, marker="o",
-                          label=f"{category}, {name}", **told)  # fmt: skip
-            axes.set_title(title)
-            axes.set_xlabel("share of the commonest 30 degrees")
-        figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False, fontsize=7)
+                style: Any = {"color": colours[category], "linestyle": styles[predictor]}
+                label = f"{category}, {predictor}"
+                axes.plot(means["side"], means[column], linewidth=1, markersize=2.5, marker="o", label=label, **style)
+            axes.set(title=title, xlabel="share of the commonest 30 degrees")
+        figure.legend(*figure.axes[0].get_legend_handles_labels(), **LEGEND)
     return figure
 
 
@@ -186,17 +180,3 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
             with replacing(path) as temporary:
                 figure.savefig(temporary, dpi=200, metadata=metadata)
     return files
-
-
-def _legend(variants: Sequence[str], categories: Sequence[str]) -> list[Line2D]:
-    """A line for each colour and, where there are several categories, one for each dash."""
-    named = [
-        Line2D([], [], color=COLOURS[i % len(COLOURS)], linewidth=1, label=LABELS.get(variant, variant))
-        for i, variant in enumerate(variants)
-    ]
-    if len(categories) > 1:
-        named += [
-            Line2D([], [], color="0.3", linestyle=DASHES[i % len(DASHES)], linewidth=1, label=category)
-            for i, category in enumerate(categories)
-        ]
-    return named

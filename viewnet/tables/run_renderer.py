@@ -1,4 +1,4 @@
-"""What a trained network draws of the objects in a view store, from viewpoints in the annotated frame."""
+"""A finished run as a renderer of its test objects: from any viewpoint, in the annotated frame."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SPLIT = "test"
 
 @dataclass(frozen=True)
 class RunRenderer(Painter):
-    """A trained network before the test views of a store, and the rotation between its frame and the annotated one.
+    """A trained network with the test views of a store, and the rotation from its own frame to the annotated one.
 
     Rows number the test views in the store's order, which is that of `aligned.predictions`.
     """
@@ -45,17 +45,17 @@ class RunRenderer(Painter):
 
     @classmethod
     def of(cls, folder: Path, store: ViewStore) -> RunRenderer:
-        """Of a finished run. Its rotation is fitted on the validation views of `store`, as in the tables.
+        """Of a finished run, aligned on the validation views of `store`, as in the tables.
 
-        Views of `store` are looked at again unless they are the run's own. Raises ViewnetError as
+        Viewpoints are predicted again unless the views are the run's own. Raises ViewnetError as
         viewnet.model.checkpoint.load_model and viewnet.evaluation.evaluate.align do.
         """
         network, config = load_model(folder)
-        kept, result = folder / "predictions.parquet", folder / "result.json"
-        told = read_json(result) if result.is_file() else None
-        own = kept.is_file() and isinstance(told, dict) and told.get("views") == store.identity
-        said = Predictions.from_parquet(kept) if own else predict(folder, store)
-        return cls(network, config, store, align(said))
+        saved, path = folder / "predictions.parquet", folder / "result.json"
+        result = read_json(path) if path.is_file() else None
+        own = saved.is_file() and isinstance(result, dict) and result.get("views") == store.identity
+        predictions = Predictions.from_parquet(saved) if own else predict(folder, store)
+        return cls(network, config, store, align(predictions))
 
     def __len__(self) -> int:
         return len(self.aligned.predictions)
@@ -68,67 +68,67 @@ class RunRenderer(Painter):
         return torch.tensor(self.aligned.alignment.rotation, dtype=torch.float32)
 
     @cached_property
-    def turn(self) -> float:
-        """Degrees to add to own azimuths to have annotated ones: the best turn about the vertical alone.
+    def azimuth_offset(self) -> float:
+        """Annotated minus own azimuths, degrees: the best rotation about the vertical alone.
 
-        Where a network has learned no common frame its rotation may lean anywhere; this leaves elevations as they are.
+        The full rotation of a network without a common frame may tilt objects; this one keeps elevations.
         """
-        said, true = self.aligned.calibration.selected[:, :2], self.aligned.calibration.truth[:, :2]
-        sine = (said[:, 0] * true[:, 1] - said[:, 1] * true[:, 0]).sum()
-        return float(np.degrees(np.arctan2(sine, (said * true).sum())))
+        predicted, true = self.aligned.calibration.selected[:, :2], self.aligned.calibration.truth[:, :2]
+        sine = (predicted[:, 0] * true[:, 1] - predicted[:, 1] * true[:, 0]).sum()
+        return float(np.degrees(np.arctan2(sine, (predicted * true).sum())))
 
     @cached_property
     def views(self) -> Views:
-        """The test views, at the larger of the sizes that the network reads and draws."""
+        """The test views, at the larger of the network's input and output sizes."""
         model = self.network.config
         return viewed(self.store, SPLIT, max(model.input_size, model.render_size), model)
 
     @cached_property
-    def _scenery(self) -> Tensor | None:
+    def _backgrounds(self) -> Tensor | None:
         if self.views.opaque:
             return None
         return augment.load(self.config.data, self.network.config.input_size, self.device)
 
     def images(self, rows: Sequence[int], size: int | None = None) -> Tensor:
-        """Test views (N, 4, S, S), RGB times alpha and alpha, of the size that the network draws unless told."""
+        """Test views (N, 4, S, S), RGB times alpha and alpha; by default of the network's output size."""
         size = self.network.config.render_size if size is None else size
         return self.views.images(torch.as_tensor(rows), size, self.device)
 
-    def shown(self, rows: Sequence[int]) -> np.ndarray:
-        """Test views (N, S, S, 3) uint8 before white, of the size that the network reads."""
+    def test_images(self, rows: Sequence[int]) -> np.ndarray:
+        """Test views (N, S, S, 3) uint8 on white, of the network's input size."""
         return shown(self.images(rows, self.network.config.input_size))
 
     def partners(self, rows: Sequence[int]) -> list[int]:
         """The next view of each view's object, or the view itself where there is no other."""
-        found: list[int] = self.views.partners(torch.as_tensor(rows)).tolist()
-        return found
+        partners: list[int] = self.views.partners(torch.as_tensor(rows)).tolist()
+        return partners
 
     @torch.no_grad()
-    def imagine(self, rows: Sequence[int]) -> Imagined:
-        """The objects in test views; before a background, always the same, for a run that was trained so."""
+    def encode(self, rows: Sequence[int]) -> Imagined:
+        """The objects in test views; on fixed backgrounds where the run was trained with backgrounds."""
         size, behind = self.network.config.input_size, None
-        if self._scenery is not None:
+        if self._backgrounds is not None:
             generator = torch.Generator().manual_seed(0)
-            behind = augment.behind(self._scenery, len(rows), size, generator, self.device)
+            behind = augment.behind(self._backgrounds, len(rows), size, generator, self.device)
         return Imagined(*self.network.imagine(self.images(rows, size), behind=behind))
 
     def level(self, azimuth: Tensor, elevation: Tensor) -> Tensor:
         """Own camera frames (..., 3, 3), held level, of annotated azimuths (...) and own elevations (...), degrees."""
-        return look_at(view_vector(azimuth - self.turn, elevation))
+        return look_at(view_vector(azimuth - self.azimuth_offset, elevation))
 
-    def answers(self, rows: Sequence[int]) -> Tensor:
+    def predicted_frames(self, rows: Sequence[int]) -> Tensor:
         """Own camera frames (N, 3, 3) of the viewpoints that the network selects for test views."""
-        said = self.aligned.predictions.take(list(rows))
-        ups = None if said.ups is None else torch.from_numpy(said.ups[np.arange(len(said)), said.choice])
-        return look_at(torch.from_numpy(np.array(said.selected)), ups).float()
+        rowwise = self.aligned.predictions.take(list(rows))
+        ups = None if rowwise.ups is None else torch.from_numpy(rowwise.ups[np.arange(len(rowwise)), rowwise.choice])
+        return look_at(torch.from_numpy(np.array(rowwise.selected)), ups).float()
 
     def reconstruct(self, rows: Sequence[int], size: int | None = None) -> Tensor:
-        """Test views drawn again (N, 4, S, S) from nothing but themselves: own appearance, selected viewpoint.
+        """Reconstructions (N, 4, S, S) of test views: own appearance, selected viewpoint.
 
-        Photographs are cut to their object, so drawings of them are too.
+        Photographs are cropped to their object, and so are their reconstructions.
         """
-        drawn = self.draw(self.imagine(rows), self.answers(rows), size)
-        return tight_crop(drawn, drawn.shape[-1], margin=0.0) if self.views.opaque else drawn
+        rendered = self.draw(self.encode(rows), self.predicted_frames(rows), size)
+        return tight_crop(rendered, rendered.shape[-1], margin=0.0) if self.views.opaque else rendered
 
 
 def own_views(run: Run) -> ViewStore:
@@ -139,14 +139,14 @@ def own_views(run: Run) -> ViewStore:
 
 
 Stores = Callable[[Run], ViewStore]
-"""Which views to show a run: its own (`own_views`), or photographs."""
+"""The views to use of a run: its own (`own_views`), or photographs."""
 
 
 def renderers(runs: Sequence[Run], stores: Stores = own_views) -> list[RunRenderer]:
-    """A drawer for each run. ViewnetError for none, and for a run that was not trained."""
+    """A renderer for each run. ViewnetError for no runs, and for a run that was not trained."""
     if not runs:
-        raise ViewnetError("no runs to draw with: train some first")
+        raise ViewnetError("no runs to render: train some first")
     for run in runs:
         if not run.trained:
-            raise ViewnetError(f"{run.name} draws nothing: choose a trained variant")
+            raise ViewnetError(f"{run.name} renders nothing: choose a trained variant")
     return [RunRenderer.of(run.folder, stores(run)) for run in runs]
