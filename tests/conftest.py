@@ -1,4 +1,4 @@
-"""Settings of the test session: made before anything is imported, handed on to kernels and worker processes."""
+"""Settings of the test session: set before any import, inherited by kernels and worker processes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import pytest
 from hypothesis import settings
 
-# Compiled kernels make a first example slow, so there is no deadline; the same examples are drawn every time.
+# Compiled kernels make a first example slow, so there is no deadline; examples are the same every time.
 settings.register_profile("viewnet", deadline=None, derandomize=True, max_examples=50, print_blob=True)
 settings.load_profile("viewnet")
 
 
 @pytest.fixture
 def one_thread():
-    """PyTorch on a single thread: where sums have to come out in one order."""
+    """PyTorch on a single thread, for sums in a fixed order."""
     import torch
 
     before = torch.get_num_threads()

@@ -76,7 +76,7 @@ def test_overrides_reach_their_section():
 
 
 def test_configurations_from_before_settings_were_grouped_are_read():
-    """As the models that come with the package hold them, and what others have saved."""
+    """As in the models that come with the package, and in models saved by users."""
     config = make_config("viewnet_cycle", recipe="photos", search=0.2, views_per_target=4)
     values = config.to_dict()
     flat = {name: at(values, place) for name, place in settings() if place[0] == "train"}

@@ -53,7 +53,7 @@ def test_angles_survive_the_way_to_a_vector_and_back(azimuth, elevation, length)
     a, e = azimuth_elevation(length * view_vector(tensor(azimuth), tensor(elevation)))
     assert 0 <= a < 360
     assert abs(e - elevation) < 1e-6
-    # Near a pole the azimuth is worth as little as the circle is long.
+    # Near a pole an error in azimuth counts as little as the circle is short.
     error = (a.item() - azimuth + 180) % 360 - 180
     assert abs(error) * math.cos(math.radians(elevation)) < 1e-9
 

@@ -1,4 +1,4 @@
-"""The textbook version computes what the package computes; what `viewnet bench` writes, and what it refuses."""
+"""The textbook version computes what the package computes; output of `viewnet bench`, and its errors."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_the_textbook_renderer_is_the_definition(occupancy):
 
 
 class Features(PerceptualLoss):
-    """Two taps of random layers in the place of ImageNet's."""
+    """Two taps of random layers instead of ImageNet's."""
 
     def __init__(self):
         torch.nn.Module.__init__(self)
@@ -78,7 +78,7 @@ def same(found, tolerance):
 
 
 def filled(net):
-    """Every voxel holds something: none is passed over."""
+    """No voxel is empty, so none is skipped."""
     net.decoder.last.bias[3] += 1.0
 
 
@@ -95,7 +95,7 @@ def test_the_compiled_step_is_the_textbook_s_where_nothing_is_empty():
     same(gradients(filled), 1e-3)
 
 
-# The machine's part
+# The roofline
 
 
 def test_layers_and_samples_are_counted():
@@ -108,7 +108,7 @@ def test_layers_and_samples_are_counted():
     rates = roofline.Rates(float32=1.0, bfloat16=1e-9, copy=1e30)
     assert need.seconds(rates) == pytest.approx(need.products)
     rotated = torch.zeros(1, 4, 4, 1, 2)
-    rotated[:, 3, 1:, 0, 0] = 1.0  # the first one takes all the light
+    rotated[:, 3, 1:, 0, 0] = 1.0  # the first one is opaque
     rotated[:, 3, ::2, 0, 1] = 0.5
     assert roofline.lit_samples(rotated) == 3
 

@@ -1,4 +1,4 @@
-"""benchmarks/predicting.py: every row is measured, and rates are of as many images as were given."""
+"""benchmarks/predicting.py: every row is measured, and rates are per image."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""benchmarks/switches.py: each switch is undone, and only that one; what is said of the curves."""
+"""benchmarks/switches.py: each switch changes one thing only; the summary of the curves."""
 
 from __future__ import annotations
 

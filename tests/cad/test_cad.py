@@ -231,7 +231,7 @@ def test_a_collection_has_the_layout_of_shapenet(tmp_path):
     }
     for row in table.itertuples():
         assert (tmp_path / row.synsetId / row.modelId / "models" / "model_normalized.obj").is_file()
-    # Hidden leftovers would be taken for models.
+    # Hidden leftovers must not count as models.
     assert {p.name for p in tmp_path.iterdir()} == {"all.csv", SYNSETS["car"], SYNSETS["train"]}
     assert all(len(list((tmp_path / SYNSETS[c]).iterdir())) == 20 for c in ("car", "train"))
 
@@ -331,7 +331,7 @@ def test_an_unknown_kind_is_named():
 
 
 def surface(builder: Builder, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
-    """Points spread evenly over the surface, in units of the diagonal, and their colours."""
+    """Points uniform on the surface, in units of the diagonal, and their colours."""
     corners = np.concatenate([p.vertices[p.faces] for p in builder.parts])
     colors = np.concatenate([np.tile(builder.materials[p.material].color, (len(p.faces), 1)) for p in builder.parts])
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

@@ -26,7 +26,7 @@ CATEGORIES = {
     "bottle": (bottle.bottle, bottle.KINDS),
 }
 ALL_KINDS = [(category, kind) for category, (_, kinds) in CATEGORIES.items() for kind in kinds]
-# Corner sofas, desks with drawers at one end and sets with their controls beside the tube are lopsided on purpose.
+# Corner sofas, desks with drawers at one end and sets with their controls beside the tube are asymmetric on purpose.
 LOPSIDED = {("sofa", "corner"), ("diningtable", "desk"), ("tvmonitor", "tube_set")}
 
 
@@ -35,7 +35,7 @@ def make(category: str, seed: int, kind: str | None = None) -> Builder:
 
 
 def samples(builder: Builder, count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
-    """Points spread evenly over the surface, in units of the model's diagonal, and their mean colours."""
+    """Points uniform on the surface, in units of the model's diagonal, and their mean colours."""
     corners = np.concatenate([p.vertices[p.faces] for p in builder.parts])
     colors = np.concatenate(
         [
@@ -74,7 +74,7 @@ def test_every_kind_makes_a_sound_small_model(category: str, kind: str) -> None:
         low, high = builder.bounds()
         assert np.isfinite(low).all()
         assert np.isfinite(high).all()
-        # It stands on the floor, and no side of it has vanished.
+        # It stands on the floor, and no side is missing.
         assert -0.03 < low[2] < 0.05
         assert (high - low).min() > 0.02 * (high - low).max()
         assert 20 < sum(len(p.faces) for p in builder.parts) < 2500

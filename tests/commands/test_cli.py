@@ -94,7 +94,7 @@ def test_a_notebook_s_kernel_is_told_the_cluster(monkeypatch, capsys):
 
 
 def test_render_makes_what_training_asks_for(folders, capsys, monkeypatch):
-    monkeypatch.undo()  # real views, of few pixels
+    monkeypatch.undo()  # real views, small ones
     monkeypatch.setenv("VIEWNET_DATA", str(folders / "data"))
     arguments = ["car", "--profile", "smoke", "-s", "models=10", "-s", "views=2", "-s", "image_size=16"]
     assert cli.main(["render", *arguments, "--workers", "1"]) == 0
@@ -173,7 +173,7 @@ def test_an_interruption_is_told(capsys, monkeypatch):
 
 @pytest.fixture
 def completed(tmp_path, capsys):
-    """What bash offers for a command line whose last word is begun."""
+    """Bash's completions for an incomplete last word."""
     if shutil.which("bash") is None:
         pytest.skip("bash is not installed")
     assert cli.main(["completion", "bash"]) == 0

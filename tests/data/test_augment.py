@@ -1,4 +1,4 @@
-"""Views made to look like photographs: what is behind them, how they are cut, and that the target stays as it is."""
+"""Photo augmentation: backgrounds, crops, and targets that stay unchanged."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def generator(seed: int = 0) -> torch.Generator:
 
 
 def things(count: int, size: int = 40) -> torch.Tensor:
-    """Red rectangles with CROP_MARGIN about them."""
+    """Red rectangles with CROP_MARGIN around them."""
     images = torch.zeros(count, 4, size, size)
     edge = round(size * CROP_MARGIN / (1 + 2 * CROP_MARGIN))
     images[:, [0, 3], edge : size - edge, edge : size - edge] = 1
@@ -37,7 +37,7 @@ def blue(count: int = 3) -> torch.Tensor:
 def test_nothing_stays_transparent_and_the_object_fills_its_box():
     seen = augment.photograph(things(8), blue(), PLAIN, generator())
     assert (seen[:, 3] == 1).all()
-    # A photograph's box has no margin: but for the outermost pixels all is object.
+    # A photograph's box has no margin: all but the outermost pixels are object.
     assert (seen[:, 0, 2:-2, 2:-2] > 0.99).all() and (seen[:, 2, 2:-2, 2:-2] < 0.01).all()
 
 
@@ -55,7 +55,7 @@ def test_windows_of_backgrounds_differ_and_stay_images():
     windows = augment.behind(ramp, 20, 32, generator(), torch.device("cpu"))
     assert windows.shape == (20, 3, 32, 32) and windows.min() >= 0 and windows.max() <= 1
     rising = windows[:, 0, 0, -1] > windows[:, 0, 0, 0]
-    assert 4 <= rising.sum() <= 16  # half of them in a mirror
+    assert 4 <= rising.sum() <= 16  # half of them mirrored
     assert windows[:, 0, 0].amin(1).std() > 0.05
 
 

@@ -1,4 +1,4 @@
-"""Backgrounds: drawn, from folders, from SUN397's layout; chosen evenly, the same each time, no loss silent."""
+"""Backgrounds: synthetic, from folders, from SUN397's layout; evenly sampled, reproducible, no silent losses."""
 
 from __future__ import annotations
 
@@ -74,14 +74,14 @@ def test_a_folder_is_read_with_all_folders_in_it(tmp_path):
 
 
 def test_the_square_lies_within_the_image_and_keeps_its_shape(tmp_path):
-    # Columns of one colour each: a cut that is not square, or left the image, would show other steps.
+    # Columns of one colour each: a crop that is not square, or left the image, would have other steps.
     columns = np.broadcast_to(np.arange(120, dtype=np.uint8)[None, :, None] * 2, (60, 120, 3))
     (tmp_path / "p").mkdir()
     for number in range(20):
         Image.fromarray(np.ascontiguousarray(columns)).save(tmp_path / "p" / f"{number}.png")
     made = load(str(tmp_path / "p"), 30)
     ramp = made.images[:, 0, 15].astype(float)
-    steps = (ramp[:, -1] - ramp[:, 0]) / 29 / 2  # columns of the image for one of the cut
+    steps = (ramp[:, -1] - ramp[:, 0]) / 29 / 2  # columns of the image per column of the crop
     assert (steps > 0.7 * 60 / 30 - 0.05).all() and (steps < 60 / 30 + 0.05).all() and steps.std() > 0.05
     assert len(np.unique(ramp[:, 0])) > 10
 

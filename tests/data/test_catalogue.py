@@ -1,4 +1,4 @@
-"""Which data there is to be had, and what copies of it are found to hold."""
+"""The catalogue of data sets, and the check of a copy."""
 
 from __future__ import annotations
 

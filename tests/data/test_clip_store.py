@@ -1,4 +1,4 @@
-"""Clips as view stores: what is cut out, what is left out, and training without viewpoints."""
+"""Clips as view stores: crops, rejected frames, and training without viewpoints."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def store_of(root: Path, clips: list[Clip], masks=None, crop: Crop = CROP, **set
     return clip_store(clips, folder, root, masks, crop, workers=1, **settings)
 
 
-# -- what is cut out
+# -- crops
 
 
 def test_frames_are_cut_out_by_their_masks(tmp_path):
@@ -137,7 +137,7 @@ def test_bounds_are_edges():
         bounds(np.zeros((6, 9), np.uint8))
 
 
-# -- what is left out
+# -- rejected frames
 
 
 def test_what_cannot_be_used_is_named_and_the_rest_is_used(tmp_path):
@@ -226,7 +226,7 @@ def test_the_store_is_known_by_what_decides_it(tmp_path):
     assert base not in [*others, describe([clip], FromFiles(), CROP)]
 
 
-# -- viewpoints that nobody annotated
+# -- unknown viewpoints
 
 
 def test_an_index_may_lack_whole_viewpoints_only():

@@ -1,4 +1,4 @@
-"""Frames of videos and of folders: which are picked, in which order they come, and what a damaged file costs."""
+"""Frames of videos and of folders: which are sampled, their order, and damaged files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from viewnet.errors import ViewnetError
 
 
 def greys(source: Path, numbers: list[int]) -> list[tuple[int, str, int]]:
-    """Number, name and how bright a frame is."""
+    """Number, name and brightness of frames."""
     found = []
     for number, name, image in stills(source, numbers):
         assert isinstance(image, Image.Image), image
@@ -73,7 +73,7 @@ def test_frames_are_picked_by_seed_and_name_or_evenly():
 
 def test_a_quarter_turn_counter_clockwise():
     image = Image.new("L", (3, 2), 0)
-    image.putpixel((2, 0), 255)  # the right upper corner comes to the left upper one
+    image.putpixel((2, 0), 255)  # the upper right corner becomes the upper left one
     turned = upright(image, -270)
     assert turned.size == (2, 3) and turned.getpixel((0, 0)) == 255
     assert upright(image, 0) is image

@@ -1,4 +1,4 @@
-"""Freiburg cars: its layout, its splits, its azimuths, and every kind of line and frame that cannot be used."""
+"""Freiburg cars: its layout, its splits, its azimuths, and every kind of unusable line and frame."""
 
 from __future__ import annotations
 

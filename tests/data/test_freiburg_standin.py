@@ -1,4 +1,4 @@
-"""The stand-in for Freiburg cars: its own layout, read as the data set would be, and made the same every time."""
+"""The stand-in for Freiburg cars: its layout, read like the data set, and reproducible."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_sequences_are_read_as_the_data_set_is(tmp_path, monkeypatch):
                 mask = follow(frame.number, file.stem, image) > 127
             x0, y0, x1, y1 = (round(value) for value in frame.box)
             filled = mask[y0:y1, x0:x1]
-            # A car fills much of its box, its mask is off by little, and nothing of it is elsewhere.
+            # A car fills much of its box, its mask is nearly right, and no part of it is elsewhere.
             assert 0.45 < filled.mean() < 0.98 and x1 - x0 > 40
             outside = mask.sum() - filled.sum()
             assert outside < 0.08 * mask.sum()

@@ -1,4 +1,4 @@
-"""Masks: read in every form they come in, found by networks, and the same object followed through a clip."""
+"""Masks: file formats, segmentation networks, and tracking one object through a clip."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_the_largest_object_is_followed_even_when_another_becomes_larger():
         objects((0, 9), (9, 15)),  # the first is, but the second is where it was
         objects(),
         objects((8, 14), (14, 20)),
-        objects((0, 2), (18, 19)),  # nothing where it was: the larger
+        objects((0, 2), (18, 19)),  # nothing at the old place: the larger
     ])  # fmt: skip
     follow = Predicted(lambda image: next(frames), {}).follow(clip())
     found = []
@@ -141,7 +141,7 @@ def test_mask_rcnn_gives_instances_of_the_category(tmp_path, monkeypatch):
     file = made_up(
         network,
         tmp_path / "maskrcnn.pth",
-        # Every proposal is surely a couch, and all of its box belongs to it.
+        # Every proposal is a couch with certainty, and its mask fills its box.
         roi_heads__box_predictor__cls_score__bias=20 * torch.eye(91)[names.index("couch")],
         roi_heads__mask_predictor__mask_fcn_logits__bias=torch.full((91,), 9.0),
     )

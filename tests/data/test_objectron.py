@@ -1,4 +1,4 @@
-"""Objectron: viewpoints known by hand, boxes, splits, what is left out and why, and damaged records."""
+"""Objectron: viewpoints computed by hand, boxes, splits, rejected frames with reasons, and damaged records."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FRONT = (0.0, 0.0, 4.0)
 
 
 def sensor(place, up=(0.0, 1.0, 0.0)) -> np.ndarray:
-    """Camera to world (4, 4) of an upright phone at `place` that looks at the world's origin."""
+    """Camera to world (4, 4) of an upright phone at `place` that points at the world's origin."""
     back = np.array(place) / np.linalg.norm(place)
     right = np.cross(up, back) / np.linalg.norm(np.cross(up, back))
     pose = np.eye(4)
@@ -75,7 +75,7 @@ def record(places=(FRONT,), rotation=None):
 
 
 def around(count, distance=4.0):
-    """Places at a quarter of a turn, in steps."""
+    """Positions along a quarter of a turn, in steps."""
     turns = np.linspace(0, np.pi / 2, count)
     return [(distance * math.sin(turn), 1.0, distance * math.cos(turn)) for turn in turns]
 
@@ -446,7 +446,7 @@ def test_no_values_break_the_reader(data):
 
 @pytest.fixture(scope="module")
 def stand_in(tmp_path_factory):
-    """A stand-in's folder, and the viewpoints (videos, 2, frames) that its images were drawn from."""
+    """A stand-in's folder, and the viewpoints (videos, 2, frames) of its images."""
     root, drawn = tmp_path_factory.mktemp("stand-in") / "root", []
     with pytest.MonkeyPatch.context() as patch:
         original = objectron_standin.camera_frames

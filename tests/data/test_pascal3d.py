@@ -1,4 +1,4 @@
-"""PASCAL3D+ read in its own layout: on the stand-in, and on records that are odd in every way the real ones are."""
+"""PASCAL3D+ in its own layout: the stand-in, and records with every oddity of the real ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photographs cut into view stores: where the cut lies, what is left out, and that the same is never cut twice."""
+"""Photographs cropped into view stores: crops, rejected objects, and that no store is made twice."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def folder(root: Path, *rows: str, header: str = "file,azimuth_deg,elevation_deg
     return root
 
 
-# -- cutting
+# -- crops
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_the_stand_in_becomes_a_store(monkeypatch, data):
             assert (root / row.source) == a.image_path
             with Image.open(a.image_path) as image:
                 assert (store.images[row.Index] == cut(image, a.box, Crop(32))).all()
-    # Found again without drawing, reading or cutting anything.
+    # Opened again without rendering, reading or cropping anything.
     monkeypatch.setattr(build, "stand_in", None)
     monkeypatch.setattr(photo_store, "photo_store", None)
     assert views(SMALL).folder == store.folder
@@ -155,7 +155,7 @@ def test_pascal3d_by_its_root_with_things_left_out(tmp_path):
     root = tmp_path / "PASCAL3D+_release1.1"
     write_stand_in(root, ["bus"], 2, 6, "both", workers=1, progress=False)
     (root / "Images/bus_imagenet/bus_val_00001.JPEG").write_bytes(
-        (root / "Images/bus_imagenet/bus_val_00001.JPEG").read_bytes()[:900]  # the header is whole
+        (root / "Images/bus_imagenet/bus_val_00001.JPEG").read_bytes()[:900]  # the header is complete
     )
     (root / "Annotations/bus_imagenet/bus_train_00002.mat").unlink()
     config = replace(SMALL, root=str(root))

@@ -1,4 +1,4 @@
-"""The CAD reader: layouts, splits, the OBJ and MTL dialects of real collections, and what it must refuse."""
+"""The CAD reader: layouts, splits, the OBJ and MTL dialects of real collections, and its errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CAR = SYNSETS["car"]
 
 
 def colour_towards(mesh: Mesh, direction: np.ndarray) -> tuple[float, ...]:
-    """Diffuse colour of the face that lies farthest out in a direction."""
+    """Diffuse colour of the outermost face in a direction."""
     centres = mesh.vertices[mesh.faces].mean(axis=1)
     return mesh.materials[mesh.material[np.argmax(centres @ direction)]].diffuse
 
@@ -246,7 +246,7 @@ def test_libraries_with_spaces_and_several_in_a_line(tmp_path: Path) -> None:
     assert [m.diffuse for m in read_obj(file).materials[1:]] == [(0, 1, 0), (0, 0, 1)]
 
 
-# What cannot be used
+# Unusable files
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 TEXTURED = "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n"
@@ -372,7 +372,7 @@ def write_csv(root: Path, rows: list[str], header: str = "id,synsetId,subSynsetI
 
 
 def test_official_list(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Ids stay text whatever they look like; what only one side has is counted."""
+    """Ids stay text whatever they look like; models without an id, and ids without a model, are counted."""
     collection(tmp_path, ["007", "1e5", "nan", "unlisted"])
     write_csv(
         tmp_path,

@@ -1,4 +1,4 @@
-"""View stores: what they refuse, and rendering that is the same however it was interrupted, ordered or shared."""
+"""View stores: errors, and rendering that is the same however it was interrupted, ordered or parallelised."""
 
 from __future__ import annotations
 
@@ -272,7 +272,7 @@ def test_a_killed_call_goes_on_from_what_is_done(
     with pytest.raises(KeyboardInterrupt):
         draw(models, tmp_path / "views")
     assert not (tmp_path / "views").exists()
-    # What another process was writing when it was killed is no obstacle.
+    # Leftovers of a killed process are no obstacle.
     half = tmp_path / ".views.partial" / ".00000004.npz.part-abcdefgh" / "00000004.npz"
     half.parent.mkdir()
     half.write_bytes(b"half")
@@ -424,7 +424,7 @@ def test_built_in_views_are_made_once(config: DataConfig, tmp_path: Path, monkey
     store = view_store(config, progress=False)
     assert len(store) == 20 and store.index["split"].value_counts().to_dict() == {"train": 14, "test": 4, "val": 2}
     assert len(store.rejected) == 0
-    # The collection may go: the views are found without it.
+    # The views are found even without the collection.
     shutil.rmtree(tmp_path / "data" / "cad")
     monkeypatch.setattr(build, "render_views", lambda *_, **__: pytest.fail("drawn again"))
     assert view_store(config, progress=False).folder == store.folder

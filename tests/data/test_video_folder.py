@@ -1,4 +1,4 @@
-"""Folders of videos and of frames: which become clips, of which split, and what is left out."""
+"""Folders of videos and of frames: clips, splits, and rejected files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the documents show of code and commands is so: commands are given, Python is run, and names exist."""
+"""Code and commands in the documents work: commands are parsed and run, Python runs, and names exist."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from viewnet.training.run_store import ensure
 
 KEY = "0123456789ab"
 FOREIGN = {"dask", "srun", "helm", "kubectl"}
-"""Programs of clusters, whose options are not ours to check."""
+"""Cluster programs, whose options are not checked."""
 OTHER = ("category,model_id,view,", "target  rgb alpha")
 """How blocks begin that are neither Python nor commands: a file's first lines, a formula."""
 HISTORY = "CHANGELOG.md"
-"""It names what is no longer there."""
+"""It names things that no longer exist."""
 
 BLOCKS = [(page, block) for page in PAGES for block in page.blocks]
 SPANS = [(page, span) for page in [*PAGES, *NOTEBOOKS] for span in dict.fromkeys(page.spans)]
@@ -94,7 +94,7 @@ def made(folder: Path, make) -> ViewStore:
 
 
 def photographs(world: Path):
-    """A few, as a store."""
+    """A few photographs, as a store."""
     return made(world / "photographs", lambda folder: make_photos(folder, size=32))
 
 
@@ -115,7 +115,7 @@ def moved(words: list[str], world: Path) -> list[str]:
 
 
 def obeyed(words: list[str], world: Path, monkeypatch) -> None:
-    """Give a command to `viewnet` with what takes long replaced: training, kernels, measurements and serving."""
+    """Run a `viewnet` command with its slow parts replaced: training, notebooks, measurements and serving."""
     asked = []
     page = SimpleNamespace(local_url="here", share_url=None, block_thread=lambda: None)
     monkeypatch.setattr("viewnet.commands.demo.start", lambda options: asked.append(options) or page)
@@ -125,7 +125,7 @@ def obeyed(words: list[str], world: Path, monkeypatch) -> None:
     monkeypatch.setattr("viewnet.bench.report.as_text", lambda found: "measured")
     monkeypatch.setattr("viewnet.bench.report.write", lambda found, folder: [folder])
     monkeypatch.setattr("viewnet.experiments.score_model.photo_views", lambda _: photographs(world))
-    # The last value of an option counts: two images of a turn are as good as 48.
+    # The last value of an option counts: two images of a turntable instead of 48.
     words, output = (words[:-2], words[-1]) if ">" in words else (words, os.devnull)
     if "--scores" in words:
         Path("scores.json").write_text(json.dumps(score_model.scores("KEY")))
@@ -168,7 +168,7 @@ def test_programs_are_there_and_have_the_options(words):
 
 
 def check_program(words: list[str]) -> str | None:
-    """What is wrong with a file of ours and its options."""
+    """The problem with one of the project's programs and its options, or None."""
     if not (ROOT / words[0]).is_file():
         return "no such file"
     source = (ROOT / words[0]).read_text()
@@ -191,7 +191,7 @@ def test_make_has_the_targets(words):
 
 
 def check_viewnet(words: list[str]) -> str | None:
-    """Whether a command within a sentence, often only its beginning, is one."""
+    """The problem with a command within a sentence, often only its beginning, or None."""
     try:
         cli.parser().parse_args(words if len(words) > 1 else [*words, "--help"])
     except SystemExit as ended:
@@ -208,7 +208,7 @@ def check_torchrun(words: list[str]) -> str | None:
 
 
 def check_pip(words: list[str]) -> str | None:
-    """Only ours: extras of the package."""
+    """Extras of the package only."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     asked = [re.fullmatch(r"(?:viewnet|\.)\[(\w+)\]", word) for word in words]
     unknown = [found[1] for found in asked if found and found[1] not in extras]
@@ -291,7 +291,7 @@ def strings(path: Path) -> set[str]:
 
 @functools.cache
 def package() -> set[str]:
-    """What the package's modules are called and hold."""
+    """Names of the package's modules, and every name and string in them."""
     modules = sorted((ROOT / "viewnet").rglob("*.py"))
     return {path.stem for path in modules}.union(*(strings(path) for path in modules))
 

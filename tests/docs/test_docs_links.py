@@ -1,4 +1,4 @@
-"""Every link of the documents leads somewhere."""
+"""Every link in the documents has a target."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ EXTERNAL = {"http", "https", "ftp"}
 
 
 def problem(link: str, source: Document) -> str | None:
-    """Why a link leads nowhere. Addresses outside of the project are only read, not asked for."""
+    """The problem with a link, or None. External addresses are parsed, not requested."""
     parts = urlsplit(link)
     if parts.scheme or parts.netloc:
         whole = parts.scheme in EXTERNAL and re.fullmatch(r"[\w-]+(\.[\w-]+)+", parts.hostname or "")

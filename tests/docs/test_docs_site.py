@@ -1,4 +1,4 @@
-"""The documentation as it is built: whole, with links that lead somewhere, and without a need for the network."""
+"""The built documentation: complete, with links that have targets, and without network access."""
 
 from __future__ import annotations
 

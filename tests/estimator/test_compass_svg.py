@@ -17,7 +17,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 def told(angles: list[tuple[float, float]], logits: list[float], aligned: bool = True) -> Viewpoint:
-    """What is said of one image, from the azimuth and elevation of each hypothesis."""
+    """The viewpoint of one image, from the azimuth and elevation of each hypothesis."""
     azimuth, elevation = torch.tensor(angles, dtype=torch.float64).T
     return Viewpoints.of(view_vector(azimuth, elevation)[None].numpy(), [logits], None, aligned)[0]
 
@@ -54,7 +54,7 @@ def test_the_camera_stands_at_the_side_that_it_sees_and_looks_at_the_object(azim
 def test_angles_can_be_read_off_the_drawings(azimuth, elevation):
     found = told([(azimuth, elevation)], [0.0])
     x, y = cameras(compass_svg.from_above(found))[1][0] - compass_svg.SIDE / 2
-    # The front is below, and azimuths run against the clock as seen from above.
+    # The front is below, and azimuths are counter-clockwise as seen from above.
     assert abs((math.degrees(math.atan2(x, y)) - azimuth + 180) % 360 - 180) < 0.1
     x, y = cameras(compass_svg.from_the_side(found))[1][0] - compass_svg.CENTRE
     assert math.degrees(math.atan2(-y, x)) == pytest.approx(elevation, abs=0.1)

@@ -1,4 +1,4 @@
-"""The page: what its events do, and all of it in a browser, where there is one (Debian: apt-get install chromium)."""
+"""The page: its event handlers, and all of it in a browser, if there is one (Debian: apt-get install chromium)."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def folder(tmp_path_factory):
 
 
 def look_closely(run):
-    """Have an untrained network say different things of different photographs: it learns how they vary."""
+    """Make an untrained network's predictions differ between photographs, by fitting its batch statistics to them."""
     network, config = load_model(run)
     size = config.model.input_size
     photos = torch.from_numpy(np.stack([photograph(size, size, seed) for seed in range(16)])).movedim(-1, 1) / 255
@@ -78,7 +78,7 @@ def page(estimator):
 
 
 def sent(file, name=None):
-    """A file as the browser hands it over."""
+    """A file as the browser uploads it."""
     return {"path": str(file), "orig_name": name or file.name}
 
 
@@ -170,7 +170,7 @@ def test_a_frame_of_its_own_is_said(folder, page):
 
 @pytest.fixture(scope="module")
 def reached():
-    """Addresses beyond this machine that the server asked for."""
+    """Addresses outside of this machine that the server contacted."""
     found, connect = [], socket.socket.connect
 
     def noted(self, address):
@@ -209,7 +209,7 @@ def browser():
 
 
 class Visit:
-    """A visitor's page, and what its browser asked for and complained of."""
+    """A visitor's page, with its browser's requests and error messages."""
 
     def __init__(self, tab, address):
         self.tab, self.requests, self.problems = tab, [], []
@@ -242,7 +242,7 @@ class Visit:
         self.box.fill(" ".join(map(str, box)))
 
     def find(self):
-        """Ask, and wait for what is said; azimuth, elevation and confidence."""
+        """Request a prediction and wait for it: azimuth, elevation and confidence."""
         self.tab.locator("#find").click()
         return self.answer()
 
@@ -257,7 +257,7 @@ class Visit:
             return np.asarray(file.convert("RGB"))
 
     def toast(self):
-        """The error that is told; it is closed."""
+        """The error message shown; closes it."""
         told = self.tab.locator(".toast-body.error")
         told.wait_for()
         text = told.inner_text()

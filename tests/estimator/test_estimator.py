@@ -80,7 +80,7 @@ def test_whatever_a_image_comes_as_it_is_the_same_image(tmp_path):
     Image.fromarray(array).save(tmp_path / "a.png")
     rotated = Image.fromarray(array).transpose(Image.Transpose.ROTATE_90)
     exif = Image.Exif()
-    exif[0x0112] = 6  # the camera was held so that the file has to be turned by 90 degrees clockwise
+    exif[0x0112] = 6  # the camera was held so that the image has to be rotated by 90 degrees clockwise
     rotated.save(tmp_path / "turned.png", exif=exif)
     expected = estimator.predict(array)
     for image in (
@@ -163,7 +163,7 @@ def test_what_is_beside_a_mask_is_seen_by_those_who_always_saw_something(images)
     assert (seen(photos, [image], mask) - seen(photos, [other], mask)).abs().max() > 0.5
     assert (seen(black, [image], mask) - seen(black, [other], mask)).abs().max() == 0
     assert same(photos.predict(other, mask), photos.predict(other, boxes=bounds(mask)))
-    # What is transparent has no colour of its own.
+    # Transparent pixels have no colour.
     clear = np.dstack([other, np.where(mask > 127, 255, 0).astype(np.uint8)])
     solid = np.where(mask[..., None] > 127, image, HIDDEN).astype(np.uint8)
     assert same(photos.predict(clear), photos.predict(solid, mask))
@@ -186,7 +186,7 @@ def test_filmed_objects_are_cut_out_as_frames_were():
     given = Given(Image.fromarray(photograph()), mask, bounds(mask))
     framing = Framing.of(make_config(profile="smoke", video=video))
     assert np.array_equal(viewed(given, framing).pixels, cut(given.image, given.box, Crop(48, 0.1), mask))
-    # Without masks in training there were none: frames were seen as they are, and so is the image.
+    # Trained without masks: frames were used as they are, and so is the image.
     framing = Framing.of(make_config(profile="smoke", video=replace(video, masks="none"), crop="square"))
     assert np.array_equal(viewed(given, framing).pixels, cut(given.image, given.box, Crop(64, 0.1)))
 

@@ -96,7 +96,7 @@ def test_saved_models_say_the_same_to_the_bit(run, images, tmp_path):
     assert np.array_equal(estimator.reconstruct(images), again.reconstruct(images))
     assert again.about == estimator.about
     assert again.config == estimator.config
-    # Saved from a saved one, and over another one.
+    # Saved from a saved model, and over another one.
     again.save_pretrained(tmp_path / "again")
     untrained(rotation=turned(90)).save_pretrained(tmp_path / "saved")
     again.save_pretrained(tmp_path / "saved")
@@ -210,7 +210,7 @@ def test_what_cannot_be_written_is_said(tmp_path):
 
 
 def cached(estimator: ViewpointEstimator, cache: Path, name: str) -> None:
-    """A model as the hub's library keeps what it has downloaded."""
+    """A model in the cache of the hub's library."""
     repository = cache / f"models--{name.replace('/', '--')}"
     estimator.save_pretrained(repository / "snapshots" / "c0ffee")
     (repository / "refs").mkdir()

@@ -1,4 +1,4 @@
-"""The models that come with the package: small, whole, and as good as is said of them."""
+"""The models that come with the package: small, complete, and as accurate as stated."""
 
 from __future__ import annotations
 

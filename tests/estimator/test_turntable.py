@@ -19,7 +19,7 @@ def renderer(tmp_path_factory):
 
 
 def marked(frame: np.ndarray) -> bool:
-    """Whether the drawing has its frame."""
+    """Whether the frame is highlighted."""
     return bool((frame[1, -10] == turntable.MARK).all())
 
 

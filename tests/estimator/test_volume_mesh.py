@@ -44,7 +44,7 @@ def test_sphere_has_its_volume():
     mesh = volume_mesh.surface(torch.cat([grid() / 2 + 0.5, ball[None]]))
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.01)
-    # Interpolated colours tell the place.
+    # Interpolated colours identify the position.
     told = np.asarray(mesh.visual.vertex_colors)[:, :3] / 255 * 2 - 1
     assert np.abs(told - mesh.vertices).max() < 1.5 / SIZE
 

@@ -68,14 +68,14 @@ def test_no_rotation_beats_the_fit_also_on_mirrored_predictions(seed):
     assert np.linalg.det(best) == pytest.approx(1)
     assert np.allclose(best @ best.T, np.eye(3), atol=1e-9)
     tries = [*Rotation.random(200, rng=rng).as_matrix(), np.eye(3)]
-    # Near misses of the fit too: it is a minimum and not only better than chance.
+    # Also small deviations from the fit: it is a minimum, not only better than random.
     tries += [best @ Rotation.from_rotvec(0.02 * rng.standard_normal(3)).as_matrix() for _ in range(50)]
     assert cost(best, p, truth) <= min(cost(r, p, truth) for r in tries) + 1e-9
 
 
 def test_mirrored_predictions_reach_the_cosine_of_the_right_formula():
     # On the paper's range of viewpoints a mirror image can be brought to a mean cosine of about 0.9, as the elevations
-    # are small: the mirror is mostly a reversal of azimuth, undone best by putting the sign on the vertical axis.
+    # are small: mirroring mostly reverses azimuth, best undone by flipping the vertical axis.
     truth = viewpoints(0, 4000)
     p = truth * [1, -1, 1]
     cosine = (Procrustes.fit(p, truth).apply(p) * truth).sum(1).mean()
@@ -87,7 +87,7 @@ def test_mirrored_predictions_reach_the_cosine_of_the_right_formula():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_robust_fit_follows_those_that_agree(seed):
-    # Photographs of cars: most from the front quarters, slightly from above, and every fourth taken for the back.
+    # Photographs of cars: most from the front quarters, slightly from above, every fourth predicted from the back.
     rng, turn = np.random.default_rng(seed), rotation(seed)
     azimuth, elevation = rng.choice([-35, 35], 60) + rng.normal(0, 8, 60), rng.normal(5, 5, 60)
     truth = true_vectors(pd.DataFrame({"azimuth": azimuth % 360, "elevation": elevation}))
@@ -117,7 +117,7 @@ def test_constant_predictions_are_turned_to_the_mean_direction_the_short_way():
 
 
 def test_affine_fit_shrinks_to_the_mean_of_biased_viewpoints():
-    # The paper's warning: with uninformative predictions and clustered viewpoints the regression answers the cluster.
+    # The paper's warning: with uninformative predictions and clustered viewpoints the regression gives the cluster.
     rng = np.random.default_rng(0)
     truth = np.array([1.0, 0, 0]) + 0.1 * rng.standard_normal((200, 3))
     truth /= np.linalg.norm(truth, axis=1, keepdims=True)

@@ -87,7 +87,7 @@ def test_what_has_no_mean_is_said():
 
 @pytest.fixture
 def readable():
-    """Photographs whose features are a linear function of the viewpoint, many that say nothing, and noise."""
+    """Photographs with features linear in the viewpoint, many uninformative ones, and noise."""
     rng = np.random.default_rng(0)
     index = photographs(rng.uniform(0, 360, 300), rng.uniform(-20, 40, 300))
     told = true_vectors(index) @ rng.standard_normal((3, 40)) * 20 + 100

@@ -1,4 +1,4 @@
-"""Files of predictions: read in any order, and refused with the first row at fault."""
+"""Files of predictions: rows in any order, and errors that name the first row at fault."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""viewnet tables: every notebook in turn, one that fails is told, and the page is written all the same."""
+"""viewnet tables: every notebook in turn; a failing one is reported, and the page is still written."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from viewnet.experiments.request import DESIGNS
 
 @pytest.fixture
 def ran(tmp_path, monkeypatch):
-    """Notebooks that are run in no time: name -> parameters; `table1_shapenet` fails."""
+    """Notebooks replaced by instant ones: name -> parameters; `table1_shapenet` fails."""
     for name in ("RUNS", "TABLES"):
         monkeypatch.setenv(f"VIEWNET_{name}", str(tmp_path / name.lower()))
     monkeypatch.delenv("VIEWNET_PROFILE", raising=False)

@@ -1,4 +1,4 @@
-"""The audit of printed constants: bounds that hold, verdicts that can come out either way, and the real list."""
+"""The audit of reported constants: bounds that hold, verdicts of both kinds, and the real list."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_means_of_viewpoints():
 
 @pytest.mark.slow
 def test_verdicts_tell_the_definition_that_was_used(monkeypatch):
-    """Numbers printed by one definition are reproduced by that one, and the two others are told apart from it."""
+    """Numbers computed by one definition are reproduced by it, and not by the two others."""
     rng = np.random.default_rng(0)
     views = rows(rng.normal(0, 35, 400) % 360, rng.normal(5, 8, 400))
     mine = errors_of(audit.mean_view(true_vectors(views))[None], views)[0]
@@ -89,7 +89,7 @@ def test_verdicts_tell_the_definition_that_was_used(monkeypatch):
 
 
 def test_the_printed_constants_of_table_2_are_no_geodesic_angles():
-    """Azimuths all around: of any 12 bins a constant gets at most a little over one right."""
+    """Azimuths all around: a constant is right in little more than one of any 12 bins."""
     even = audit.lattice()
     bound = audit.bounds(errors_of(audit._grid(around=False), even), even["azimuth"].to_numpy(), "geodesic")
     assert 13 < bound["acc30"] < 15

@@ -1,4 +1,4 @@
-"""The committed notebooks keep to their form, and the command that runs them checks before it starts anything."""
+"""The committed notebooks have the agreed form, and the command that runs them checks parameters first."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 PATHS = sorted(FOLDER.glob("*.ipynb"))
 IGNORED = "nbval-ignore-output"
 MEASURED = {"run", "table", "measured", "gain", "difference", "constant"}
-"""Cells whose outputs depend on what was trained: the only ones that are not compared."""
+"""Cells whose outputs depend on training: the only ones that are not compared."""
 WRITTEN = {("your_method", "method")}
 """Cells in which a reader writes code: the only ones with a class of their own."""
 

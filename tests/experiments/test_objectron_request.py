@@ -24,7 +24,7 @@ def folders(tmp_path, monkeypatch):
 
 @pytest.fixture
 def fakes(tmp_path, monkeypatch):
-    """Trainings, videos and photographs that are made up in a moment."""
+    """Fake trainings, videos and photographs."""
 
     def photo_views(config, workers=None, progress=True):
         folder = tmp_path / "photos"

@@ -1,4 +1,4 @@
-"""The overview page: every file of the folder is on it, as it is, and it needs nothing but itself."""
+"""The overview page: it shows every file of the folder unchanged, and is self-contained."""
 
 from __future__ import annotations
 
@@ -199,7 +199,7 @@ def test_a_folder_without_anything_is_told(tmp_path):
         page.write(tmp_path)
 
 
-# What is committed
+# The committed page
 
 
 @pytest.fixture(scope="module")

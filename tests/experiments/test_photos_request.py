@@ -26,7 +26,7 @@ def folders(tmp_path, monkeypatch):
 
 @pytest.fixture
 def photographs(tmp_path, monkeypatch):
-    """Photographs that are made up in a moment; asked for by their configurations."""
+    """Fake photographs, by their configurations."""
     asked: list[PhotoConfig] = []
 
     def views(config, workers=None, progress=True):
@@ -210,7 +210,7 @@ def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path
     assert table.provenance[keys["ViewNet*"]]["photographs"] == store.identity
     regression = table.provenance[keys["VGG view* (pixels)"]]
     assert (regression["backbone"], regression["ridge"], regression["calibration"]) == ("pixels", 1000, 30)
-    # Printed numbers stay with their rows, whatever the rows are called.
+    # Reported numbers stay with their rows, whatever the rows are called.
     assert table.cell("VGG view* (pixels)", "car", "acc30")["printed"] == "56"
     assert table.cell("Liao (withdrawn)", "car", "acc30")["printed"] == "93"
     assert table.cell("SSV*", "car", "acc30")["seeds"] == 0

@@ -1,4 +1,4 @@
-"""viewnet evaluate: a run and the model saved from it score alike, and what is scored decides no alignment."""
+"""viewnet evaluate: a run and the model saved from it have equal scores; alignment never uses scored images."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def steps_of(store):
 
 
 def close(one, other) -> bool:
-    """Whether two scores are alike."""
+    """Whether two scores are equal up to rounding."""
     return all(one[name] == pytest.approx(other[name], abs=1e-3) for name in ("acc30", "median", "dva", "flips"))
 
 
@@ -136,7 +136,7 @@ def test_the_card_of_a_saved_model_tells_scores_on_photographs(run, store, tmp_p
     assert "| licence of the weights | cc0-1.0 |" in card
     (kept,) = ViewpointEstimator.from_pretrained(tmp_path / "saved").about["scores"]
     assert kept["alignments"]["robust"]["intervals"] == found["alignments"]["robust"]["intervals"]
-    # It is known whose scores they are, also after saving.
+    # Scores name their run, also after saving.
     again = scores(str(tmp_path / "saved"), Elsewhere(str(place)))
     assert again["key"] == KEY
     assert close(again["alignments"]["procrustes"], found["alignments"]["procrustes"])

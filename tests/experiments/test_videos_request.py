@@ -39,7 +39,7 @@ def freiburg(tmp_path) -> str:
 
 @pytest.fixture
 def fakes(tmp_path, monkeypatch):
-    """Trainings and photographs that are made up in a moment."""
+    """Fake trainings and photographs."""
 
     def photo_views(config, workers=None, progress=True):
         folder = tmp_path / "photos"

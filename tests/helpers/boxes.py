@@ -1,4 +1,4 @@
-"""Objects made of coloured boxes: as a mesh, as a volume of the same space, and drawn into a small view store."""
+"""Objects made of coloured boxes: as a mesh, as a volume of the same space, and rendered into a small view store."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def box_volume(boxes: Sequence[Box], size: int) -> torch.Tensor:
 
 
 def box_store(folder: Path, models: dict[str, int], views: int = 4, size: int = 32, seed: int = 0) -> ViewStore:
-    """A view store of made-up box objects: `models` of each split, drawn from random viewpoints."""
+    """A view store of synthetic box objects: `models` of each split, rendered from random viewpoints."""
     rng = np.random.default_rng(seed)
     rows, batches = [], []
     for split, count in models.items():

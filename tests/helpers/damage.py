@@ -1,4 +1,4 @@
-"""Ways to spoil a file, as hypothesis strategies: of its bytes, and of what a well-formed one holds."""
+"""Ways to damage a file, as hypothesis strategies: of its bytes, or of a well-formed file's content."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def _overwritten(draw: Callable[[Any], Any], content: bytes) -> bytes:
 
 
 def _numbered(draw: Callable[[Any], Any], content: bytes) -> bytes:
-    """With a number that is written out replaced by an extreme one."""
+    """With a number in the text replaced by an extreme one."""
     begins = [i for i, c in enumerate(content[:20_000]) if c in DIGITS and (i == 0 or content[i - 1] not in DIGITS)]
     if not begins:
         return content

@@ -1,4 +1,4 @@
-"""The project's prose as data: its Markdown files, and the Markdown cells of its notebooks."""
+"""The project's documents as data: Markdown files, and the Markdown cells of notebooks."""
 
 from __future__ import annotations
 

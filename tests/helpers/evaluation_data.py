@@ -1,4 +1,4 @@
-"""Made-up view stores' indices and predictions for the tests of everything right of the checkpoint."""
+"""Synthetic indices of view stores and predictions, for tests of everything after the checkpoint."""
 
 from __future__ import annotations
 

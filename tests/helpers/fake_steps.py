@@ -89,11 +89,11 @@ STEPS = Steps(views, open_store, train, predict)
 
 
 def plan(folder: Path, **what: str) -> None:
-    """What is to become of runs: `seed0="..."` of the one with seed 0, in the data folder below `folder`."""
+    """The plan for fake runs: `seed0="..."` for the one with seed 0, in the data folder below `folder`."""
     (folder / "data").mkdir(exist_ok=True)
     (folder / "data" / "plan.json").write_text(json.dumps({k.removeprefix("seed"): v for k, v in what.items()}))
 
 
 def calls(folder: Path) -> list[str]:
-    """The trainings that were begun so far, in order of their names."""
+    """The trainings started so far, by name."""
     return sorted(p.name.rsplit("-", 1)[0] for p in (folder / "data" / "calls").glob("*"))

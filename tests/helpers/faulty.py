@@ -1,4 +1,4 @@
-"""Disks that are full, folders that may not be written to, clocks that are wrong, numbers that are none."""
+"""Simulated faults: full disks, read-only folders, wrong clocks, NaN."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from viewnet.training import train as training
 
 @contextlib.contextmanager
 def file_limit(size: int) -> Iterator[None]:
-    """No file of this process may grow beyond so many bytes: writing fails as on a full disk, by another number."""
+    """Limit the size of this process's files in bytes: writing fails as on a full disk, with another errno."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -47,7 +47,7 @@ def small_disk(folder: Path, size: int) -> Iterator[None]:
 
 
 def grow(folder: Path, size: int) -> None:
-    """Give a `small_disk` so many bytes."""
+    """Set the size of a `small_disk` in bytes."""
     subprocess.run(["mount", "-o", f"remount,size={size}", folder], check=True)
 
 
@@ -74,14 +74,14 @@ def read_only(folder: Path) -> Iterator[None]:
 
 
 def date_files(folder: Path, when: float) -> None:
-    """Say of all files and folders that they are of this time, in seconds since 1970."""
+    """Set the times of all files and folders, in seconds since 1970."""
     for path in (folder, *folder.rglob("*")):
         os.utime(path, (when, when))
 
 
 @contextlib.contextmanager
 def clock_going_back() -> Iterator[None]:
-    """Each time it is asked Python's clock is an hour behind what it said before."""
+    """Each reading of Python's clock is an hour before the previous one."""
     now, asked = time.time(), iter(range(1, 10**9))
     with (
         mock.patch.object(time, "time", lambda: now - 3600.0 * next(asked)),
@@ -92,7 +92,7 @@ def clock_going_back() -> Iterator[None]:
 
 @contextlib.contextmanager
 def loss_after(steps: int, value: float) -> Iterator[None]:
-    """After so many steps a training's loss is `value`."""
+    """Make a training's loss `value` after some steps."""
     left, real = iter(range(steps)), training.step_loss
 
     def step_loss(*arguments, **options) -> dict[str, torch.Tensor]:
@@ -107,7 +107,7 @@ def loss_after(steps: int, value: float) -> Iterator[None]:
 
 @contextlib.contextmanager
 def weights_spoilt_at(step: int) -> Iterator[None]:
-    """The step of this number, from 1, leaves a weight that is NaN."""
+    """Make one weight NaN after this step, counted from 1."""
     steps, real = iter(range(1, step + 1)), torch.optim.Adam.step
 
     def spoiling(self: torch.optim.Adam, *arguments) -> None:

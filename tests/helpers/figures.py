@@ -1,4 +1,4 @@
-"""What image grids show, and whether it fits."""
+"""The content of image grids, and whether it fits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 
 def images(figure) -> list[list[np.ndarray | None]]:
-    """What is shown, line by line; None where nothing is."""
+    """The images, row by row; None for an empty cell."""
     found: dict[int, list[np.ndarray | None]] = {}
     for axes in figure.axes:
         line = int(axes.get_label().split()[0])
@@ -16,7 +16,7 @@ def images(figure) -> list[list[np.ndarray | None]]:
 
 
 def inside(figure) -> bool:
-    """Whether no text is cut off by the figure's edge."""
+    """Whether all text lies within the figure."""
     renderer, room = FigureCanvasAgg(figure).get_renderer(), figure.bbox
     boxes = [axes.get_tightbbox(renderer) for axes in figure.axes]
     return all(b.x0 >= 0 and b.y0 >= 0 and b.x1 <= room.x1 and b.y1 <= room.y1 for b in boxes)

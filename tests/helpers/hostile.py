@@ -1,4 +1,4 @@
-"""Files made to do harm: by what they claim, by what they name, by what would be executed if they were believed."""
+"""Malicious files: false sizes, references to other files, and code that unpickling would execute."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Case:
 
 
 def put(place: str, content: bytes | Callable[[bytes], bytes]) -> Callable[[Path], Path]:
-    """Another content of the file at a place, a pattern, or one made of the present content."""
+    """Replace a file's content; `place` may be a pattern, and the content a function of the present one."""
 
     def spoil(folder: Path) -> Path:
         (file,) = sorted(folder.glob(place))[:1]
@@ -50,7 +50,7 @@ def put(place: str, content: bytes | Callable[[bytes], bytes]) -> Callable[[Path
 
 
 class _Harm:
-    """Unpickled, it makes a folder."""
+    """Creates a folder when unpickled."""
 
     def __init__(self, place: Path) -> None:
         self.place = place
@@ -60,7 +60,7 @@ class _Harm:
 
 
 def executing(place: str, save: Callable[[Any], bytes]) -> Callable[[Path], Path]:
-    """A file that makes a folder if it is unpickled."""
+    """A file that creates a folder when unpickled."""
 
     def spoil(folder: Path) -> Path:
         return put(place, save(_Harm(folder.parent / CANARY)))(folder)
@@ -72,7 +72,7 @@ def executing(place: str, save: Callable[[Any], bytes]) -> Callable[[Path], Path
 
 
 def png(width: int, height: int, rows: bytes = b"") -> bytes:
-    """A grey image that claims a size, whatever it holds."""
+    """A grey image whose header claims a size."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -161,7 +161,7 @@ def torch_file(value: Any) -> bytes:
 
 
 def torch_bomb(content: bytes) -> bytes:
-    """The same file, compressed, with 128 MB of zeros in its storage: they could be any number of GB."""
+    """The same file, compressed, with 128 MB of zeros in its storage; it could be many GB."""
     target = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(content)) as source, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as to:
         for name in source.namelist():
@@ -173,7 +173,7 @@ def torch_bomb(content: bytes) -> bytes:
 
 
 def configured(**model: Any) -> Callable[[bytes], bytes]:
-    """A checkpoint whose network is said to be another."""
+    """A checkpoint whose configuration is another network's."""
 
     def change(content: bytes) -> bytes:
         size = struct.unpack("<Q", content[:8])[0]
@@ -228,7 +228,7 @@ def linked_texture(folder: Path) -> Path:
 
 
 def many_textures(folder: Path) -> Path:
-    """More materials with a texture than are drawn from memory."""
+    """More textured materials than are rendered from memory."""
     names = [f"m{i}" for i in range(1_001)]
     file = put(MTL, after("".join(f"newmtl {n}\nmap_Kd ../images/texture.png\n" for n in names).encode()))(folder)
     put(OBJ, after("".join(f"usemtl {n}\nf 1/1 2/2 3/3\n" for n in names).encode()))(folder)

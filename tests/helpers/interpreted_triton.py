@@ -1,4 +1,4 @@
-"""The kernels' logic, run by Triton's interpreter on the processor, in a process that test_volume_triton starts.
+"""The kernels' logic, run by Triton's interpreter on the CPU, in a process that test_volume_triton starts.
 
 Triton decides for or against its interpreter when it is imported, so pytest does not collect this file by itself.
 """
@@ -20,7 +20,7 @@ assert os.environ.get("TRITON_INTERPRET") == "1", "to be run by test_volume_trit
 
 
 def speed_up_the_interpreter() -> None:
-    """Minutes become seconds, and the results stay.
+    """Minutes become seconds, with the same results.
 
     At every call of one kernel function by another the interpreter wraps the whole language again, around the wrappers
     that are there already: each call is slower than the last. Once is enough. Nor is every sum of two integers worth a
@@ -62,7 +62,7 @@ def test_the_kernels_are_the_definition(case):
     check_against_definition(render, case)
 
 
-FIND = (Phase.explicit, Phase.generate)  # an example takes seconds: none is made smaller
+FIND = (Phase.explicit, Phase.generate)  # an example takes seconds, so there is no shrinking
 
 
 @pytest.mark.slow

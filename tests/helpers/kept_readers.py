@@ -1,4 +1,4 @@
-"""Readers of what the package itself keeps: view stores, runs, checkpoints, weights, tables, notebooks."""
+"""Readers of the package's own files: view stores, runs, checkpoints, weights, tables, notebooks."""
 
 from __future__ import annotations
 

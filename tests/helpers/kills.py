@@ -1,4 +1,4 @@
-"""Killing a process with all that it started, at a moment of its work."""
+"""Killing a process and all of its children at some moment of its work."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ import psutil
 from helpers.works import Work, damage, differences
 
 PATIENCE = 1800
-"""Seconds after which work that does not end counts as hung."""
+"""Seconds after which unfinished work counts as hung."""
 
 
 @dataclass
 class Tally:
-    """What came of the kills of one kind of work."""
+    """Counts of kills of one kind of work, and of their outcomes."""
 
     seconds: float = 0.0  # of undisturbed work
-    trials: int = 0  # pieces of work that were begun, killed once or more and done to the end
+    trials: int = 0  # pieces of work that were killed once or more and then finished
     kills: int = 0
-    resumed: int = 0  # kills of a call that went on from a kill
-    late: int = 0  # moments at which the work had ended: nothing was killed
+    resumed: int = 0  # kills of a call that was resuming after a kill
+    late: int = 0  # moments after the work had ended: nothing was killed
     phases: Counter[str] = field(default_factory=Counter)
-    identical: int = 0  # trials whose end is that of undisturbed work
+    identical: int = 0  # trials with the same result as undisturbed work
     problems: list[str] = field(default_factory=list)
 
 
@@ -62,13 +62,13 @@ def kill_all(process: Popen[bytes]) -> bool:
 
 
 def finish(work: Work, root: Path, data: Path | None) -> None:
-    """Do the work to its end; AssertionError with what it said where it fails."""
+    """Finish the work; AssertionError with its output if it fails."""
     if work.start(root, data).wait(PATIENCE):
         raise AssertionError(f"{work.name}: {(root / 'output.txt').read_text()[-2000:]}")
 
 
 def undisturbed(work: Work, root: Path, data: Path | None) -> float:
-    """Do the work once; the seconds from its first lock to its end."""
+    """Do the work once and return the seconds from its first lock to its end."""
     process = work.start(root, data)
     begun(root, process)
     start = time.perf_counter()

@@ -6,7 +6,7 @@ import re
 
 
 def assert_tabular(text: str) -> None:
-    """Structure that TeX would insist on: environments, braces, cells a row, known commands only."""
+    """Check what TeX would reject: environments, braces, cells per row, unknown commands."""
     begun = re.findall(r"\\begin\{(\w+)\}", text)
     assert begun == re.findall(r"\\end\{(\w+)\}", text) == ["tabular"]
     bare = re.sub(r"\\[{}]", "", text)

@@ -1,4 +1,4 @@
-"""Made-up photographs: view stores in which an image tells where it was taken from."""
+"""Synthetic photographs: view stores whose images encode their viewpoint."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from viewnet.evaluation import features
 
 
 def keep_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Runs, data, tables and weights of a test in `tmp_path`, whatever the environment says; small features."""
+    """Put runs, data, tables and weights of a test into `tmp_path`, whatever the environment; small features."""
     monkeypatch.delenv("VIEWNET_PROFILE", raising=False)
     for name in ("VIEWNET_VGG16_WEIGHTS", "VIEWNET_SQUEEZENET_WEIGHTS"):
         monkeypatch.delenv(name, raising=False)
@@ -29,7 +29,7 @@ def make_photos(
 ) -> ViewStore:
     """`count` photographs, half to calibrate on ("val") and half to score ("test"), azimuths within `spread` of 0.
 
-    A bright square stands where the azimuth says, and is as bright as the elevation says.
+    The position of a bright square encodes the azimuth, its brightness the elevation.
     """
     rng = np.random.default_rng(seed)
     azimuth, elevation = rng.uniform(-spread, spread, count), rng.uniform(-10, 30, count)

@@ -1,4 +1,4 @@
-"""Every reader of the package: how to write a small valid input for it, how to read that, and which files to spoil."""
+"""Every reader of the package: how to write a small valid input for it, how to read it, and which files to damage."""
 
 from __future__ import annotations
 
@@ -45,18 +45,18 @@ class Reader:
     names: tuple[str, ...] = field(default=())
 
     def spoilt(self, folder: Path) -> list[tuple[Path, Rewriter | None]]:
-        """The files that are there, with their strategies."""
+        """The files that exist, with their strategies."""
         found = [(path, other) for pattern, other in self.files.items() for path in sorted(folder.glob(pattern))]
         assert len({path for path, _ in found}) >= len(self.files), f"{self.name}: a file is missing"
         return found
 
     def places(self, folder: Path, file: Path) -> list[str]:
-        """What a message may name when `file` is spoilt."""
+        """What a message may name when `file` is damaged."""
         return [str(file), *(name.format(folder=folder) for name in self.names)]
 
 
 def contents(original: bytes, other: Rewriter | None) -> st.SearchStrategy[bytes]:
-    """Spoilt versions of a file."""
+    """Damaged versions of a file."""
     if other is None:
         return damaged(original)
     return st.one_of(damaged(original), other(original))
@@ -74,13 +74,13 @@ def placed(files: Mapping[str, bytes]) -> Callable[[Path], None]:
 
 
 def fresh(make: Callable[[], Any]) -> Any:
-    """`make()` with a data folder of its own, so that nothing that was made before is found."""
+    """`make()` with a new data folder, so that nothing is reused."""
     with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, VIEWNET_DATA=folder):
         return make()
 
 
 def check_store(store: ViewStore) -> str:
-    """What everything that reads view stores relies on. Returns what was left out, in words."""
+    """Check what all readers of view stores rely on. Returns what was rejected, in words."""
     index = store.index
     assert len(store) == len(index) > 0 and store.images.dtype == np.uint8
     assert int(np.asarray(store.images[-1]).max()) <= 255
@@ -222,7 +222,7 @@ def _pascal3d(root: Path) -> None:
             image = Image.fromarray(np.random.default_rng(number).integers(0, 255, (24, 32, 3), dtype=np.uint8))
             pascal3d_standin._write(root, "car", "imagenet", name, image, [_thing(), _thing(difficult=1)])
         pascal3d_standin._write_list(root, "car", "imagenet", split, names)
-    # One record without compression, in which damage is not just told by a checksum.
+    # One record without compression, in which damage is not caught by a checksum.
     path = pascal3d.annotation_file(root, "car", "imagenet", "n0_0")
     scipy.io.savemat(path, {"record": {"objects": _thing(), "imgsize": np.array([32.0, 24, 3])}})
 

@@ -1,4 +1,4 @@
-"""What every reader promises, whatever its file holds: a result or a ViewnetError that names it, in bounded memory."""
+"""The guarantee of every reader, for any file: a result or a ViewnetError that names it, in bounded memory."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pathlib import Path
 from viewnet.errors import ViewnetError
 
 PEAK = 2**30
-"""Bytes of memory that reading one small file may hold beside what was there before."""
+"""Bytes of additional memory that reading one small file may use."""
 ROOM = 3 * 2**30
-"""Bytes of address space it may ask for: beyond, the machine is protected by a MemoryError."""
+"""Bytes of address space it may request; beyond that a MemoryError protects the machine."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a call ended: its result or the ViewnetError it raised, processor seconds, bytes at the peak."""
+    """How a call ended: its result or the ViewnetError it raised, CPU seconds, peak bytes."""
 
     result: object
     error: ViewnetError | None
@@ -29,7 +29,7 @@ class Outcome:
 
 
 class Broken(AssertionError):
-    """A reader did not keep its promise."""
+    """A reader broke the guarantee."""
 
 
 def survives(call: Callable[[], object], names: Iterable[str]) -> Outcome:
@@ -65,7 +65,7 @@ def survives(call: Callable[[], object], names: Iterable[str]) -> Outcome:
 
 
 def _check(message: str, names: list[str]) -> None:
-    """One line of a readable length that can be printed and names the file."""
+    """Check that it is one printable line of a readable length that names the file."""
     if not any(name in message for name in names):
         raise Broken(f"names none of {names}: {message[:300]!r}")
     if len(message) > 2000:

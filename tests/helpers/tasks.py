@@ -1,4 +1,4 @@
-"""Work done in this process, step upon step: views are drawn, a run is trained on them, a table is made of runs."""
+"""Work done in this process, one step after another: views are rendered, a run is trained, a table is made."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Task:
         return self.makes.split("/")[0]
 
     def message(self) -> str:
-        """Do it: what a ViewnetError said, "" where it came to its end. Other errors are raised."""
+        """Do it; the message of a ViewnetError, "" if it finished. Other errors are raised."""
         try:
             self.act()
         except ViewnetError as error:
@@ -70,7 +70,7 @@ TASKS = (
     Task("training", "runs/viewnet", lambda: train(config())),
     Task("table", "tables", _tabulate),
 )
-"""Each needs what those before it have made."""
+"""Each needs the results of those before it."""
 
 
 @contextlib.contextmanager
@@ -83,7 +83,7 @@ def at(root: Path, reference: Path, task: Task) -> Iterator[None]:
 
 @contextlib.contextmanager
 def one_processor() -> Iterator[None]:
-    """With more a training has more threads, and other bits."""
+    """With more, a training has more threads and gives other bits."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(before)})
     try:

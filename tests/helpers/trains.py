@@ -33,7 +33,7 @@ class Recorder(torch.optim.SGD):
     def step(self, closure: Any = None) -> None:
         weights = self.param_groups[0]["params"]
         found = {self.names[id(weight)]: weight.grad.clone() for weight in weights if weight.grad is not None}
-        if last():  # which has them as well as the first
+        if last():  # which has the same ones as the first
             torch.save(found, self.file)
 
 
@@ -42,7 +42,7 @@ def last() -> bool:
 
 
 def one_step(task: dict[str, Any], folder: Path) -> list[Any]:
-    """A step of a training of which the share `progress` is done; alone with our normalisation, which rounds less."""
+    """A step of a training at the share `progress`; alone with the normalisation of viewnet, which rounds less."""
 
     def together(model: torch.nn.Module) -> None:
         TOGETHER(model)
@@ -62,7 +62,7 @@ def one_step(task: dict[str, Any], folder: Path) -> list[Any]:
 
 
 def failing(kind: str, steps: int) -> Any:
-    """After so many steps the last process dies, or its loss is not a number."""
+    """Make the last process die, or its loss NaN, after some steps."""
     left = iter(range(steps))
 
     def step_loss(*arguments: Any) -> Any:

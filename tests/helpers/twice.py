@@ -1,4 +1,4 @@
-"""Two processes that ask for the same thing at the same moment."""
+"""Two processes that need the same thing at the same moment."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from helpers import works
 
 @dataclass(frozen=True)
 class Answer:
-    """What one of the two did itself, whether it waited for the other, and what it then read: name -> digest."""
+    """What one of the two made itself, whether it waited for the other, and what it then read: name -> digest."""
 
     made: int
     waited: bool
@@ -28,7 +28,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Pair:
-    """What came of a question: how often it was worked on, by how many, and whether both read the same whole files."""
+    """The outcome: how often the work was done, by how many, and whether both read the same complete files."""
 
     made: int
     makers: int
@@ -38,7 +38,7 @@ class Pair:
 
 
 def ask_for_run(root: Path) -> tuple[int, Path]:
-    """A run of the profile smoke; how many trainings this process began, and the run's folder."""
+    """A run of the profile smoke; the number of trainings this process started, and the run's folder."""
     from viewnet.recipes import make_config
     from viewnet.training import make_run, run_store
 
@@ -56,7 +56,7 @@ def ask_for_run(root: Path) -> tuple[int, Path]:
 
 
 def ask_for_views(root: Path) -> tuple[int, Path]:
-    """A view store and its CAD models; how many models this process drew, and the store's folder."""
+    """A view store and its CAD models; the number of models this process rendered, and the store's folder."""
     from viewnet.data import rendered_store
     from viewnet.data.build import view_store
     from viewnet.recipes import make_config
@@ -75,12 +75,12 @@ QUESTIONS: dict[str, tuple[Callable[[Path], tuple[int, Path]], int]] = {
     "run": (ask_for_run, 1),
     "view store": (ask_for_views, 30),
 }
-"""What is asked for, and the count of one making: of trainings, of models drawn."""
+"""What is needed, and the count of making it once: trainings, rendered models."""
 
 
 @contextlib.contextmanager
 def two_processes(data: Path) -> Iterator[Callable[[str, Path], Pair]]:
-    """A function that has both ask: the name of a question, the folder to work in. Runs use the views in `data`."""
+    """A function that starts both: the name of a question, the folder to work in. Runs use the views in `data`."""
     context = multiprocessing.get_context("spawn")
     barrier, pipes, crew = context.Barrier(2), [], []
     for _ in range(2):
@@ -113,7 +113,7 @@ def two_processes(data: Path) -> Iterator[Callable[[str, Path], Pair]]:
 
 
 class _Waiting(logging.Handler):
-    """Notices that somebody else is at work."""
+    """Records that another process is at work."""
 
     seen = False
 

@@ -1,4 +1,4 @@
-"""Runs and renderers of untrained networks of the profile smoke, on made-up views."""
+"""Runs and renderers of untrained networks of the profile smoke, on synthetic views."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LOG = """epoch,step,seconds,loss,val_reconstruction,val_accuracy,pixels,masks
 
 
 def untrained_run(folder: Path, variant: str = "viewnet", seed: int = 0, **overrides: object) -> Run:
-    """A run folder as training leaves it, but for the training."""
+    """A run folder as training leaves it, without the training."""
     config = make_config(variant, profile="smoke", seed=seed, **overrides)
     torch.manual_seed(seed)
     model = ViewNet(config.model)
@@ -42,7 +42,7 @@ def untrained_run(folder: Path, variant: str = "viewnet", seed: int = 0, **overr
 
 
 def finished_run(folder: Path, store: ViewStore | None, variant: str = "viewnet", **overrides: object) -> Run:
-    """`untrained_run` with what is said of it on `store`; None: on views that cannot be scored."""
+    """`untrained_run` with its predictions and scores on `store`; None: on views that cannot be scored."""
     run = untrained_run(folder, variant, **overrides)
     result = {"schema": SCHEMA, "key": run.key, "variant": variant, "metrics": None}
     if store is not None:
@@ -66,6 +66,6 @@ def untrained_renderer(store: ViewStore, rotation: np.ndarray | None = None, **o
 
 
 def turned(degrees: float) -> np.ndarray:
-    """The rotation about the vertical that adds so much to azimuths."""
+    """The rotation about the vertical axis that adds an angle to azimuths."""
     a = np.deg2rad(degrees)
     return np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])

@@ -1,4 +1,4 @@
-"""Made-up clips: frames of one grey each, as a video or a folder, and data sets of them."""
+"""Synthetic clips: frames of one grey each, as a video or a folder, and data sets of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Volumes and cameras to draw, and what two renderers make of them."""
+"""Volumes and cameras to render, and the comparison of two renderers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def close(found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> bool
 
 @dataclass(frozen=True)
 class Case:
-    """Something to draw, and a weight for each of its pixels."""
+    """Inputs of a rendering, and a weight for each pixel."""
 
     shape: tuple[int, int, int]
     volumes: int
@@ -80,7 +80,7 @@ CASES = st.builds(
 
 
 def check_against_definition(draw, case: Case, device: str = "cpu", by_vector: bool = False) -> None:
-    """That `draw`, called as `viewnet.model.volume.render_reference`, gives the definition's image and gradients, to 1e-4.
+    """That `draw`, like `viewnet.model.volume.render_reference`, gives the definition's image and gradients, to 1e-4.
 
     Those of volume, frames and focal parameter; with `by_vector` the frames are those that look along view vectors, and
     the gradient is the vectors'.
@@ -97,6 +97,6 @@ def check_against_definition(draw, case: Case, device: str = "cpu", by_vector: b
     )
     assert (found.cpu().double() - reference).abs().max() < 1e-4
     assert close(grads[0].cpu(), expected[0], 1e-4), "volume"
-    # The focal parameter's gradient is one sum, which may come to nothing by chance: its scale is the frames'.
+    # The focal parameter's gradient is one sum, which may cancel by chance: its scale is the frames'.
     camera, wanted = (torch.cat([x.flatten().cpu() for x in both[1:]]) for both in (grads, expected))
     assert close(camera, wanted, 1e-4), "frames and focal parameter"

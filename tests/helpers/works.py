@@ -1,4 +1,4 @@
-"""Work that is disturbed: its commands, how far it is, and whether what it leaves is whole and the same as ever."""
+"""Work that is disturbed: its commands, its progress, and whether its files are complete and unchanged."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Work:
     phase: Callable[[Path], str]
 
     def start(self, root: Path, data: Path | None = None) -> subprocess.Popen[bytes]:
-        """Begin it in `root`, or go on there, on one processor and in a process group of its own."""
+        """Start or resume it in `root`, on one CPU and in a process group of its own."""
         environment = {name: value for name, value in os.environ.items() if not name.startswith("VIEWNET_")}
         environment |= {variable: str(root / place) for place, variable in PLACES.items()}
         environment |= {"VIEWNET_DATA": str(data or root / "data"), "JUPYTER_RUNTIME_DIR": str(root / "jupyter")}
@@ -65,7 +65,7 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def _on_one_processor() -> None:
-    # With more, a training has more threads and other bits.
+    # With more, a training has more threads and gives other bits.
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
@@ -118,14 +118,14 @@ def _finished(root: Path) -> Iterator[Path]:
 
 
 def files(folder: Path) -> Iterator[Path]:
-    """Files that a reader may take for whole: neither they nor a folder about them has a name with a dot before it."""
+    """Files that readers take for complete: neither they nor a folder around them is hidden."""
     for place, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
         yield from (Path(place) / name for name in names if not name.startswith("."))
 
 
 def content(file: Path) -> Any:
-    """What a file says, without what is VOLATILE. Raises whatever its reader does where it is not whole."""
+    """The content of a file without what is VOLATILE. Raises whatever its reader does where it is incomplete."""
     if file.suffix == ".json":
         return _steady(json.loads(file.read_text()))
     if file.name == "log.csv":
@@ -133,7 +133,7 @@ def content(file: Path) -> Any:
     if file.name == STATE:
         state = torch.load(file, weights_only=True)
         return sorted(state)
-    if file.suffix == ".ipynb":  # what is written out is in the tables; a copy is there from the first cell on
+    if file.suffix == ".ipynb":  # its output is in the tables; the copy exists from the first cell on
         nbformat.validate(nbformat.read(file, as_version=4))
         return None
     if file.suffix == ".safetensors":  # its header's order is drawn anew each time
@@ -150,7 +150,7 @@ def _steady(value: Any) -> Any:
 
 
 def damage(root: Path, reference: Path, makes: tuple[str, ...]) -> list[str]:
-    """Files that are not whole, or that nobody would expect, while work is under way or broken off.
+    """Files that are incomplete or unexpected while work is under way or interrupted.
 
     What is written once must be that of the undisturbed work to the byte; what grows must be readable. A notebook's
     copy is not looked at: papermill writes it cell by cell, and it is promised at the end only.
@@ -168,7 +168,7 @@ def damage(root: Path, reference: Path, makes: tuple[str, ...]) -> list[str]:
 
 
 def differences(root: Path, reference: Path, makes: tuple[str, ...]) -> list[str]:
-    """In what finished work differs from undisturbed work, temporary files that were left included."""
+    """Differences between finished and undisturbed work, including temporary files left over."""
     found = []
     for place in makes:
         here, there = ({f.relative_to(base) for f in files(base / place)} for base in (root, reference))

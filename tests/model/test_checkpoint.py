@@ -1,4 +1,4 @@
-"""Training from another run's weights: they are what the first step sees, and they are part of what a run is."""
+"""Training from another run's weights: the first step uses them, and they are part of the run's key."""
 
 from __future__ import annotations
 

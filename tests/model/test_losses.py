@@ -53,11 +53,11 @@ def test_equal_images_are_equal_over_every_colour(seed):
 
 
 def test_a_wrong_mask_cannot_hide_over_a_random_colour():
-    """Painting black around the object is free over black and costs over any other colour."""
+    """Painting black around the object costs nothing over black, and costs over any other colour."""
     target = torch.zeros(1, 4, 8, 8)
     target[:, :, 2:6, 2:6] = 1
     painted = target.clone()
-    painted[:, 3] = 1  # the right colours, and black where there should be nothing
+    painted[:, 3] = 1  # the right colours, and black around the object
     black, red = torch.zeros(1, 3), torch.tensor([[1.0, 0.0, 0.0]])
     assert pixel_loss(composite(painted, black), composite(target, black)) == 0
     assert pixel_loss(composite(painted, red), composite(target, red)) > 0.1
@@ -74,7 +74,7 @@ def test_pixel_loss_by_hand():
     assert pixel_loss(found, wanted).item() == pytest.approx((fine + coarse) / 2)
 
 
-# The choice among heads
+# Choice of the head
 
 
 def test_head_errors_are_means_over_a_image():
@@ -168,7 +168,7 @@ def known_targets(model):
 
 
 def test_heads_are_compared_by_the_best_viewpoint_around_each(model):
-    """A head that is off by the step between neighbours draws the target without an error."""
+    """A head that is off by the step between neighbours reconstructs the target without an error."""
     config = dataclasses.replace(SMOKE.train, neighbours=8.0, pull_weight=1.0)
     shape, code, azimuth, elevation, target = known_targets(model)
     heads = torch.stack([view_vector(azimuth + 170, elevation), view_vector(azimuth + 8, elevation)], dim=1)
@@ -246,7 +246,7 @@ def test_an_azimuth_chosen_too_often_is_avoided():
 
 
 def test_an_elevation_chosen_too_often_is_avoided():
-    """Near and far exchanged, (a, e) looks like (180 - a, -e): how often each elevation is due tells them apart."""
+    """With near and far exchanged, (a, e) looks like (180 - a, -e): the frequencies of elevations distinguish them."""
     views = view_vector(torch.tensor([15.0, 165.0]), torch.tensor([10.0, -10.0])).expand(1, 2, 3)
     score, limits = torch.tensor([[1.1, 1.0]]), (-20.0, 40.0)
     even = torch.full((12, 4), 1 / 48)
@@ -420,7 +420,7 @@ def test_other_images_of_a_target_learn_what_its_one_drawing_taught():
 
 
 def test_the_selection_has_a_say_in_what_is_drawn_and_none_in_what_it_is_taught(model):
-    """Heads a little and far off: the first explains the targets better, unless the selection is sure of the other."""
+    """A head slightly off and one far off: the first has the lower error, unless the selection is sure of the other."""
     shape, code, azimuth, elevation, target = known_targets(model)
     heads = torch.stack([view_vector(azimuth + 2, elevation), view_vector(azimuth + 60, elevation)], dim=1)
     sure = torch.tensor([0.0, 30.0]).expand(6, 2)

@@ -105,7 +105,7 @@ def test_adain_starts_as_instance_normalisation_for_the_average_appearance():
 
 
 def test_adain_applies_one_affine_map_to_all_of_a_channel():
-    """So it cannot alter what is where in a channel (section 3.2)."""
+    """So it cannot change the spatial layout of a channel (section 3.2)."""
     torch.manual_seed(0)
     layer, x, appearance = AdaIN(6, 5), torch.randn(2, 6, 4, 4, 4), torch.randn(2, 5)
     plain, styled = F.instance_norm(x).flatten(2), layer(x, appearance).flatten(2)
@@ -169,7 +169,7 @@ def test_generators_that_cannot_be(changes, message):
 def test_the_code_is_drawn_once_and_never_trained():
     torch.manual_seed(3)
     generator = Generator(small())
-    assert "code" in generator.state_dict()  # it has to be kept, though
+    assert "code" in generator.state_dict()  # it has to be saved, though
     assert not any(name.endswith("code") for name, _ in generator.named_parameters())
     torch.manual_seed(3)
     assert torch.equal(Generator(small()).code, generator.code)
@@ -208,7 +208,7 @@ def test_images_of_every_decoder(decoder):
     assert drawn.shape == (6, 4, SMALL.render_size, SMALL.render_size)
     assert drawn.min() >= 0
     assert drawn.max() <= 1 + 1e-5
-    assert bool((drawn[:, 3] == 1).all()) is (decoder == "hologan")  # which knows no mask
+    assert bool((drawn[:, 3] == 1).all()) is (decoder == "hologan")  # which has no mask
     # The viewpoint is what changes the image of one object.
     assert not torch.allclose(drawn[0], drawn[1], atol=1e-4)
 
@@ -245,7 +245,7 @@ def test_colours_start_from_the_object_s_own():
     _, shape = model.imagine(images)
     assert torch.allclose(shape[0, :3], torch.tensor([0.9, 0.2, 0.5])[:, None, None, None].expand_as(shape[0, :3]))
     assert torch.allclose(shape[0, 3], model.prior, atol=1e-6)
-    assert shape[1].isfinite().all()  # nothing to be seen, so no mean either
+    assert shape[1].isfinite().all()  # nothing visible, so no mean colour
 
 
 def test_encoders_see_the_object_over_the_backdrop():

@@ -37,9 +37,9 @@ def test_one_pass_does_what_separate_ones_do(count, places, channels, mean, spre
     x = mean + spread * torch.randn(count, places, channels, generator=generator)
     scale, shift = torch.randn(2, count, channels, generator=generator)
     weights = torch.randn(x.shape, generator=generator)
-    x = x + 0.2 * spread * torch.arange(places)[:, None] % 7  # two equal places would be all there is to normalise
+    x = x + 0.2 * spread * torch.arange(places)[:, None] % 7  # or two equal ones would be all there is
     expected = gradients(separate, x.double(), scale.double(), shift.double(), weights)
-    # Where the ReLU all but decides the other way, either gradient is right.
+    # Close to the ReLU's threshold either gradient is right.
     unsure = (expected[0] < 1e-3) & (separate(x.double(), -scale.double(), -shift.double()) < 1e-3)
     weights = weights.masked_fill(unsure, 0)
     expected = gradients(separate, x.double(), scale.double(), shift.double(), weights)

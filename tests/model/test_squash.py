@@ -103,7 +103,7 @@ def test_the_inside_of_a_larger_volume_is_cut_out_of_it():
 
 
 def test_numba_s_cache_tells_the_threaded_kernels_from_the_others():
-    """It goes by name and place, not by options: one would be loaded for the other."""
+    """It is keyed by name and place, not by options, so one would be loaded for the other."""
     for kernel in ("forward", "occupied", "backward", "squash", "squash_backward"):
         versions = getattr(volume_numba, kernel)
         assert versions[False].py_func.__qualname__ != versions[True].py_func.__qualname__

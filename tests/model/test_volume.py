@@ -1,4 +1,4 @@
-"""The volume renderer against its definition, against the mesh renderer, and against what light does."""
+"""The volume renderer against its definition, the mesh renderer, and the laws of light."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_sparse_leaves_out_gradients_of_empty_voxels_only():
     sparse, part = gradients(lambda v, r, f: volume.render(v, r, f, 12, 14, sparse=True), inputs, weights)
     assert torch.equal(sparse, dense)
     occupied = voxels[:, 3:] > 0
-    assert (full[0][:, 3:][~occupied] != 0).any()  # there is something to leave out
+    assert (full[0][:, 3:][~occupied] != 0).any()  # there are gradients to leave out
     assert torch.allclose(part[0][:, :3], full[0][:, :3], atol=1e-6)
     assert torch.allclose(part[0][:, 3:][occupied], full[0][:, 3:][occupied], atol=1e-6)
     assert torch.allclose(part[1], full[1], atol=1e-4)
@@ -117,7 +117,7 @@ def test_threads_do_not_change_bits():
     assert all(torch.equal(a, b) for a, b in zip(one_grads, two_grads, strict=True))
 
 
-# What light does
+# Laws of light
 
 
 def test_equations_3_and_4_spelt_out():
@@ -192,13 +192,13 @@ def test_without_perspective_the_distance_does_not_matter():
 @pytest.mark.parametrize("sparse", [False, True])
 def test_an_empty_volume_is_an_empty_image(sparse):
     voxels = torch.zeros(1, 4, 6, 6, 6)
-    voxels[:, :3] = 0.7  # colour alone is not seen
+    voxels[:, :3] = 0.7  # colour without occupancy is invisible
     voxels.requires_grad_()
     image = volume.render(voxels, look_at(torch.tensor([[1.0, 1.0, 0.3]])), FOCAL, 8, sparse=sparse)
     assert not image.any()
     image.sum().backward()
     assert voxels.grad.isfinite().all()
-    # More occupancy would be seen, so that the volume can grow out of nothing, unless it is promised to be clamped.
+    # More occupancy would be visible, so that the volume can grow from nothing, unless it is known to be clamped.
     assert bool((voxels.grad[:, 3] > 0).any()) is not sparse
 
 
@@ -225,7 +225,7 @@ def mesh_images(viewpoints: np.ndarray) -> torch.Tensor:
 
 
 def best_match(images: torch.Tensor, candidates: torch.Tensor) -> np.ndarray:
-    """For each image the candidate that looks most like it."""
+    """For each image the most similar candidate."""
     return (images[:, None].float() - candidates[None]).square().mean((2, 3, 4)).argmin(1).numpy()
 
 
@@ -237,7 +237,7 @@ def test_both_renderers_put_the_object_in_the_same_place(grid):
 
 
 def test_viewpoints_found_by_drawing_a_volume_are_those_of_the_mesh(grid):
-    """Analysis by synthesis without a network: images of the mesh are explained by views of the volume."""
+    """Analysis by synthesis without a network: images of the mesh are matched by views of the volume."""
     viewpoints, drawn = grid
     chosen = np.random.default_rng(5).permutation(len(viewpoints))[:40]
     found = viewpoints[best_match(mesh_images(viewpoints[chosen]), drawn)]

@@ -84,7 +84,7 @@ def test_the_kernels_compile_for_a_gpu(name, tmp_path, monkeypatch):
         assert compiled.asm["cubin"]
 
 
-# Which way is taken
+# Choice of the implementation
 
 
 def test_without_a_gpu_there_is_one_warning(monkeypatch):

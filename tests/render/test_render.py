@@ -1,4 +1,4 @@
-"""Images: which side shows, where points land, light, edges, textures, and two renderers that must agree."""
+"""Images: visible sides, projected points, light, edges, textures, and two renderers that must agree."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from viewnet.render.mesh import Material, Mesh
 from viewnet.render.raycast import AMBIENT
 
 BACKENDS = ("raycast", "pyrender")
-# Where the camera is to see each side of the box straight on.
+# The camera's viewpoint for each side of the box.
 STRAIGHT = {"front": (0, 0), "left": (90, 0), "back": (180, 0), "right": (270, 0), "top": (0, 90), "bottom": (0, -90)}
 
 
@@ -76,7 +76,7 @@ def test_handedness(box: Mesh, backend: str, azimuth: float, left: str, right: s
 
 
 def test_higher_is_up(box: Mesh, backend: str) -> None:
-    """From above the top lies behind the front, so it is higher in the image."""
+    """From above, the top is behind the front and so higher in the image."""
     (image,) = render(box, np.array([0.0]), np.array([30.0]), 64, backend=backend)
     seen = np.flatnonzero(image[:, 32, 3] == 255)
     for row, side in ((seen[2], "top"), (seen[-3], "front")):
@@ -163,7 +163,7 @@ def test_shading_follows_the_angle_of_the_light(box: Mesh, backend: str, degrees
 
 
 def test_faces_are_lit_from_either_side(backend: str) -> None:
-    """A lone face looks the same whichever way it is wound."""
+    """A single face looks the same for either winding."""
     corners = np.array([[0.0, -0.3, -0.3], [0.0, 0.3, -0.3], [0.0, 0.0, 0.3]])
     images = [
         render(triangle_mesh(c[None]), np.zeros(1), np.zeros(1), 32, backend=backend) for c in (corners, corners[::-1])
@@ -214,7 +214,7 @@ def square(texture: np.ndarray, repeat: float = 1.0) -> Mesh:
 
 
 def test_a_surface_modelled_once_for_each_side_shows_each(backend: str) -> None:
-    """Much of ShapeNet is made so: the same vertices twice, wound both ways, in two materials."""
+    """Common in ShapeNet: the same vertices twice, with both windings, in two materials."""
     faces = np.array([[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]], np.int32)
     for order in ([0, 1, 2, 3], [2, 3, 0, 1]):
         material = np.array([0, 0, 1, 1], np.int32)[order]

@@ -1,4 +1,4 @@
-"""Files and folders are there whole or not at all; what killed processes left goes; a full disk is told."""
+"""Files and folders are complete or absent; leftovers of killed processes are removed; a full disk is reported."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_what_the_dead_left_goes_and_what_the_living_write_stays(tmp_path):
     with filling(tmp_path / "b") as temporary, scratch(tmp_path / "b") as beside:
         assert temporary.is_dir() and beside.is_dir()
     assert {path.name for path in tmp_path.iterdir()} == {"a.txt", "b", *(path.name for path in others)}
-    assert (tmp_path / "a.txt").read_text() == "one"  # the last to end
+    assert (tmp_path / "a.txt").read_text() == "one"  # the last to finish
 
 
 WRITERS = {

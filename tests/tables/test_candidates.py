@@ -14,7 +14,7 @@ def store(run):
 
 
 def render(folder, store, rows):
-    """Two heads in the order (1, 0), flat images of 10 and 20."""
+    """Two heads in the order (1, 0), uniform images of 10 and 20."""
     n = len(rows)
     images = np.stack([np.full((n, 8, 8, 3), 10, np.uint8), np.full((n, 8, 8, 3), 20, np.uint8)], axis=1)
     heads = np.tile([1, 0], (n, 1))

@@ -82,6 +82,6 @@ def test_figures_are_files(runs, store, tmp_path):
 
 
 def test_untrained_drawer_is_what_a_run_gives(store, tmp_path):
-    """The two ways in which tests come by a drawer agree."""
+    """The two ways in which tests get a renderer agree."""
     one, other = run_renderer.RunRenderer.of(untrained_run(tmp_path / "run").folder, store), untrained_renderer(store)
     assert np.allclose(rendering.shown(one.reconstruct([0])), rendering.shown(other.reconstruct([0])), atol=2)

@@ -26,7 +26,7 @@ def store(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def one_shape(store, tmp_path_factory):
-    """The views of `store`, but every object is the same."""
+    """The views of `store`, all of the same object."""
     index = store.index
     images = render(box_mesh(SYMMETRIC), index["azimuth"].to_numpy(), index["elevation"].to_numpy(), 32, 2)
     return write_store(tmp_path_factory.mktemp("one") / "views", [images], index, {"one": 1})
@@ -98,14 +98,14 @@ def test_consistency_is_how_well_the_drawing_tells_its_viewpoint(store, reads, m
     drawer = untrained_renderer(store)
 
     def draw(self, shape, code, frames, size=None):
-        """Flat images whose colour is the view vector."""
+        """Uniform images whose colour is the view vector."""
         colours = torch.cat([frames[:, :, 2] / 2 + 0.5, torch.ones(len(frames), 1)], 1)
         return colours[:, :, None, None].expand(-1, -1, 16, 16)
 
     def viewpoint(images):
         said = 2 * images.mean((2, 3)) - 1 if reads else torch.tensor([[1.0, 0, 0]]).expand(len(images), 3)
         wrong = -said * torch.tensor([1.0, 1, 0]) + torch.tensor([0.0, 0, 0.1])
-        # The selected head answers; the other one would be wrong.
+        # The selected head is used; the other one would be wrong.
         return Hypotheses(torch.stack([wrong, said], 1), torch.tensor([[0.0, 1.0]]).expand(len(images), 2))
 
     drawer.network.draw = MethodType(draw, drawer.network)

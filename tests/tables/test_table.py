@@ -82,13 +82,13 @@ def test_printed_numbers_stay_as_printed_and_apart(table):
 def test_latex_is_a_whole_booktabs_tabular(table):
     text = table.latex()
     assert_tabular(text)
-    assert "\\textbf{82}" in text  # bold in print
+    assert "\\textbf{82}" in text  # bold in the paper
     assert "made-up 100 \\% \\& more" in text
     assert "No Shape Prior & 78 & -- &" in text
 
 
 def on_photographs(name: str, categories: tuple[str, ...]) -> Table:
-    """A table of made-up predictors on made-up photographs."""
+    """A table of synthetic predictors on synthetic photographs."""
     found = [
         Entry(row.label, c, 0, row.alignment or "procrustes", f"{i}-{c}", noisy(make_index(40, 3, c)), {})
         for c in categories
@@ -247,7 +247,7 @@ def test_printed_numbers_are_numbers_with_a_source(name):
     assert frame["source"].str.len().min() > 10
     values = pd.to_numeric(frame["value"].replace("", np.nan))
     assert values.between(0, 100).sum() == (frame["value"] != "").sum()
-    # As printed, every row has all of its metrics and categories, and bold marks a best value.
+    # As reported, every row has all of its metrics and categories, and bold marks a best value.
     assert frame.groupby("row").size().nunique() <= 2
     for (_, metric), column in frame[frame["bold"]].groupby(["category", "metric"]):
         assert pd.to_numeric(column["value"]).nunique() <= 2, metric

@@ -1,4 +1,4 @@
-"""One training over two processes is the training that one process makes: gradients, logs, resuming, failures."""
+"""Training in two processes equals training in one: gradients, logs, resuming, failures."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def environment(**more: str) -> dict[str, str]:
 
 
 def write_task(store: ViewStore, folder: Path, config: RunConfig, **task) -> Path:
-    """What trains.py is to do."""
+    """The tasks of trains.py."""
     file = folder.with_suffix(".json")
     task |= {"config": config.to_dict(), "folder": str(folder), "views": str(store.folder)}
     file.write_text(json.dumps(task))
@@ -55,7 +55,7 @@ def write_task(store: ViewStore, folder: Path, config: RunConfig, **task) -> Pat
 
 
 def start(processes: int, data: Path, *tasks: Path, code: int = 0) -> str:
-    """Run trains.py; what it said on stderr."""
+    """Run trains.py; its stderr."""
     done = subprocess.run(
         [*command(processes), str(HERE / "helpers" / "trains.py"), *map(str, tasks)],
         env=environment(VIEWNET_DATA=str(data)),
@@ -140,8 +140,8 @@ def test_normalisation_by_all_rows_is_torch_s_own(dims):
 # Two processes
 
 STEPS: dict[str, tuple[str, dict[str, Any], float, float]] = {
-    # variant, settings, share of training done, how much of the largest gradient rounding may be off by
-    # search, a shape for all
+    # variant, settings, share of training done, tolerance as a share of the largest gradient
+    # search, one shape for all
     "search": (
         "viewnet_cycle",
         {"search": 0.5, "cycle_start": 0.05, "targets_per_object": 2, "augment": True},
@@ -149,7 +149,7 @@ STEPS: dict[str, tuple[str, dict[str, Any], float, float]] = {
         1e-5,
     ),
     "trust": ("viewnet_cycle", {"trust": 0.5}, 0.9, 1e-5),
-    # batch normalisation in the generator, scenery, three sightings
+    # batch normalisation in the generator, backgrounds, three views per target
     "photos": ("encoder_decoder", {"recipe": "photos", "backgrounds": "drawn", "views": 4, "occlude": 0.3}, 0.4, 1e-3),
 }
 
@@ -194,7 +194,7 @@ def test_a_run_over_two_processes_ends_like_one_and_goes_on_after_a_death(store,
     assert alone.keys() == both.keys()
     distance = sum((alone[n].double() - both[n].double()).square().sum() for n in alone).sqrt()
     assert distance < 0.1 * sum(value.double().square().sum() for value in alone.values()).sqrt()
-    # Killed in the third epoch, where the second process is gone without a word.
+    # Killed in the third epoch; the second process ends without a message.
     train(2, store, tmp_path / "killed", asked, code=1, die=9)
     assert log(tmp_path / "killed") == two[:2]
     assert not (tmp_path / "killed" / "checkpoint.safetensors").exists()

@@ -40,7 +40,7 @@ def config(seed: int = 0) -> RunConfig:
 
 
 class Mortal(Executor):
-    """Does a job at once, but for the first ones, whose worker dies."""
+    """Does a job immediately, except for the first ones, whose worker dies."""
 
     def __init__(self, deaths: int):
         self.deaths, self.submitted = deaths, 0
@@ -134,7 +134,7 @@ def test_the_local_pool_is_an_executor(folders):
         with pytest.raises(WorkerDied, match="signal 9"):
             dying.result()
         assert pool.submit(os.getpid).result() not in (process, os.getpid())
-        # A run that is given to it is begun again, and goes on from what was kept.
+        # A run submitted to it is started again and resumes from its last state.
         plan(folders, seed0="die")
         (run,) = ensure([config()], progress=False, steps=STEPS, executor=pool)
         assert run.result["training"]["resumed"] is True
@@ -194,7 +194,7 @@ def test_a_dask_worker_that_is_killed_costs_no_saved_step(folders):
     killed: list[tuple[int, str]] = []
 
     def kill() -> None:
-        """The worker, when it has kept two epochs."""
+        """Kill the worker once it has saved two epochs."""
         while not (logs := list((folders / "runs").glob("viewnet/*/log.csv"))) or len(logs[0].read_text().split()) < 3:
             time.sleep(0.05)
         (call,) = (folders / "data" / "calls").iterdir()

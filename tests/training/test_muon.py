@@ -70,7 +70,7 @@ def test_bfloat16_brings_large_matrices_as_near():
     assert half.dtype == torch.float32
     assert not torch.equal(whole, half)
     assert (whole - half).norm() < 0.03 * whole.norm()
-    assert torch.equal(orthogonal(matrix[:64]), orthogonal(matrix[:64], half=True))  # too small to gain by it
+    assert torch.equal(orthogonal(matrix[:64]), orthogonal(matrix[:64], half=True))  # too small to gain from it
 
 
 def test_without_mixed_precision_muon_has_none(monkeypatch):

@@ -60,7 +60,7 @@ def test_the_result_tells_where_it_comes_from():
     assert result["metrics"]["linear"]["alignment"]["kind"] == "linear"
     assert result["views"] == "car-0"
     training = result["training"]
-    assert training["seconds"] >= 400  # the log's clock, which a resumed training carries on
+    assert training["seconds"] >= 400  # the log's clock, which a resumed training continues
     assert training["resumed"] is False
     assert training["hardware"]["cores"] >= 1
     assert {"python", "torch", "numpy"} <= set(training["versions"])
@@ -75,7 +75,7 @@ def test_the_key_follows_config_views_and_code(monkeypatch):
     moved = replace(
         config(), data=replace(config().data, root="elsewhere", splits="lists", extra="more", backgrounds="there")
     )
-    assert base == run_store.locate(moved, "views")  # the views' identity knows the models, not their place
+    assert base == run_store.locate(moved, "views")  # the views' identity depends on the models, not on their place
     videos = VideoConfig("car", root="here")
     filmed = replace(config(), data=replace(config().data, video=videos))
     elsewhere = replace(filmed, data=replace(filmed.data, video=replace(videos, root="there"), models=7, views=3))

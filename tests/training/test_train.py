@@ -1,4 +1,4 @@
-"""Training as a whole, on made-up boxes: the same bits every time, resumed or not, and the right weights kept."""
+"""Training as a whole, on synthetic boxes: the same bits every time, resumed or not, and the right weights saved."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def same(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> bool:
 
 
 def log(folder: Path) -> list[dict[str, str]]:
-    """The rows of log.csv but for the time they took."""
+    """The rows of log.csv without their times."""
     with (folder / "log.csv").open(newline="") as file:
         return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
 
@@ -74,7 +74,7 @@ class Killed(Exception):
 def killed_after(
     store: ViewStore, folder: Path, monkeypatch, steps: int, variant: str = "viewnet", **overrides
 ) -> None:
-    """A training that dies after so many steps."""
+    """A training that dies after some steps."""
     left = iter(range(steps))
     step_loss = training.step_loss
 
@@ -88,7 +88,7 @@ def killed_after(
         trained(store, folder, variant, **overrides)
 
 
-# The same bits
+# Reproducibility
 
 
 def test_training_twice_gives_the_same_bits(store, tmp_path):
@@ -125,7 +125,7 @@ def test_a_killed_run_goes_on_as_if_nothing_had_been(store, tmp_path, monkeypatc
     killed_after(store, tmp_path / "killed", monkeypatch, 7, variant, **overrides)  # in the third epoch
     assert not (tmp_path / "killed" / "checkpoint.safetensors").exists()
     assert log(tmp_path / "killed") == log(whole)[:2]
-    torch.manual_seed(12345)  # whatever else has been going on
+    torch.manual_seed(12345)  # independent of the global random state
     resumed = trained(store, tmp_path / "killed", variant, **overrides)
     assert same(weights(resumed), weights(whole))
     assert log(resumed) == log(whole)
@@ -139,11 +139,11 @@ def test_a_finished_run_is_left_alone(store, tmp_path):
     assert (folder / "checkpoint.safetensors").stat().st_mtime_ns == written
 
 
-# What is kept
+# Selection of weights
 
 
 def scored(monkeypatch, reconstruction: list[float], accuracy: list[float]) -> list[dict[str, torch.Tensor]]:
-    """Validations give these numbers, one after another; the weights that each of them saw."""
+    """Make validations give these numbers, one after another; returns the weights at each of them."""
     seen: list[dict[str, torch.Tensor]] = []
 
     def validate(model, *_):
@@ -158,7 +158,7 @@ def scored(monkeypatch, reconstruction: list[float], accuracy: list[float]) -> l
 def test_the_best_weights_by_the_criterion_are_kept(store, tmp_path, monkeypatch, criterion, kept):
     seen = scored(monkeypatch, [0.3, 0.1, 0.2, 0.1], [10.0, 20.0, 40.0, 40.0])
     folder = trained(store, tmp_path / "run", epochs=4, select_by=criterion)
-    assert same(weights(folder), seen[kept])  # of equals the first
+    assert same(weights(folder), seen[kept])  # of equal ones the first
     with safe_open(folder / "checkpoint.safetensors", framework="pt") as file:
         metadata = file.metadata()
     assert metadata["epoch"] == str(kept + 1)
@@ -189,7 +189,7 @@ def test_choosing_without_labels_reads_none(store, tmp_path, monkeypatch):
     assert same(weights(honest), weights(other))
     without = [{k: v for k, v in row.items() if k != "val_accuracy"} for row in log(honest)]
     assert without == [{k: v for k, v in row.items() if k != "val_accuracy"} for row in log(other)]
-    assert log(honest) != log(other)  # accuracy is told, and does depend on labels
+    assert log(honest) != log(other)  # accuracy is logged, and does depend on labels
 
 
 # The schedule
@@ -216,7 +216,7 @@ def test_learning_rates(store, tmp_path, monkeypatch, schedule, factors):
     assert rates == pytest.approx([0.01 * factor for factor in factors])
 
 
-# What goes wrong
+# Failures
 
 
 def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_state(store, tmp_path, monkeypatch):
@@ -331,7 +331,7 @@ def test_views_are_predicted_before_backgrounds_as_in_training_and_photographs_a
         Image.new("RGB", (70, 70), colour).save(tmp_path / "pictures" / f"{number}.png")
     behind = {"recipe": "photos", "backgrounds": str(tmp_path / "pictures"), "views": 4}
     folder, again = (trained(store, tmp_path / name, **behind) for name in ("one", "two"))
-    assert same(weights(folder), weights(again))  # what is behind is a function of seed and step
+    assert same(weights(folder), weights(again))  # backgrounds are a function of seed and step
     assert math.isfinite(float(log(folder)[-1]["sightings"]))
     assert not same(weights(folder), weights(trained(store, tmp_path / "plain", recipe="photos", backgrounds=None)))
     first = predict(folder, store, ("test",))
@@ -451,7 +451,7 @@ def test_a_tensorboard_that_is_not_installed_is_named(store, tmp_path, monkeypat
 
 
 def test_a_run_that_ended_early_and_was_killed_before_its_checkpoint_only_writes_it(store, tmp_path, monkeypatch):
-    settings = {"epochs": 9, "patience": 1, "learning_rate": 10.0}  # nothing is gained by such steps
+    settings = {"epochs": 9, "patience": 1, "learning_rate": 10.0}  # such steps do not improve anything
     whole = trained(store, tmp_path / "whole", **settings)
     assert len(log(whole)) < 9
     with monkeypatch.context() as patch, pytest.raises(Killed):

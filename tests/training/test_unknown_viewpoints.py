@@ -54,7 +54,7 @@ def test_scoring_without_viewpoints_is_refused_at_once(tmp_path):
 @pytest.mark.parametrize("held_out", ["val", "train"])
 def test_training_without_viewpoints(tmp_path, one_thread, held_out):
     store = blind(tmp_path / "s")
-    if held_out == "train":  # no validation split at all
+    if held_out == "train":  # no validation split
         store = write_store(tmp_path / "t", [store.images[:12]], store.index[:12], {})
     train(plain(), store, tmp_path / "run", threads=1, progress=False)
     log = pd.read_csv(tmp_path / "run/log.csv")

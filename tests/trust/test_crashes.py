@@ -1,6 +1,6 @@
-"""Work that is killed, and work that two processes ask for at once; `python benchmarks/crashes.py` does it 50 times.
+"""Work that is killed, and work that two processes need at once; `python benchmarks/crashes.py` does it 50 times.
 
-What is read, compared and killed is held to account as well: a comparison that sees nothing would pass everything.
+The comparison itself is tested too: one that notices nothing would pass everything.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def test_a_process_is_killed_with_all_that_it_started(tmp_path):
 
 @pytest.fixture
 def finished(tmp_path) -> tuple[Path, Path]:
-    """Two folders with the same finished work, but for when it was made."""
+    """Two folders with the same finished work, made at different times."""
     for name, seconds in (("here", 1.5), ("there", 2.5)):
         folder = tmp_path / name / "runs" / "viewnet" / "key"
         folder.mkdir(parents=True)

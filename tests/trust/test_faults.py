@@ -1,4 +1,4 @@
-"""Full disks, closed folders, broken downloads, wrong clocks: one error, nothing half-written, then the same end.
+"""Full disks, read-only folders, broken downloads, wrong clocks: one error, no partial files, then the same result.
 
 `python benchmarks/faults.py` is the report; tests/test_files.py has what single files and folders promise.
 """

@@ -1,4 +1,4 @@
-"""Every reader on spoilt files, and on files made to do harm: a result, or one error that names the file.
+"""Every reader on damaged and on malicious files: a result, or one error that names the file.
 
 `python benchmarks/fuzz.py` draws thousands of the first kind.
 """
@@ -54,7 +54,7 @@ def test_spoilt_files_end_in_a_result_or_an_error_that_names_them(written, reade
     files = reader.spoilt(folder)
     originals = {file: file.read_bytes() for file, _ in files}
 
-    # Shrinking would read hundreds of files more to find the smallest: the report of one that fails is enough.
+    # Shrinking would read hundreds of files more; the report of one that fails is enough.
     @settings(max_examples=24, phases=[Phase.generate], suppress_health_check=list(HealthCheck))
     @given(st.data())
     def read_all(data: st.DataObject) -> None:
