@@ -1,4 +1,4 @@
-"""Methods of a reader's own in the tables: scored as ours are, given nothing but images, and held to account."""
+"""Users' own methods in the tables: scored like ViewNet, given images only, and checked."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Nearest:
 
 
 class Says:
-    """Whatever it is told to."""
+    """Predicts what it was constructed with."""
 
     def __init__(self, said):
         self.said = said
@@ -80,7 +80,7 @@ def straight(count):
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """Where runs are kept: no test changes one."""
+    """A run store that no test changes."""
     return tmp_path_factory.mktemp("runs")
 
 
@@ -93,7 +93,7 @@ def apart(tmp_path, monkeypatch, trained):
 
 @pytest.fixture
 def photographs(tmp_path, monkeypatch):
-    """Photographs that are made up in a moment, 40 to calibrate on and 40 to score in each category."""
+    """Fake photographs, 40 to calibrate on and 40 to score in each category."""
 
     def views(config, workers=None, progress=True):
         folder = tmp_path / "photos" / config.category
@@ -270,7 +270,7 @@ def test_nothing_but_images_is_handed_out(photographs, monkeypatch):
     for images in nearest.shown:
         assert type(images) is np.ndarray and images.base is None
         assert images.shape[1:] == (24, 24, 3) and images.dtype == np.uint8 and len(images) <= 16
-        images[:] = 0  # it may do with them what it likes
+        images[:] = 0  # it may change them
     assert sum(map(len, nearest.shown)) == 80
     assert np.array_equal(ViewStore.open(store.folder).images, store.images) and store.images.any()
 
@@ -313,7 +313,7 @@ def test_a_category_may_have_a_method_of_its_own_and_learns_by_itself(photograph
         (["Mine", "Mine"], "row 'Mine': the table has a row of that name: choose another label"),
         (["ViewNet"], "row 'ViewNet': the table has a row"),
         (["SSV*"], r"row 'SSV\*': the table has a row"),
-        (["Liao"], "row 'Liao': the table has a row"),  # in print under that name
+        (["Liao"], "row 'Liao': the table has a row"),  # reported under that name
         (["VGG view* (pixels)"], r"row 'VGG view\* \(pixels\)': the table has a row"),
     ],
 )
