@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from viewnet.data.readers.shapenet import SHARES
+from viewnet.runtime.splits import SHARES
 from viewnet.errors import ViewnetError
 from viewnet.recipes import make_config
 
@@ -55,7 +55,7 @@ def work(
         if not (math.isfinite(value) and value > 0):
             raise ViewnetError(f"{name} {value}: expected a number above 0")
     total = models * views
-    targets = round(SHARES[0] * total) * epochs * runs
+    targets = round(SHARES["train"] * total) * epochs * runs
     return Work(
         total,
         total * 4 * size**2,

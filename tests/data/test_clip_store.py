@@ -304,7 +304,7 @@ def test_a_stand_in_for_objectron_is_made_and_read(tmp_path, monkeypatch):
     (root,) = (path for path in (tmp_path / "data/objectron-stand-in").iterdir() if path.is_dir())
     given = replace(chairs, root=str(root))
     assert video_views(given, 1, False).folder == store.folder
-    with pytest.raises(ViewnetError, match="pick evenly: of Objectron's frames those to use are drawn"):
+    with pytest.raises(ViewnetError, match="pick evenly: frames of Objectron are chosen at random"):
         video_views(replace(given, pick="evenly"), 1, False)
 
 

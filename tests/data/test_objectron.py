@@ -15,7 +15,7 @@ from viewnet.data.clips import Clip
 from viewnet.data.readers import objectron, objectron_record
 from viewnet.data.readers.objectron_record import AXES, UNIT_BOX, interpret
 from viewnet.data.readers.objectron_schema import Sequence
-from viewnet.data.readers.pascal3d import tally
+from viewnet.data.store import tally
 from viewnet.data.synthetic import objectron_standin
 from viewnet.errors import ViewnetError
 
@@ -449,8 +449,8 @@ def stand_in(tmp_path_factory):
     """A stand-in's folder, and the viewpoints (videos, 2, frames) of its images."""
     root, drawn = tmp_path_factory.mktemp("stand-in") / "root", []
     with pytest.MonkeyPatch.context() as patch:
-        original = objectron_standin.camera_frames
-        patch.setattr(objectron_standin, "camera_frames", lambda *angles: drawn.append(angles) or original(*angles))
+        original = objectron_standin.look_from
+        patch.setattr(objectron_standin, "look_from", lambda *angles: drawn.append(angles) or original(*angles))
         objectron_standin.write_stand_in(root, "chair", videos=3, frames=10, size=(90, 120))
     return root, np.array(drawn)
 

@@ -14,8 +14,8 @@ from viewnet.config import PhotoConfig
 from viewnet.data import build, photo_store
 from viewnet.data.build import photo_views
 from viewnet.data.crop import Crop, cut
-from viewnet.data.photo_store import read_folder, summary
-from viewnet.data.readers import pascal3d
+from viewnet.data.photo_store import summary
+from viewnet.data.readers import pascal3d, photo_folder
 from viewnet.data.store import ViewStore
 from viewnet.data.synthetic.pascal3d_standin import write_stand_in
 from viewnet.errors import ViewnetError
@@ -255,19 +255,19 @@ def test_images_of_a_folder_are_turned_as_their_camera_says(tmp_path):
 )
 def test_a_wrong_row_is_named(tmp_path, row, message):
     with pytest.raises(ViewnetError, match=message):
-        read_folder(folder(tmp_path / "f", "1.png,0,0,test", row), "car")
+        photo_folder.read(folder(tmp_path / "f", "1.png,0,0,test", row), "car")
 
 
 def test_a_wrong_list_is_named(tmp_path):
     with pytest.raises(ViewnetError, match="column 'split' is missing"):
-        read_folder(folder(tmp_path / "f", "1.png,0,0", header="file,azimuth_deg,elevation_deg"), "car")
+        photo_folder.read(folder(tmp_path / "f", "1.png,0,0", header="file,azimuth_deg,elevation_deg"), "car")
     header = "file,azimuth_deg,elevation_deg,split,x0,y0,x1"
     with pytest.raises(ViewnetError, match="column 'y1' is missing"):
-        read_folder(folder(tmp_path / "f", "1.png,0,0,val,1,1,2", header=header), "car")
+        photo_folder.read(folder(tmp_path / "f", "1.png,0,0,val,1,1,2", header=header), "car")
     with pytest.raises(ViewnetError, match="row 1: y1 nan: expected a number"):
-        read_folder(folder(tmp_path / "f", "1.png,0,0,val,1,1,2,", header=f"{header},y1"), "car")
+        photo_folder.read(folder(tmp_path / "f", "1.png,0,0,val,1,1,2,", header=f"{header},y1"), "car")
     with pytest.raises(ViewnetError, match="lists no photograph"):
-        read_folder(folder(tmp_path / "f"), "car")
+        photo_folder.read(folder(tmp_path / "f"), "car")
     with pytest.raises(ViewnetError, match="no usable photograph in the test split"):
         views(PhotoConfig("car", str(folder(tmp_path / "f", "1.png,0,0,val"))))
     with pytest.raises(ViewnetError, match=r"no usable photograph in the val split .*images/9\.png: no such image"):

@@ -23,7 +23,7 @@ from viewnet.config import SYNSETS, DataConfig
 from viewnet.data import build, rendered_store
 from viewnet.data.build import view_store
 from viewnet.data.readers.shapenet import ModelFile, find_models
-from viewnet.data.rendered_store import draw_viewpoints, render_views
+from viewnet.data.rendered_store import render_views, sample_viewpoints
 from viewnet.data.store import ViewStore, check_index, identity_of, write_store
 from viewnet.errors import ViewnetError
 
@@ -216,14 +216,14 @@ def test_seeds_and_settings_change_images_and_identity(models: list[ModelFile], 
 
 def test_viewpoints_are_uniform_in_their_ranges() -> None:
     models = [ModelFile(f"m{i}", "car", Path("x"), "v2", "train") for i in range(4000)]
-    azimuth, elevation, light = draw_viewpoints(models, 1, (0.0, 360.0), (-20.0, 40.0), 0)
+    azimuth, elevation, light = sample_viewpoints(models, 1, (0.0, 360.0), (-20.0, 40.0), 0)
     assert azimuth.shape == (4000, 1) and light.shape == (4000, 1, 3)
     for values, low, high in ((azimuth, 0, 360), (elevation, -20, 40), (light[..., 2], 0, 1)):
         counts = np.histogram(values, 10, (low, high))[0]
         assert counts.sum() == 4000 and np.abs(counts - 400).max() < 100
     assert np.allclose(np.linalg.norm(light, axis=-1), 1)
     assert abs(np.corrcoef(azimuth[:, 0], elevation[:, 0])[0, 1]) < 0.06
-    azimuth, _, _ = draw_viewpoints(models, 1, (-30.0, 30.0), (0.0, 0.0), 0)
+    azimuth, _, _ = sample_viewpoints(models, 1, (-30.0, 30.0), (0.0, 0.0), 0)
     assert ((azimuth <= 30) | (azimuth >= 330)).all() and (azimuth < 360).all()
 
 
@@ -260,7 +260,7 @@ def test_a_killed_call_goes_on_from_what_is_done(
 ) -> None:
     draw(models, tmp_path / "undisturbed")
     drawn: list[str] = []
-    real = rendered_store.draw_chunk
+    real = rendered_store.render_chunk
 
     def dies(chunk):
         if len(drawn) == 2:
@@ -268,7 +268,7 @@ def test_a_killed_call_goes_on_from_what_is_done(
         drawn.append(chunk.models[0].id)
         return real(chunk)
 
-    monkeypatch.setattr(rendered_store, "draw_chunk", dies)
+    monkeypatch.setattr(rendered_store, "render_chunk", dies)
     with pytest.raises(KeyboardInterrupt):
         draw(models, tmp_path / "views")
     assert not (tmp_path / "views").exists()
@@ -277,7 +277,7 @@ def test_a_killed_call_goes_on_from_what_is_done(
     half.parent.mkdir()
     half.write_bytes(b"half")
     again: list[str] = []
-    monkeypatch.setattr(rendered_store, "draw_chunk", lambda chunk: again.append(chunk.models[0].id) or real(chunk))
+    monkeypatch.setattr(rendered_store, "render_chunk", lambda chunk: again.append(chunk.models[0].id) or real(chunk))
     draw(models, tmp_path / "views")
     assert (drawn, again) == (["model0", "model2"], ["model4", "model6"])
     assert content(tmp_path / "views") == content(tmp_path / "undisturbed")
@@ -300,7 +300,7 @@ def test_no_room_is_said_before_drawing(
 ) -> None:
     usage = SimpleNamespace(free=1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
-    monkeypatch.setattr(rendered_store, "draw_chunk", lambda _: pytest.fail("drawn without room"))
+    monkeypatch.setattr(rendered_store, "render_chunk", lambda _: pytest.fail("drawn without room"))
     with pytest.raises(ViewnetError, match=r"\d+ bytes needed and 1000 free"):
         draw(models, tmp_path / "views")
 
@@ -357,15 +357,15 @@ def test_number_of_processes_does_not_matter(models: list[ModelFile], tmp_path: 
 SCRIPT = """
 import sys, time
 from pathlib import Path
-from viewnet.data.shapenet import find_models
-from viewnet.render import views
+from viewnet.data import rendered_store as views
+from viewnet.data.readers.shapenet import find_models
 
 views.CHUNK = 1
-real = views.draw_chunk
+real = views.render_chunk
 def slow(chunk):
     time.sleep(float(sys.argv[3]))
     return real(chunk)
-views.draw_chunk = slow
+views.render_chunk = slow
 store = views.render_views(
     find_models(sys.argv[1], "car"), Path(sys.argv[2]), views=2, image_size=16, workers=1, progress=False
 )

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 from helpers.video_data import write_frames, write_video
 
-from viewnet.data.readers.video_folder import read, seeded
+from viewnet.data.readers.video_folder import read
 from viewnet.errors import ViewnetError
+from viewnet.runtime.splits import seeded_splits
 
 
 def test_videos_and_folders_of_frames_become_clips(tmp_path):
@@ -37,12 +38,11 @@ def test_videos_and_folders_of_frames_become_clips(tmp_path):
 def test_splits_are_given_listed_or_seeded(tmp_path):
     for name in "abcd":
         write_frames(tmp_path / name, {"0.png": 1, "1.png": 2})
-    assert {clip.id: clip.split for clip in read(tmp_path, "car")[0]} == seeded("abcd")
+    assert {clip.id: clip.split for clip in read(tmp_path, "car")[0]} == seeded_splits("abcd", 0, {"val": 1, "test": 2})
     (tmp_path / "splits.csv").write_text("clip,split\na,train\nb,val\nc,train\n")
     clips, rejected = read(tmp_path, "car")
     assert {clip.id: clip.split for clip in clips} == {"a": "train", "b": "val", "c": "train"}
     assert rejected == [("d", "d", "in no split")]
-    assert [clip.id for clip in read(tmp_path, "car", splits={"d": "test"})[0]] == ["d"]
     (tmp_path / "splits.csv").write_text("clip,split\na,half\n")
     with pytest.raises(ViewnetError, match=r"splits\.csv: row 1: split 'half': expected one of train, val, test"):
         read(tmp_path, "car")
@@ -53,9 +53,9 @@ def test_splits_are_given_listed_or_seeded(tmp_path):
 
 def test_seeded_splits_have_exact_shares_whatever_the_order():
     names = [f"clip{k}" for k in range(20)]
-    found = seeded(names, 1)
-    assert found == seeded(names[::-1], 1) != seeded(names, 2)
-    assert sorted(found.values()) == ["test"] * 4 + ["train"] * 14 + ["val"] * 2
+    first, again, other = (seeded_splits(*asked, {}) for asked in ((names, 1), (names[::-1], 1), (names, 2)))
+    assert first == again != other
+    assert sorted(first.values()) == ["test"] * 4 + ["train"] * 14 + ["val"] * 2
 
 
 def test_where_nothing_can_be_used_there_is_an_error(tmp_path):

@@ -26,7 +26,7 @@ from PIL import Image
 
 from viewnet.config import VideoConfig
 from viewnet.data.crop import Crop, bounds, cut
-from viewnet.data.photo_store import Listed, photo_store
+from viewnet.data.photo_store import Photograph, photo_store
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator, volume_mesh
 from viewnet.estimator.inputs import Given, opened
@@ -65,7 +65,7 @@ def test_photographs_get_the_answers_that_they_are_scored_by(tmp_path):
         files.append(tmp_path / "images" / f"{number}.png")
         files[-1].parent.mkdir(exist_ok=True)
         Image.fromarray(photograph(seed=number)).save(files[-1])
-        listed.append(Listed(str(number), "car", split, files[-1], boxes[number], 0.0, 0.0))
+        listed.append(Photograph(str(number), "car", split, files[-1], boxes[number], 0.0, 0.0))
     for overrides in (PHOTOS, SQUARE):
         estimator = untrained(**overrides)
         crop = Crop(64, square=overrides is SQUARE)

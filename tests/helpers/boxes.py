@@ -11,7 +11,7 @@ import pandas as pd
 import torch
 
 from viewnet.data.store import ViewStore, write_store
-from viewnet.render import render
+from viewnet.render import render_mesh
 from viewnet.render.camera import DISTANCE, FOCAL
 from viewnet.render.mesh import Material, Mesh
 
@@ -76,7 +76,7 @@ def box_store(folder: Path, models: dict[str, int], views: int = 4, size: int = 
                 ]
             )
             azimuth, elevation = rng.uniform(0, 360, views), rng.uniform(-20, 40, views)
-            batches.append(render(mesh, azimuth, elevation, size, 1))
+            batches.append(render_mesh(mesh, azimuth, elevation, size, 1))
             name = f"{split}{number:03d}"
             rows += [(name, "car", split, k, azimuth[k], elevation[k], f"{name}.obj") for k in range(views)]
     columns = ["model_id", "category", "split", "view", "azimuth", "elevation", "source"]

@@ -22,7 +22,7 @@ from torch import nn
 
 from viewnet import paths
 from viewnet.data import annotated_viewpoints, masks, photo_store
-from viewnet.data.render_chunk import read_chunk
+from viewnet.data.rendered_store import read_chunk
 from viewnet.data.store import ViewStore, write_store
 from viewnet.evaluation import features
 from viewnet.evaluation.predictions import Predictions

@@ -25,7 +25,7 @@ from viewnet.data.readers import pascal3d
 from viewnet.data.readers.shapenet import find_models, load_model
 from viewnet.data.store import ViewStore
 from viewnet.data.synthetic import objectron_standin, pascal3d_standin
-from viewnet.render import render
+from viewnet.render import render_mesh
 
 Rewriter = Callable[[bytes], st.SearchStrategy[bytes]]
 
@@ -124,7 +124,7 @@ def _mesh(root: Path) -> object:
     assert mesh.colours is None or np.isfinite(mesh.colours).all()
     assert mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)
     assert mesh.material.min() >= 0 and mesh.material.max() < len(mesh.materials)
-    image = render(mesh, np.array([30.0]), np.array([20.0]), 16, 1)
+    image = render_mesh(mesh, np.array([30.0]), np.array([20.0]), 16, 1)
     assert image.shape == (1, 16, 16, 4)
     return mesh
 

@@ -62,12 +62,12 @@ def ask_for_views(root: Path) -> tuple[int, Path]:
     from viewnet.recipes import make_config
 
     drawn: list[int] = []
-    draw = rendered_store.draw_chunk
-    rendered_store.draw_chunk = lambda chunk: drawn.append(len(chunk.models)) or draw(chunk)
+    draw = rendered_store.render_chunk
+    rendered_store.render_chunk = lambda chunk: drawn.append(len(chunk.models)) or draw(chunk)
     try:
         store = view_store(make_config(profile="smoke").data, workers=1, progress=False)
     finally:
-        rendered_store.draw_chunk = draw
+        rendered_store.render_chunk = draw
     return sum(drawn), store.folder
 
 

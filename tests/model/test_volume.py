@@ -220,7 +220,7 @@ def vectors_of(viewpoints: np.ndarray) -> torch.Tensor:
 
 def mesh_images(viewpoints: np.ndarray) -> torch.Tensor:
     """(V, 4, 32, 32), RGB times alpha and alpha, of the same boxes as a mesh."""
-    rgba = mesh_renderer.render(box_mesh(SYMMETRIC), viewpoints[:, 0], viewpoints[:, 1], 32, 4) / 255.0
+    rgba = mesh_renderer.render_mesh(box_mesh(SYMMETRIC), viewpoints[:, 0], viewpoints[:, 1], 32, 4) / 255.0
     return torch.from_numpy(np.concatenate([rgba[..., :3] * rgba[..., 3:], rgba[..., 3:]], axis=-1)).permute(0, 3, 1, 2)
 
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from viewnet.data.readers.shapenet import find_models, load_model
 from viewnet.errors import ViewnetError
 from viewnet.geometry import look_at, view_vector
-from viewnet.render import choose_backend, opengl, render
-from viewnet.render.camera import DISTANCE, FOCAL, camera_frames, project
+from viewnet.render import choose_backend, opengl, render_mesh
+from viewnet.render.camera import DISTANCE, FOCAL, look_from, project
 from viewnet.render.mesh import Material, Mesh
 from viewnet.render.raycast import AMBIENT
 
@@ -58,7 +58,7 @@ def colour_at(image: np.ndarray, row: float = 0.5, column: float = 0.5) -> np.nd
 @pytest.mark.parametrize("side", STRAIGHT)
 def test_each_side_is_seen_from_its_own_side(box: Mesh, backend: str, side: str) -> None:
     azimuth, elevation = STRAIGHT[side]
-    (image,) = render(box, np.array([azimuth]), np.array([elevation]), 32, backend=backend)
+    (image,) = render_mesh(box, np.array([azimuth]), np.array([elevation]), 32, backend=backend)
     assert np.allclose(colour_at(image), COLOURS[side], atol=0.02)
     assert image[16, 16, 3] == 255 and image[0, 0].tolist() == [0, 0, 0, 0]
 
@@ -68,7 +68,7 @@ def test_each_side_is_seen_from_its_own_side(box: Mesh, backend: str, side: str)
 )
 def test_handedness(box: Mesh, backend: str, azimuth: float, left: str, right: str) -> None:
     """From the front left the front is on the image's left: at 90 degrees the object faces left."""
-    (image,) = render(box, np.array([azimuth]), np.array([0.0]), 64, backend=backend)
+    (image,) = render_mesh(box, np.array([azimuth]), np.array([0.0]), 64, backend=backend)
     seen = np.flatnonzero(image[32, :, 3] == 255)
     for column, side in ((seen[2], left), (seen[-3], right)):
         colour = image[32, column, :3].astype(float)
@@ -77,7 +77,7 @@ def test_handedness(box: Mesh, backend: str, azimuth: float, left: str, right: s
 
 def test_higher_is_up(box: Mesh, backend: str) -> None:
     """From above, the top is behind the front and so higher in the image."""
-    (image,) = render(box, np.array([0.0]), np.array([30.0]), 64, backend=backend)
+    (image,) = render_mesh(box, np.array([0.0]), np.array([30.0]), 64, backend=backend)
     seen = np.flatnonzero(image[:, 32, 3] == 255)
     for row, side in ((seen[2], "top"), (seen[-3], "front")):
         colour = image[row, 32, :3].astype(float)
@@ -94,10 +94,10 @@ def test_points_land_where_the_camera_says(view: tuple[float, float], point: tup
     azimuth, elevation = view
     mesh = trimesh.creation.icosphere(subdivisions=1, radius=0.02)
     solid = Mesh(mesh.vertices + point, mesh.faces.astype(np.int32), np.zeros(len(mesh.faces), np.int32), (Material(),))
-    (image,) = render(solid, np.array([azimuth]), np.array([elevation]), 256)
+    (image,) = render_mesh(solid, np.array([azimuth]), np.array([elevation]), 256)
     alpha = image[..., 3] / 255
     found = np.array([(alpha.sum(axis=i) * (np.arange(256) + 0.5)).sum() for i in (0, 1)]) / alpha.sum() / 256
-    (expected,) = project(np.array([point]), camera_frames(np.array([azimuth]), np.array([elevation])))[0]
+    (expected,) = project(np.array([point]), look_from(np.array([azimuth]), np.array([elevation])))[0]
     assert np.allclose(found, expected, atol=0.5 / 256)
 
     v = view_vector(torch.tensor(azimuth, dtype=torch.float64), torch.tensor(elevation, dtype=torch.float64))
@@ -127,9 +127,9 @@ def test_a_ray_caster_sees_the_same_faces() -> None:
     colours = [tuple(c / 255) for c in np.stack([np.arange(40) * 6 + 10, np.full(40, 9), np.full(40, 200)], 1)]
     mesh = triangle_mesh(corners, *(Material(diffuse=c) for c in colours))
     azimuth, elevation, size = 73.0, 21.0, 96
-    frame = camera_frames(np.array([azimuth]), np.array([elevation]))[0]
+    frame = look_from(np.array([azimuth]), np.array([elevation]))[0]
     # A light from behind leaves the ambient light alone, so that colours are the faces' numbers.
-    (image,) = render(mesh, np.array([azimuth]), np.array([elevation]), size, 1, lights=-frame[None, :, 2])
+    (image,) = render_mesh(mesh, np.array([azimuth]), np.array([elevation]), size, 1, lights=-frame[None, :, 2])
     place = (np.arange(size) + 0.5) / size - 0.5
     x, y = np.meshgrid(place, -place)
     rays = np.stack([x / FOCAL, y / FOCAL, -np.ones_like(x)], axis=-1).reshape(-1, 3) @ frame.T
@@ -148,7 +148,7 @@ def test_light_changes_colours_and_never_alpha(box: Mesh, backend: str) -> None:
     rng = np.random.default_rng(0)
     lights = rng.normal(size=(4, 3))
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
-    images = render(box, np.full(4, 30.0), np.full(4, 20.0), 32, lights=lights, backend=backend)
+    images = render_mesh(box, np.full(4, 30.0), np.full(4, 20.0), 32, lights=lights, backend=backend)
     assert (images[..., 3] == images[0, ..., 3]).all()
     assert len({image.tobytes() for image in images}) == 4
 
@@ -157,7 +157,7 @@ def test_light_changes_colours_and_never_alpha(box: Mesh, backend: str) -> None:
 def test_shading_follows_the_angle_of_the_light(box: Mesh, backend: str, degrees: float) -> None:
     angle = np.deg2rad(degrees)
     light = np.array([[np.cos(angle), np.sin(angle), 0.0]])
-    (image,) = render(box, np.zeros(1), np.zeros(1), 32, lights=light, backend=backend)
+    (image,) = render_mesh(box, np.zeros(1), np.zeros(1), 32, lights=light, backend=backend)
     expected = AMBIENT + (1 - AMBIENT) * max(np.cos(angle), 0)
     assert colour_at(image)[0] == pytest.approx(expected, abs=0.01)
 
@@ -166,14 +166,15 @@ def test_faces_are_lit_from_either_side(backend: str) -> None:
     """A single face looks the same for either winding."""
     corners = np.array([[0.0, -0.3, -0.3], [0.0, 0.3, -0.3], [0.0, 0.0, 0.3]])
     images = [
-        render(triangle_mesh(c[None]), np.zeros(1), np.zeros(1), 32, backend=backend) for c in (corners, corners[::-1])
+        render_mesh(triangle_mesh(c[None]), np.zeros(1), np.zeros(1), 32, backend=backend)
+        for c in (corners, corners[::-1])
     ]
     assert images[0][..., 3].sum() > 0
     assert np.array_equal(*images)
 
 
 def test_alpha_is_whole_inside_and_partial_at_edges_only(box: Mesh, backend: str) -> None:
-    (image,) = render(box, np.array([37.0]), np.array([20.0]), 64, backend=backend)
+    (image,) = render_mesh(box, np.array([37.0]), np.array([20.0]), 64, backend=backend)
     alpha = image[..., 3]
     near = np.stack([np.roll(alpha, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)])
     partial = (alpha > 0) & (alpha < 255)
@@ -181,22 +182,22 @@ def test_alpha_is_whole_inside_and_partial_at_edges_only(box: Mesh, backend: str
     assert (near.min(axis=0)[partial] == 0).all() or (near.max(axis=0)[partial] == 255).all()
     outside = alpha == 0
     assert (image[outside] == 0).all()
-    (coarse,) = render(box, np.array([37.0]), np.array([20.0]), 64, supersample=1, backend="raycast")
+    (coarse,) = render_mesh(box, np.array([37.0]), np.array([20.0]), 64, supersample=1, backend="raycast")
     assert set(np.unique(coarse[..., 3])) == {0, 255}
 
 
 def test_edges_keep_the_colour_of_the_face(box: Mesh) -> None:
     """Straight alpha: a partly covered pixel is not darkened."""
-    (image,) = render(box, np.zeros(1), np.zeros(1), 65, supersample=4)
+    (image,) = render_mesh(box, np.zeros(1), np.zeros(1), 65, supersample=4)
     partial = (image[..., 3] > 0) & (image[..., 3] < 255)
     assert partial.any()
     assert (image[partial][:, 0] > 250).all()
 
 
 def test_supersampling_is_the_mean_of_a_finer_image(box: Mesh) -> None:
-    fine = render(box, np.array([25.0]), np.array([15.0]), 64, supersample=1)[0, ..., 3].astype(float)
+    fine = render_mesh(box, np.array([25.0]), np.array([15.0]), 64, supersample=1)[0, ..., 3].astype(float)
     mean = fine.reshape(32, 2, 32, 2).mean(axis=(1, 3))
-    (image,) = render(box, np.array([25.0]), np.array([15.0]), 32, supersample=2)
+    (image,) = render_mesh(box, np.array([25.0]), np.array([15.0]), 32, supersample=2)
     assert np.array_equal(image[..., 3], np.floor(mean + 0.5))
 
 
@@ -219,7 +220,7 @@ def test_a_surface_modelled_once_for_each_side_shows_each(backend: str) -> None:
     for order in ([0, 1, 2, 3], [2, 3, 0, 1]):
         material = np.array([0, 0, 1, 1], np.int32)[order]
         mesh = Mesh(SQUARE, faces[order], material, (RED, BLUE))
-        front, back = render(mesh, np.array([0.0, 180.0]), np.zeros(2), 32, backend=backend)
+        front, back = render_mesh(mesh, np.array([0.0, 180.0]), np.zeros(2), 32, backend=backend)
         assert colour_at(front).round(1).tolist() == [1, 0, 0]
         assert colour_at(back).round(1).tolist() == [0, 0, 1]
 
@@ -227,7 +228,7 @@ def test_a_surface_modelled_once_for_each_side_shows_each(backend: str) -> None:
 def test_of_coincident_faces_the_first_is_seen_without_speckle() -> None:
     material = np.array([0, 0, 1, 1], np.int32)
     mesh = Mesh(SQUARE, np.array([[0, 1, 2], [0, 2, 3], [1, 2, 0], [2, 3, 0]], np.int32), material, (RED, BLUE))
-    (image,) = render(mesh, np.array([33.0]), np.array([12.0]), 64)
+    (image,) = render_mesh(mesh, np.array([33.0]), np.array([12.0]), 64)
     inside = image[..., 3] == 255
     assert inside.sum() > 300 and (image[inside][:, 2] == 0).all()
 
@@ -236,7 +237,7 @@ def test_textures_are_the_right_way_round_and_repeat(backend: str) -> None:
     texture = np.zeros((2, 2, 3), np.uint8)
     texture[0, 0], texture[0, 1], texture[1, 0] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
     for repeat in (1, 3):
-        (image,) = render(square(texture, repeat), np.zeros(1), np.zeros(1), 192, backend=backend)
+        (image,) = render_mesh(square(texture, repeat), np.zeros(1), np.zeros(1), 192, backend=backend)
         rows, columns = (np.flatnonzero((image[..., 3] == 255).any(axis=i)) for i in (1, 0))
         side = rows[-1] + 1 - rows[0]
         for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
@@ -258,7 +259,7 @@ def test_holes_of_a_texture_show_what_is_behind(backend: str) -> None:
         (*front.materials, BLUE),
         np.concatenate([front.uv, np.zeros((2, 3, 2), np.float32)]),  # type: ignore[list-item]
     )
-    (alone,), (both,) = (render(m, np.zeros(1), np.zeros(1), 64, backend=backend) for m in (front, mesh))
+    (alone,), (both,) = (render_mesh(m, np.zeros(1), np.zeros(1), 64, backend=backend) for m in (front, mesh))
     assert alone[32, 24, 3] == 0 and alone[32, 40, 3] == 255
     assert both[32, 24].tolist() == [0, 0, 255, 255] and both[32, 40].tolist() == [255, 255, 255, 255]
 
@@ -266,8 +267,8 @@ def test_holes_of_a_texture_show_what_is_behind(backend: str) -> None:
 def test_vertex_colours_blend_across_a_face(backend: str) -> None:
     colours = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
     mesh = Mesh(SQUARE[:3], np.array([[0, 1, 2]], np.int32), np.zeros(1, np.int32), (Material(),), None, colours)
-    (image,) = render(mesh, np.zeros(1), np.zeros(1), 128, backend=backend)
-    (place,) = project(SQUARE[:3].mean(axis=0, keepdims=True), camera_frames(np.zeros(1), np.zeros(1)))[0]
+    (image,) = render_mesh(mesh, np.zeros(1), np.zeros(1), 128, backend=backend)
+    (place,) = project(SQUARE[:3].mean(axis=0, keepdims=True), look_from(np.zeros(1), np.zeros(1)))[0]
     assert np.allclose(colour_at(image, place[1], place[0]), 1 / 3, atol=0.03)
 
 
@@ -284,7 +285,7 @@ def agree(mesh: Mesh) -> None:
     lights = rng.normal(size=(4, 3))
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
     azimuth, elevation = rng.uniform(0, 360, 4), rng.uniform(-20, 40, 4)
-    a, b = (render(mesh, azimuth, elevation, 192, 2, name, lights).astype(float) for name in BACKENDS)  # type: ignore[arg-type]
+    a, b = (render_mesh(mesh, azimuth, elevation, 192, 2, name, lights).astype(float) for name in BACKENDS)  # type: ignore[arg-type]
     overlap = np.minimum(a[..., 3], b[..., 3]).sum() / np.maximum(a[..., 3], b[..., 3]).sum()
     assert overlap > 0.97
     inside = (a[..., 3] == 255) & (b[..., 3] == 255)
@@ -312,7 +313,7 @@ def test_pyrender_falls_back_with_one_warning(
     with caplog.at_level(logging.WARNING):
         assert choose_backend("pyrender") == "raycast"
     assert [r.getMessage() for r in caplog.records] == [
-        "pyrender cannot draw here (ImportError: no display): using the ray caster"
+        "pyrender cannot render here (ImportError: no display): using the ray caster"
     ]
 
 
@@ -331,10 +332,10 @@ def test_pyrender_falls_back_with_one_warning(
 )
 def test_bad_arguments(box: Mesh, change: dict, message: str) -> None:
     with pytest.raises(ViewnetError, match=message):
-        render(**{"mesh": box, "azimuth": np.zeros(1), "elevation": np.zeros(1), **change})
+        render_mesh(**{"mesh": box, "azimuth": np.zeros(1), "elevation": np.zeros(1), **change})
 
 
 def test_a_mesh_that_is_not_normalised(box: Mesh) -> None:
     large = Mesh(box.vertices * 3, box.faces, box.material, box.materials)
     with pytest.raises(ViewnetError, match="normalise"):
-        render(large, np.zeros(1), np.zeros(1))
+        render_mesh(large, np.zeros(1), np.zeros(1))

@@ -14,7 +14,7 @@ from skimage.metrics import structural_similarity
 from viewnet.data.store import write_store
 from viewnet.errors import ViewnetError
 from viewnet.model.viewnet import Hypotheses
-from viewnet.render import render
+from viewnet.render import render_mesh
 from viewnet.tables import novel_view_scores
 from viewnet.tables.columns import NOVEL_VIEWS
 
@@ -28,7 +28,7 @@ def store(tmp_path_factory):
 def one_shape(store, tmp_path_factory):
     """The views of `store`, all of the same object."""
     index = store.index
-    images = render(box_mesh(SYMMETRIC), index["azimuth"].to_numpy(), index["elevation"].to_numpy(), 32, 2)
+    images = render_mesh(box_mesh(SYMMETRIC), index["azimuth"].to_numpy(), index["elevation"].to_numpy(), 32, 2)
     return write_store(tmp_path_factory.mktemp("one") / "views", [images], index, {"one": 1})
 
 

@@ -26,7 +26,7 @@ from helpers.works import differences, leftovers
 
 from viewnet.config import DataConfig, VideoConfig
 from viewnet.data import build
-from viewnet.data.rendered_store import drawn_so_far
+from viewnet.data.rendered_store import partial_folder
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
 from viewnet.recipes import make_config
@@ -115,7 +115,7 @@ def test_a_store_is_opened_without_a_lock(tmp_path, monkeypatch):
 
 def test_what_a_killed_call_left_beside_a_whole_store_goes(tmp_path):
     store = drawn()
-    left = drawn_so_far(store.folder)
+    left = partial_folder(store.folder)
     left.mkdir()
     (left / "00000000.npz").write_bytes(b"drawn")
     drawn()

@@ -16,12 +16,12 @@ from viewnet.config import CATEGORIES, SYNSETS
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import replacing
 from viewnet.runtime.progress import bar
+from viewnet.runtime.splits import split_sizes
 
 Generator = Callable[[np.random.Generator], Builder]
 
 # Part of every model's name: raise it when any generator changes, so that old and new models are never mixed.
 VERSION = 2
-SPLITS = {"train": 0.7, "val": 0.1, "test": 0.2}
 FOLDERS = {"bicycle": "cycles", "motorbike": "cycles", "diningtable": "furniture", "sofa": "furniture"}
 """Categories that share parts share a folder; any other has one of its own."""
 # Each category's module has the function of the same name.
@@ -74,7 +74,7 @@ def write_collection(root: Path, categories: Sequence[str], models: int, seed: i
 
 def split_names(category: str, models: int, seed: int = 0) -> list[str]:
     """The split of each of `models` models: exact counts (the rest is train), shuffled by seed and category."""
-    val, test = round(SPLITS["val"] * models), round(SPLITS["test"] * models)
+    val, test = split_sizes(models).values()
     names = np.array(["train"] * (models - val - test) + ["val"] * val + ["test"] * test)
     order = np.random.default_rng([seed, int(SYNSETS[category]), models, 1]).permutation(models)
     return [str(name) for name in names[order]]

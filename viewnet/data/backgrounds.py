@@ -8,8 +8,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 from PIL import Image
 
 from viewnet import paths
+from viewnet.data.readers.image_folder import list_images
 from viewnet.data.store import identity_of
 from viewnet.data.synthetic import scenes
 from viewnet.errors import ViewnetError
@@ -27,13 +27,10 @@ from viewnet.runtime.progress import bar
 
 DRAWN = "drawn"
 """The source that needs no images."""
-SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".ppm", ".tif", ".tiff")
 VERSION = 1
 """Raise it when a change alters how images are chosen or cut."""
 LARGEST = 1024
 """Pixels along a side."""
-
-CLASSES = "ClassName.txt"
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,59 +87,6 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
                 rejected = missing + rejected
             _write(folder, images, classes, rejected)
     return _read(folder, identity, size)
-
-
-def list_images(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, str]]]:
-    """The images of a folder, (path from `root`, class) sorted by path, and what its list of classes lacks.
-
-    Raises ViewnetError where there is no such folder or no image in it, and for a line of the list that is no folder.
-    """
-    if not root.is_dir():
-        raise ViewnetError(
-            f"{root}: no such folder: give one of images, SUN397's, or {DRAWN!r} for backgrounds that are drawn"
-        )
-    found: dict[str, int] = {}
-    missing: list[tuple[str, str]] = []
-    if (root / CLASSES).is_file():
-        try:
-            lines = (root / CLASSES).read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise ViewnetError(f"{root / CLASSES}: cannot be read ({error}): expected a folder a line") from None
-        for number, name in enumerate(line.strip() for line in lines if line.strip()):
-            inside = Path(name.lstrip("/"))
-            if ".." in inside.parts or len(name) > 200 or not name.isprintable():
-                raise ViewnetError(f"{root / CLASSES}: line {name[:60]!r}: expected a folder such as /a/abbey")
-            if not (root / inside).is_dir():
-                missing.append((name, "no such class folder"))
-                continue
-            # A class may lie within another's folder; its images are its own.
-            for entry in os.scandir(root / inside):
-                if _is_image(entry.name) and entry.is_file():
-                    found[(inside / entry.name).as_posix()] = number
-    else:
-        found = {path.relative_to(root).as_posix(): 0 for path in _walk(root, {root.resolve()})}
-    if not found:
-        told = f", and {len(missing)} of the folders in {CLASSES} are missing" if missing else ""
-        raise ViewnetError(f"{root}: no images in it ({', '.join(SUFFIXES)}){told}: name a folder that has some")
-    return sorted(found.items()), missing
-
-
-def _walk(folder: Path, seen: set[Path]) -> Iterator[Path]:
-    """The images below a folder. Linked folders are followed, but none is entered twice."""
-    for entry in os.scandir(folder):
-        if entry.name.startswith("."):
-            continue
-        if entry.is_dir():
-            real = Path(entry.path).resolve()
-            if real not in seen:
-                seen.add(real)
-                yield from _walk(Path(entry.path), seen)
-        elif _is_image(entry.name) and entry.is_file():
-            yield Path(entry.path)
-
-
-def _is_image(name: str) -> bool:
-    return name.lower().endswith(SUFFIXES) and not name.startswith(".")
 
 
 def _digest(root: Path, classed: Iterable[tuple[str, int]], missing: list[tuple[str, str]]) -> str:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
-import sys
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -14,25 +11,28 @@ from typing import Any
 
 from viewnet import cad, paths
 from viewnet.config import CATEGORIES, DataConfig, PhotoConfig, VideoConfig, known
-from viewnet.data import clip_store, frames, masks, photo_store
+from viewnet.data import clip_store, masks, photo_store
 from viewnet.data.clips import Clip
 from viewnet.data.crop import Crop
-from viewnet.data.readers import freiburg, objectron, pascal3d, video_folder
-from viewnet.data.readers.shapenet import SHARES, ModelFile, find_models, take
-from viewnet.data.rendered_store import describe, digest, drawn_so_far, render_views
-from viewnet.data.store import ViewStore, identity_of
+from viewnet.data.readers import freiburg, objectron, pascal3d
+from viewnet.data.readers.photo_folder import LIST
+from viewnet.data.readers.registry import READERS
+from viewnet.data.readers.shapenet import ModelFile, find_models, take
+from viewnet.data.rendered_store import describe, digest, partial_folder, render_views
+from viewnet.data.store import Rejected, ViewStore, identity_of
 from viewnet.data.synthetic import freiburg_standin, objectron_standin, pascal3d_standin
 from viewnet.errors import ViewnetError
 from viewnet.render import choose_backend
 from viewnet.runtime.files import filling, locked
+from viewnet.runtime.splits import SHARES
 
 
 def view_store(
     config: DataConfig, workers: int | None = None, progress: bool = True, executor: Executor | None = None
 ) -> ViewStore:
-    """Open the views of `config` (section 4.2), making the CAD collection and drawing the views where they are missing.
+    """Open the views of `config` (section 4.2), making the CAD collection and rendering the views where missing.
 
-    Where it names videos, theirs are the views (video_views). Else views are drawn in `workers` processes of this
+    Where it names videos, the views are theirs (video_views). Else views are rendered in `workers` processes of this
     machine, or on an executor whose workers see the same files.
 
     Stores lie in `<paths.data()>/views/<category>-<key>`, the key a hash of everything that decides the views. Raises
@@ -46,59 +46,46 @@ def view_store(
         return video_views(config.video, workers, progress)
     if config.models < 0:
         raise ViewnetError(f"models {config.models}: expected 1 or more, or 0 for all of a collection")
-    backend = choose_backend(config.renderer)
-    described = describe(
-        config.views,
-        config.image_size,
-        config.supersample,
-        config.azimuth_range,
-        config.elevation_range,
-        config.seed,
-        backend,
-    )
-    extra = [] if config.extra is None else joining(find_models(config.extra, config.category), config)
+    settings: dict[str, Any] = {
+        "views": config.views,
+        "image_size": config.image_size,
+        "supersample": config.supersample,
+        "azimuth_range": config.azimuth_range,
+        "elevation_range": config.elevation_range,
+        "seed": config.seed,
+        "backend": choose_backend(config.renderer),
+    }
+    made_by = describe(**settings)
+    extra = [] if config.extra is None else as_training_models(find_models(config.extra, config.category), config)
     models: list[ModelFile] | None = None
     if config.root is None:
         # Known without looking at a file, so that a store is found when its collection has been removed.
-        described["models"] = {"built-in": cad.VERSION, "count": config.models, "category": config.category}
+        made_by["models"] = {"built-in": cad.VERSION, "count": config.models, "category": config.category}
     else:
         models = take(find_models(config.root, config.category, config.splits, config.seed), config.models, config.seed)
-        described["models"] = digest(models)
+        made_by["models"] = digest(models)
     if extra:
-        described["extra"] = digest(extra)
-    folder = paths.data() / "views" / f"{config.category}-{identity_of(described)[:12]}"
+        made_by["extra"] = digest(extra)
+    folder = _store_folder(config.category, made_by)
     if folder.exists():
-        shutil.rmtree(drawn_so_far(folder), ignore_errors=True)
+        shutil.rmtree(partial_folder(folder), ignore_errors=True)
         return ViewStore.open(folder)
     if models is None:
         models = find_models(built_in(config.category, config.models, config.seed, progress), config.category)
-    return render_views(
-        [*models, *extra],
-        folder,
-        views=config.views,
-        image_size=config.image_size,
-        supersample=config.supersample,
-        azimuth_range=config.azimuth_range,
-        elevation_range=config.elevation_range,
-        seed=config.seed,
-        backend=backend,
-        workers=workers,
-        progress=progress,
-        executor=executor,
-    )
+    return render_views([*models, *extra], folder, **settings, workers=workers, progress=progress, executor=executor)
 
 
-def joining(models: list[ModelFile], config: DataConfig) -> list[ModelFile]:
-    """Models of the second collection as they join the first: for training all of them.
+def as_training_models(models: list[ModelFile], config: DataConfig) -> list[ModelFile]:
+    """The models of a second collection, all of them in the training split of the first.
 
-    Each as often as it takes to make `config.extra_share` of the training models, the first collection's being 70 %,
-    every time seen from other viewpoints. Without a known number of models in the first each comes once. Raises
+    Each is repeated until they are `config.extra_share` of the training models, the first collection's being 70 % of
+    `config.models`; every copy is seen from other viewpoints. Where `config.models` is 0 each comes once. Raises
     ViewnetError for a share that is not between 0 and 1.
     """
     if not 0 < config.extra_share < 1:
         raise ViewnetError(f"extra_share {config.extra_share}: expected a number between 0 and 1")
-    others = SHARES[0] * config.models * config.extra_share / (1 - config.extra_share)
-    copies = max(1, round(others / len(models)))
+    number = SHARES["train"] * config.models * config.extra_share / (1 - config.extra_share)
+    copies = max(1, round(number / len(models)))
     return [replace(model, id=f"extra{i}-{model.id}", split="train") for i in range(copies) for model in models]
 
 
@@ -122,81 +109,67 @@ def built_in(category: str, models: int, seed: int = 0, progress: bool = True) -
 def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
     """Open the photographs of `config` (section 4.3) as a view store, cutting them where that has not been done.
 
-    Split "val" is what viewpoints are calibrated on, PASCAL3D+'s "train", and "test" what is scored, its "val". Every
-    object is a model of its own, with one view. `photos.summary` says what is used and what is left out.
+    Viewpoints are calibrated on split "val", PASCAL3D+'s "train", and scored on "test", its "val". Every object is a
+    model of its own with one view. `photo_store.summary` says what is used and what is left out.
 
     Stores lie in `<paths.data()>/views/photos-<category>-<key>`, the key a hash of everything that decides the views;
-    looking for one reads annotations, but no image. Raises ViewnetError for a root that is neither PASCAL3D+ nor a
-    folder with a list (photos.read_folder), settings that do not apply to it, a split without usable photographs, and
-    one photograph in both.
+    looking for one reads annotations, but no image. Raises ViewnetError for a root in no layout that can be read,
+    settings that do not apply to it, a split without usable photographs, and one photograph in both.
     """
     known(config.category, CATEGORIES, "category")
     crop = Crop(config.size, config.margin, config.square, config.pad)
-    root = None if config.root is None else Path(config.root)
-    made_by: dict[str, Any] = {"category": config.category, "crop": photo_store.described(crop)}
-    listed = root is not None and (root / photo_store.LIST).is_file() and not (root / "Annotations").is_dir()
-    if root is None:
-        made_by["stand-in"] = _stand_in(config)
-    elif listed:
-        if config.keep != "all" or config.coarse:
-            raise ViewnetError(f"{root}: its list has no flags to go by: use keep='all' and coarse=False, or PASCAL3D+")
-        made_by["listed"] = photo_store.folder_digest(root)
-    elif (root / "Annotations").is_dir():
-        made_by["pascal3d"] = _pascal3d_digest(root, config.category, config.subset)
+    made_by: dict[str, Any] = {"category": config.category, "crop": photo_store.describe_crop(crop)}
+    if config.root is None:
+        reader = pascal3d.READER.photographs
+        made_by |= {"stand-in": _describe_stand_in(config)} | pascal3d.settings(config)
     else:
-        raise ViewnetError(
-            f"{root}: no photographs that can be read: expected PASCAL3D+ 1.1 (a folder with Annotations, Images and"
-            f" Image_sets) or a folder with images/ and {photo_store.LIST}"
-        )
-    if not listed:
-        made_by |= {"subset": config.subset, "keep": config.keep, "coarse": config.coarse}
-    folder = paths.data() / "views" / f"photos-{config.category}-{identity_of(made_by)[:12]}"
-    if folder.exists():
-        return ViewStore.open(folder)
-    with locked(folder):
-        if folder.exists():
-            return ViewStore.open(folder)
-        if listed and root is not None:
-            rows = photo_store.read_folder(root, config.category)
-            return photo_store.photo_store(
-                rows, folder, crop, made_by, root, upright=True, workers=workers, progress=progress
+        root = Path(config.root)
+        reader = next((r.photographs for r in READERS.values() if r.photographs and r.recognises(root)), None)
+        if reader is None:
+            raise ViewnetError(
+                f"{root}: no photographs that can be read: expected PASCAL3D+ 1.1 (a folder with Annotations, Images and"
+                f" Image_sets) or a folder with images/ and {LIST}"
             )
-        if root is None:
-            root = stand_in(config, workers, progress)
-        found, report = [], pascal3d.Report()
-        for split in pascal3d.SPLITS:
-            mine, told = pascal3d.read(root, config.category, config.subset, split, config.keep, config.coarse)
-            found += mine
-            report.rejected += told.rejected
-            report.mended += told.mended
-            report.others += told.others
-        # Decided by what has been hashed already, and kept where a summary finds it.
-        made_by["mended"] = pascal3d.tally(what for _, what in report.mended)
-        made_by["objects of other categories"] = report.others
-        splits = {"train": "val", "val": "test"}
-        return photo_store.photo_store(
-            found, folder, crop, made_by, root, splits, report.rejected, workers=workers, progress=progress
-        )
+        made_by |= reader.describe(config, root)
+    assert reader is not None
+    folder = _store_folder(f"photos-{config.category}", made_by)
 
-
-def stand_in(config: PhotoConfig, workers: int | None = None, progress: bool = True) -> Path:
-    """The folder of the stand-in for PASCAL3D+ that `config` asks for, written if it is not there yet."""
-    root = paths.data() / "pascal3d-stand-in" / f"{config.category}-{identity_of(_stand_in(config))[:12]}"
-
-    def write(folder: Path) -> None:
-        pascal3d_standin.write_stand_in(
+    def make() -> None:
+        root = stand_in(config, workers, progress) if config.root is None else Path(config.root)
+        photographs = reader.read(config, root)
+        # The notes follow from what is in the store's name already.
+        photo_store.photo_store(
+            photographs.usable,
             folder,
-            [config.category],
-            config.models,
-            config.count,
-            config.subset,
-            None if config.backgrounds is None else Path(config.backgrounds),
-            config.seed,
+            crop,
+            made_by | photographs.notes,
+            root,
+            photographs.rejected,
+            reader.upright,
             workers,
             progress,
         )
 
-    return _written(root, write)
+    return ViewStore.open(_made_once(folder, make))
+
+
+def stand_in(config: PhotoConfig, workers: int | None = None, progress: bool = True) -> Path:
+    """The folder of the stand-in for PASCAL3D+ that `config` asks for, written if it is not there yet."""
+    name = f"{config.category}-{identity_of(_describe_stand_in(config))[:12]}"
+    chosen = (config.models, config.count, config.subset, _backgrounds(config), config.seed)
+    return _write_once(
+        paths.data() / "pascal3d-stand-in" / name,
+        lambda folder: pascal3d_standin.write_stand_in(folder, [config.category], *chosen, workers, progress),
+    )
+
+
+def _describe_stand_in(config: PhotoConfig) -> dict[str, Any]:
+    chosen = (config.subset, config.models, config.count, config.seed, _backgrounds(config))
+    return pascal3d_standin.describe(config.category, *chosen)
+
+
+def _backgrounds(config: PhotoConfig) -> Path | None:
+    return None if config.backgrounds is None else Path(config.backgrounds)
 
 
 def video_views(config: VideoConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
@@ -215,19 +188,36 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
         raise ViewnetError(f"count {config.count}: expected 1 or more frames a clip, or 0 for all")
     crop = Crop(config.size, config.margin, config.square)
     limits = clip_store.Limits(config.side, config.blur)
-    source = _mask_source(config)
+    source = masks.mask_source(config.masks, config.category)
     root = video_stand_in(config, workers, progress) if config.root is None else Path(config.root)
     clips, rejected = _clips(config, root)
     made_by = clip_store.describe(clips, source, crop, limits, config.scale)
-    folder = paths.data() / "views" / f"videos-{config.category}-{identity_of(made_by)[:12]}"
-    if folder.exists():
-        return ViewStore.open(folder)
-    with locked(folder):
-        if folder.exists():
-            return ViewStore.open(folder)
-        return clip_store.clip_store(
-            clips, folder, root, source, crop, limits, config.scale, rejected, workers, progress
-        )
+    folder = _store_folder(f"videos-{config.category}", made_by)
+
+    def make() -> None:
+        clip_store.clip_store(clips, folder, root, source, crop, limits, config.scale, rejected, workers, progress)
+
+    return ViewStore.open(_made_once(folder, make))
+
+
+def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]:
+    """The clips in `root` as the configuration wants them split and masked, and what cannot be used."""
+    kinds = {key: reader.videos for key, reader in READERS.items() if reader.videos}
+    kind = config.kind
+    reader = kinds[kind] if kind != "auto" else next(reader for reader in kinds.values() if reader.accepts(root))
+    clips, rejected = reader.read(config, root)
+    if config.split_rule == "all":
+        clips = [replace(clip, split="train") for clip in clips]
+    if config.mask_folder != VideoConfig.mask_folder:
+        if config.masks != "files":
+            raise ViewnetError(f"mask_folder {config.mask_folder}: masks are {config.masks} and not files: leave it")
+        # A clip's id is its place below the folder, whatever the data set.
+        folders = [root / Path(config.mask_folder).expanduser() / clip.id for clip in clips]
+        if not any(folder.is_dir() for folder in folders):
+            raise ViewnetError(f"mask_folder {config.mask_folder}: no masks of any video, such as {folders[0]}")
+        masked = [folder if folder.is_dir() else None for folder in folders]
+        clips = [replace(clip, masks=folder) for clip, folder in zip(clips, masked, strict=True)]
+    return clips, rejected
 
 
 def video_stand_in(config: VideoConfig, workers: int | None = None, progress: bool = True) -> Path:
@@ -235,107 +225,43 @@ def video_stand_in(config: VideoConfig, workers: int | None = None, progress: bo
 
     Raises ViewnetError for a category that neither data set has, and for a folder of videos, which has no stand-in.
     """
-    kind = config.kind
-    if kind == "auto":
-        kind = "freiburg" if config.category == freiburg.CATEGORY else "objectron"
-    if kind == "freiburg" and config.category == freiburg.CATEGORY:
-        cars = (config.sequences or freiburg_standin.SEQUENCES, config.frames, config.seed)
-        root = paths.data() / "freiburg-stand-in" / identity_of(freiburg_standin.describe(*cars))[:12]
-        return _written(root, lambda folder: freiburg_standin.write_stand_in(folder, *cars, workers, progress))
-    if kind == "objectron" and config.category in objectron.CLASSES:
+    cars = config.category == freiburg.CATEGORY
+    if cars and config.kind in ("auto", "freiburg"):
+        driven = (config.sequences or freiburg_standin.SEQUENCES, config.frames, config.seed)
+        return _write_once(
+            paths.data() / "freiburg-stand-in" / identity_of(freiburg_standin.describe(*driven))[:12],
+            lambda folder: freiburg_standin.write_stand_in(folder, *driven, workers, progress),
+        )
+    if config.kind in ("auto", "objectron") and config.category in objectron.CLASSES:
         filmed = (config.category, config.videos, config.frames, config.seed)
-        root = paths.data() / "objectron-stand-in" / identity_of(objectron_standin.describe(*filmed))[:12]
-        return _written(root, lambda folder: objectron_standin.write_stand_in(folder, *filmed, progress=progress))
+        return _write_once(
+            paths.data() / "objectron-stand-in" / identity_of(objectron_standin.describe(*filmed))[:12],
+            lambda folder: objectron_standin.write_stand_in(folder, *filmed, progress=progress),
+        )
     raise ViewnetError(
         f"category {config.category}: stand-ins for videos show {freiburg.CATEGORY} (Freiburg static cars) and"
         f" {', '.join(objectron.CLASSES)} (Objectron): name a root for others"
     )
 
 
-def _written(root: Path, write: Callable[[Path], None]) -> Path:
-    """`root`, which appears whole when `write` has filled a folder beside it."""
-    if not root.exists():  # before any lock, for which the folder about it may not be writable
-        with locked(root):
-            if not root.exists():
-                with filling(root) as temporary:
-                    write(temporary)
-    return root
+def _store_folder(name: str, made_by: dict[str, Any]) -> Path:
+    return paths.data() / "views" / f"{name}-{identity_of(made_by)[:12]}"
 
 
-def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[freiburg.Rejected]]:
-    clips, rejected = _READERS[_kind(config, root)](config, root)
-    if config.split_rule == "all":
-        clips = [replace(clip, split="train") for clip in clips]
-    if config.mask_folder != VideoConfig.mask_folder:
-        if config.masks != "files":
-            raise ViewnetError(f"mask_folder {config.mask_folder}: masks are {config.masks} and not files: leave it")
-        # A clip's id is its place below the folder, whatever the data set.
-        places = [root / Path(config.mask_folder).expanduser() / clip.id for clip in clips]
-        if not any(place.is_dir() for place in places):
-            raise ViewnetError(f"mask_folder {config.mask_folder}: no masks of any video, such as {places[0]}")
-        clips = [
-            replace(clip, masks=place if place.is_dir() else None) for clip, place in zip(clips, places, strict=True)
-        ]
-    return clips, rejected
+def _made_once(folder: Path, make: Callable[[], None]) -> Path:
+    """`folder`, which `make` makes where it is missing; of several processes one makes it and the others wait."""
+    if not folder.exists():  # before any lock, for which the folder about it may not be writable
+        with locked(folder):
+            if not folder.exists():
+                make()
+    return folder
 
 
-def _kind(config: VideoConfig, root: Path) -> str:
-    """Which layout to read `root` in."""
-    if config.kind != "auto":
-        return config.kind
-    if not (root / freiburg.ANNOTATIONS).is_dir():
-        return "folder"
-    return "objectron" if (root / "videos").is_dir() else "freiburg"
+def _write_once(folder: Path, write: Callable[[Path], None]) -> Path:
+    """`folder`, which appears whole when `write` has filled a temporary one."""
 
+    def make() -> None:
+        with filling(folder) as temporary:
+            write(temporary)
 
-def _freiburg(config: VideoConfig, root: Path) -> tuple[list[Clip], list[freiburg.Rejected]]:
-    if config.category != freiburg.CATEGORY:
-        raise ViewnetError(f"{root}: shows cars, not {config.category}: name another root or category car")
-    clips, rejected = freiburg.read(root, config.split_rule)
-    chosen = [frames.pick(len(clip.frames), config.count or None, config.pick, clip.id, config.seed) for clip in clips]
-    fewer = [
-        replace(clip, frames=tuple(clip.frames[i] for i in mine)) for clip, mine in zip(clips, chosen, strict=True)
-    ]
-    return fewer, rejected
-
-
-def _objectron(config: VideoConfig, root: Path) -> tuple[list[Clip], list[freiburg.Rejected]]:
-    if config.pick != "random":
-        raise ViewnetError(f"pick {config.pick}: of Objectron's frames those to use are drawn: use random")
-    return objectron.read(root, config.category, config.count or sys.maxsize, config.seed)
-
-
-def _folder(config: VideoConfig, root: Path) -> tuple[list[Clip], list[freiburg.Rejected]]:
-    return video_folder.read(root, config.category, config.count or None, config.pick, config.seed)
-
-
-_READERS = {"freiburg": _freiburg, "objectron": _objectron, "folder": _folder}
-
-
-def _mask_source(config: VideoConfig) -> masks.MaskSource | None:
-    if config.masks == "none":
-        return None
-    if config.masks == "files":
-        return masks.FromFiles()
-    return masks.FromAlpha() if config.masks == "alpha" else masks.predicted(config.masks, config.category)
-
-
-def _stand_in(config: PhotoConfig) -> dict[str, Any]:
-    backgrounds = None if config.backgrounds is None else Path(config.backgrounds)
-    return pascal3d_standin.describe(
-        config.category, config.subset, config.models, config.count, config.seed, backgrounds
-    )
-
-
-def _pascal3d_digest(root: Path, category: str, subset: str) -> str:
-    """What photographs depend on: lists, annotations and, as a cheap sign of a changed image, its size."""
-    hashed = hashlib.sha256()
-    for part in pascal3d.parts(subset):
-        for split in pascal3d.SPLITS:
-            for image in pascal3d.listed(root, category, part, split):
-                record = pascal3d.annotation_file(root, category, part, image)
-                image_path = pascal3d.image_file(root, category, part, image)
-                content = hashlib.sha256(record.read_bytes()).hexdigest() if record.is_file() else ""
-                size = image_path.stat().st_size if image_path.is_file() else -1
-                hashed.update(json.dumps([part, split, image, content, image_path.name, size]).encode())
-    return hashed.hexdigest()
+    return _made_once(folder, make)

@@ -22,19 +22,16 @@ from PIL import Image
 from scipy import ndimage
 
 from viewnet.config import CATEGORIES, known
-from viewnet.data import frames
-from viewnet.data.clips import Clip, Frame
+from viewnet.data.clips import Clip, Frame, frame_count, read_frames
 from viewnet.data.crop import Crop, bounds, cut, inside, shrunk
 from viewnet.data.masks import MaskSource
-from viewnet.data.photo_store import described
-from viewnet.data.readers.freiburg import Rejected
-from viewnet.data.readers.pascal3d import tally
-from viewnet.data.readers.shapenet import SPLITS
-from viewnet.data.store import ViewStore, write_store
+from viewnet.data.photo_store import describe_crop
+from viewnet.data.store import Rejected, ViewStore, tally, write_store
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import scratch
 from viewnet.runtime.parallel import cores
 from viewnet.runtime.progress import bar
+from viewnet.runtime.splits import SPLITS
 
 VERSION = 1
 """Raise it when a change alters what is cut out: it is part of every store's identity."""
@@ -154,7 +151,7 @@ def describe(
         "version": VERSION,
         "clips": {"count": len(clips), "sha256": hashed.hexdigest()},
         "masks": None if masks is None else masks.described,
-        "crop": described(crop),
+        "crop": describe_crop(crop),
         "limits": asdict(limits or Limits()),
         "scale": scale if masks else "view",
     }
@@ -197,9 +194,9 @@ def _views(
     found: list[_View] = []
     lost: list[Rejected] = []
     try:
-        mine = {frame.number: frame for frame in clip.frames or map(Frame, range(frames.count(clip.source)))}
+        mine = {frame.number: frame for frame in clip.frames or map(Frame, range(frame_count(clip.source)))}
         follow = masks.follow(clip) if masks else None
-        for number, name, image in frames.stills(clip.source, mine):
+        for number, name, image in read_frames(clip.source, mine):
             try:
                 if isinstance(image, ViewnetError):
                     raise image

@@ -1,17 +1,44 @@
-"""Videos of one object each: which frames there are, and what is known of them."""
+"""Clips, videos of one object each, and their images: a video file's frames or a folder's images in the order of time."""
 
 from __future__ import annotations
 
+import hashlib
 import math
+import re
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
+
+import av
+import numpy as np
+from PIL import Image, ImageOps
 
 from viewnet.data.crop import Box
+from viewnet.errors import ViewnetError
+from viewnet.runtime.image_files import MOST_PIXELS, SUFFIXES, opened
+
+VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp")
+"""How names of video files end."""
+CONTAINERS = (
+    "mov", "mp4", "m4a", "3gp", "3g2", "mj2", "matroska", "webm", "avi", "mpeg", "mpegts", "mpegvideo", "asf",
+)  # fmt: skip
+"""What a video file may hold, in FFmpeg's names. Some of FFmpeg's other formats are lists that open further files."""
+
+Pick = Literal["random", "evenly"]
+PICKS: tuple[Pick, ...] = ("random", "evenly")
+Still = tuple[int, str, Image.Image | ViewnetError]
+"""A frame's number from 0, its name without a suffix, and its image or why there is none."""
+_QUARTERS = {
+    90: Image.Transpose.ROTATE_90,
+    180: Image.Transpose.ROTATE_180,
+    270: Image.Transpose.ROTATE_270,
+}
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One image of a clip. What nobody annotated is NaN or None."""
+    """One image of a clip. What is not annotated is NaN or None."""
 
     number: int  # from 0, in the order of time
     azimuth: float = math.nan  # degrees in [0, 360), as in viewnet.geometry
@@ -27,5 +54,140 @@ class Clip:
     category: str
     split: str  # train, val or test
     source: Path  # a video file, or a folder of images whose names sort in the order of time
-    frames: tuple[Frame, ...]  # those that may be used; an empty tuple stands for all, with nothing known of them
+    frames: tuple[Frame, ...]  # those that may be used; an empty tuple stands for all, without annotations
     masks: Path | None = None  # a folder of PNG masks named like the images (or %06d.png by frame number)
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file's name is that of a video."""
+    return path.suffix.lower() in VIDEOS and not path.name.startswith(".") and path.is_file()
+
+
+def is_image(path: Path) -> bool:
+    """Whether a file's name is that of an image."""
+    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """A sort key by which runs of digits compare as numbers: batch-2 comes before batch-10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name)]
+
+
+def images_in(folder: Path) -> list[Path]:
+    """The image files of a folder, sorted by name (see `natural`)."""
+    return sorted(filter(is_image, folder.iterdir()), key=lambda path: (natural(path.name), path.name))
+
+
+def frame_count(source: Path) -> int:
+    """Number of frames of a source: the images of a folder, or the packets of a video, which are not decoded.
+
+    Raises ViewnetError for a video that cannot be read, and a source without frames.
+    """
+    if source.is_dir():
+        total = len(images_in(source))
+    else:
+        with _open_video(source) as container:
+            try:
+                total = sum(packet.size > 0 for packet in container.demux(container.streams.video[0]))
+            except (av.FFmpegError, OSError) as error:
+                raise ViewnetError(f"video cannot be read ({type(error).__name__})") from None
+    if not total:
+        raise ViewnetError("no frames in it")
+    return total
+
+
+def pick_frames(total: int, count: int | None, how: Pick, name: str, seed: int = 0) -> list[int]:
+    """Ascending numbers of `count` of `total` frames, or of all for None and where there are no more.
+
+    "evenly": the middles of equal stretches of time; "random": by seed and the clip's name. Raises ViewnetError for a
+    count below 1, and another way of picking.
+    """
+    if count is not None and count < 1:
+        raise ViewnetError(f"frames {count}: expected 1 or more a clip, or none for all")
+    if how not in PICKS:
+        raise ViewnetError(f"unknown pick {how!r}: choose one of {', '.join(PICKS)}")
+    if count is None or count >= total:
+        return list(range(total))
+    if how == "evenly":
+        return [int(i) for i in (np.arange(count) + 0.5) * total / count]
+    digest = hashlib.sha256(f"{seed} frames {name}".encode()).digest()
+    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
+    return sorted(int(i) for i in rng.choice(total, count, replace=False))
+
+
+def read_frames(source: Path, numbers: Collection[int]) -> Iterator[Still]:
+    """The frames with these numbers, ascending, upright as their camera recorded; a video is decoded up to the last.
+
+    An image that does not decode, or a frame that a video turns out not to have, comes as a ViewnetError. Raises
+    ViewnetError for a video that cannot be opened.
+    """
+    ascending = sorted(set(numbers))
+    return _from_folder(source, ascending) if source.is_dir() else _from_video(source, ascending)
+
+
+def _from_folder(folder: Path, numbers: list[int]) -> Iterator[Still]:
+    files = images_in(folder)
+    for number in numbers:
+        if number >= len(files):
+            yield number, f"{number:06d}", ViewnetError("no such frame")
+            continue
+        try:
+            with opened(files[number]) as still:
+                still.load()
+                image: Image.Image | ViewnetError = ImageOps.exif_transpose(still)
+        except ViewnetError as error:
+            image = error
+        yield number, files[number].stem, image
+
+
+def _from_video(file: Path, numbers: list[int]) -> Iterator[Still]:
+    left = set(numbers)
+    with _open_video(file) as container:
+        for number, frame in enumerate(_decode(container)):
+            if number in left:
+                left.remove(number)
+                yield number, f"{number:06d}", _to_image(frame)
+            if not left:
+                return
+    for number in sorted(left):
+        yield number, f"{number:06d}", ViewnetError("frame does not decode")
+
+
+def _open_video(file: Path) -> av.container.InputContainer:
+    try:
+        container = av.open(str(file), options={"format_whitelist": ",".join(CONTAINERS), "protocol_whitelist": "file"})
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise ViewnetError(f"video cannot be read ({type(error).__name__})") from None
+    if not container.streams.video:
+        container.close()
+        raise ViewnetError("video cannot be read (no images in it)")
+    return container
+
+
+def _decode(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
+    """All frames that can be decoded: a damaged packet costs the frames that depend on it, not the rest."""
+    stream = container.streams.video[0]
+    stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
+    packets = container.demux(stream)
+    while True:
+        try:
+            packet = next(packets)
+        except (StopIteration, av.FFmpegError):  # the end, or where the file is cut off
+            return
+        try:
+            yield from packet.decode()
+        except av.FFmpegError:
+            continue
+
+
+def _to_image(frame: av.VideoFrame) -> Image.Image | ViewnetError:
+    try:
+        return upright(frame.to_image(), frame.rotation)
+    except (av.FFmpegError, ValueError, MemoryError) as error:  # of a form or size that cannot be converted
+        return ViewnetError(f"frame does not decode ({type(error).__name__})")
+
+
+def upright(image: Image.Image, rotation: float) -> Image.Image:
+    """A frame rotated as its video's display matrix records: `rotation` degrees counter-clockwise, by quarter turns."""
+    quarter = round(rotation / 90) * 90 % 360
+    return image.transpose(_QUARTERS[quarter]) if quarter else image

@@ -147,6 +147,15 @@ class Predicted:
         return find
 
 
+def mask_source(name: str, category: str) -> MaskSource | None:
+    """The source that a configuration names: files, alpha, a network (see `predicted`), or none.
+
+    Raises ViewnetError for another name, and as `predicted` does.
+    """
+    plain: dict[str, MaskSource | None] = {"none": None, "files": FromFiles(), "alpha": FromAlpha()}
+    return plain[name] if name in plain else predicted(name, category)
+
+
 def chosen(found: np.ndarray, last: np.ndarray | None) -> int:
     """Which of the masks (K, H, W) bool continues the mask before (H, W); the largest where none does."""
     if last is not None and last.shape == found.shape[1:]:

@@ -1,4 +1,7 @@
-"""Rendering a collection of CAD models into a view store, in parallel, resumable and the same on every attempt."""
+"""View stores rendered from CAD models: in parallel, resumable, and the same on every attempt.
+
+Models are rendered in chunks. A chunk's file holds what one process has rendered; a killed call goes on from them.
+"""
 
 from __future__ import annotations
 
@@ -10,25 +13,25 @@ import shutil
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, Executor, as_completed
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from viewnet.data.readers.shapenet import ModelFile
-from viewnet.data.render_chunk import Chunk, draw_chunk, read_chunk
+from viewnet.data.readers.shapenet import ModelFile, load_model
 from viewnet.data.store import ViewStore, identity_of, write_store
 from viewnet.errors import ViewnetError
-from viewnet.render import VERSION, Backend, choose_backend
-from viewnet.render.camera import DISTANCE, FOCAL, camera_frames
-from viewnet.runtime.files import locked, write_text
+from viewnet.render import VERSION, Backend, choose_backend, render_cameras
+from viewnet.render.camera import DISTANCE, FOCAL, look_from
+from viewnet.render.mesh import UnusableModel
+from viewnet.runtime.files import locked, replacing, write_text
 from viewnet.runtime.parallel import cores, pool
 from viewnet.runtime.progress import bar as progress_bar
 
 CHUNK = 16
-"""Models drawn between two points that a killed call can go on from."""
-# Below this many views starting processes takes longer than drawing.
+"""Models in a chunk."""
+# Below this many views starting processes takes longer than rendering.
 _WORTH_PROCESSES = 4000
 
 log = logging.getLogger(__name__)
@@ -73,16 +76,16 @@ def render_views(
     with locked(folder):
         if folder.exists():
             return _reopen(folder, made_by)
-        partial = drawn_so_far(folder)
+        partial = partial_folder(folder)
         chunks = _plan(models, partial, made_by)
         todo = [chunk for chunk in chunks if not chunk[1].exists()]
         _check_room(folder, len(models) * views * image_size**2 * 4, sum(len(c[0]) for c in todo) / max(len(models), 1))
-        azimuth, elevation, light = draw_viewpoints(models, views, azimuth_range, elevation_range, seed)
+        azimuth, elevation, light = sample_viewpoints(models, views, azimuth_range, elevation_range, seed)
         jobs = [
             Chunk(
                 tuple(models[i] for i in rows),
-                frames := camera_frames(azimuth[rows].ravel(), elevation[rows].ravel()).reshape(len(rows), views, 3, 3),
-                np.einsum("mvij,mvj->mvi", frames, light[rows]),
+                cameras := look_from(azimuth[rows].ravel(), elevation[rows].ravel()).reshape(len(rows), views, 3, 3),
+                np.einsum("mvij,mvj->mvi", cameras, light[rows]),  # in world coordinates
                 image_size,
                 supersample,
                 backend,
@@ -90,13 +93,13 @@ def render_views(
             )
             for rows, file in todo
         ]
-        _draw(jobs, len(models), workers, progress, views, executor)
+        _render(jobs, len(models), workers, progress, views, executor)
         store = _assemble(folder, models, [file for _, file in chunks], azimuth, elevation, made_by)
         shutil.rmtree(partial, ignore_errors=True)
         return store
 
 
-def drawn_so_far(folder: Path) -> Path:
+def partial_folder(folder: Path) -> Path:
     """The folder of what is drawn of a store that is not whole yet. A killed call may leave it beside one that is."""
     return folder.with_name(f".{folder.name}.partial")
 
@@ -133,7 +136,7 @@ def digest(models: Sequence[ModelFile]) -> dict[str, Any]:
     return {"count": len(models), "categories": categories, "sha256": hashed.hexdigest()}
 
 
-def draw_viewpoints(
+def sample_viewpoints(
     models: Sequence[ModelFile],
     views: int,
     azimuth_range: tuple[float, float],
@@ -152,6 +155,53 @@ def draw_viewpoints(
     elevation = elevation_range[0] + e * (elevation_range[1] - elevation_range[0])
     ring, turn = np.sqrt(1.0 - z**2), 2 * np.pi * turn
     return azimuth, elevation, np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=-1)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Models to draw and how: world_from_camera (M, V, 3, 3), directions to the light (M, V, 3), and the file to write."""
+
+    models: tuple[ModelFile, ...]
+    world_from_camera: np.ndarray
+    lights: np.ndarray
+    size: int
+    supersample: int
+    backend: Backend
+    file: Path
+
+
+def render_chunk(chunk: Chunk) -> int:
+    """Write the chunk's images (usable models * V, S, S, 4) and the reasons of its unusable models; their number."""
+    views = chunk.world_from_camera.shape[1]
+    images = np.zeros((len(chunk.models), views, chunk.size, chunk.size, 4), np.uint8)
+    rejected: dict[str, str] = {}
+    used = 0
+    for number, model in enumerate(chunk.models):
+        try:
+            mesh = load_model(model)
+        except UnusableModel as error:
+            rejected[model.id] = error.reason
+            continue
+        cameras, lights = chunk.world_from_camera[number], chunk.lights[number]
+        images[used] = render_cameras(mesh, cameras, lights, chunk.size, chunk.supersample, chunk.backend)
+        used += 1
+    with replacing(chunk.file) as temporary:
+        views_of_usable = images[:used].reshape(-1, *images.shape[2:])  # (usable models * V, S, S, 4)
+        np.savez(temporary, images=views_of_usable, rejected=np.array(json.dumps(rejected)))
+    return len(chunk.models)
+
+
+def read_chunk(file: Path) -> tuple[np.ndarray, dict[str, str]]:
+    """Images and rejected models (id -> reason) of a chunk's file. ViewnetError where it is damaged."""
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            images, rejected = stored["images"], json.loads(str(stored["rejected"]))
+        if images.dtype != np.uint8 or images.ndim != 4 or not isinstance(rejected, dict):
+            raise ValueError(f"{images.dtype} {images.shape} images")
+        return images, {str(name): str(reason) for name, reason in rejected.items()}
+    except Exception as error:  # a damaged archive raises whatever NumPy makes of it
+        problem = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise ViewnetError(f"{file}: damaged ({problem}): remove it, and it is rendered again") from None
 
 
 def _check(
@@ -191,7 +241,7 @@ def _source(model: ModelFile) -> str:
 
 
 def _reopen(folder: Path, made_by: dict[str, Any]) -> ViewStore:
-    shutil.rmtree(drawn_so_far(folder), ignore_errors=True)
+    shutil.rmtree(partial_folder(folder), ignore_errors=True)
     store = ViewStore.open(folder)
     if store.identity != identity_of(made_by):
         raise ViewnetError(
@@ -222,7 +272,7 @@ def _check_room(folder: Path, size: int, open_share: float) -> None:
         )
 
 
-def _draw(
+def _render(
     jobs: list[Chunk], total: int, workers: int | None, progress: bool, views: int, executor: Executor | None
 ) -> None:
     left = sum(len(job.models) for job in jobs)
@@ -233,19 +283,19 @@ def _draw(
         try:
             if executor is None and workers <= 1:
                 for job in jobs:
-                    bar.update(draw_chunk(job))
+                    bar.update(render_chunk(job))
                 return
             with pool(workers) if executor is None else nullcontext(executor) as crew:
-                drawing = [crew.submit(draw_chunk, job) for job in jobs]
+                rendering = [crew.submit(render_chunk, job) for job in jobs]
                 try:
-                    for done in as_completed(drawing):
+                    for done in as_completed(rendering):
                         bar.update(done.result())
                 finally:
-                    for waiting in drawing:
+                    for waiting in rendering:
                         waiting.cancel()
         except BrokenExecutor:
             raise ViewnetError(
-                "a rendering process died: call again with fewer workers if memory ran out (what is drawn is kept);"
+                "a rendering process died: call again with fewer workers if memory ran out (what is rendered is kept);"
                 " a script must start its work under `if __name__ == '__main__':`"
             ) from None
 
@@ -259,6 +309,8 @@ def _assemble(
     made_by: dict[str, Any],
 ) -> ViewStore:
     """Put the chunks together, leaving out the models that could not be used."""
+    import pandas as pd  # slow to import, and every rendering process imports this module
+
     reasons: dict[str, str] = {}
     for file in files:
         reasons.update(read_chunk(file)[1])

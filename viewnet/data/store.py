@@ -14,7 +14,8 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,6 +40,8 @@ COLUMNS = {
     "source": "text",
 }
 REJECTED = ("model_id", "path", "reason")
+Rejected = tuple[str, str, str]
+"""Something that could not be used: its id, its path within the data set, and the reason."""
 _AGAIN = "remove the folder and build the store again"
 
 
@@ -114,6 +117,16 @@ class ViewStore:
         return len(self.images)
 
 
+def tally(reasons: Iterable[str]) -> dict[str, int]:
+    """Reason, without its details in brackets -> how often it occurs."""
+    return dict(Counter(reason.split(" (")[0] for reason in reasons))
+
+
+def in_words(counts: Mapping[str, int]) -> str:
+    """Counts for a message: "3 mask is missing, 1 frame annotated twice"."""
+    return ", ".join(f"{count} {reason}" for reason, count in counts.items())
+
+
 def identity_of(made_by: dict[str, Any]) -> str:
     """16 hex digits that name what `made_by` (JSON values) describes."""
     return hashlib.sha256(json.dumps(made_by, sort_keys=True).encode()).hexdigest()[:16]
@@ -124,7 +137,7 @@ def write_store(
     batches: Iterable[np.ndarray],
     index: pd.DataFrame,
     made_by: dict[str, Any],
-    rejected: Iterable[tuple[str, str, str]] = (),
+    rejected: Iterable[Rejected] = (),
 ) -> ViewStore:
     """Write a store to `folder` from batches (n, H, W, 4) uint8 in the order of `index`, and open it.
 

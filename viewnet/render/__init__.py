@@ -1,4 +1,4 @@
-"""Drawing CAD models from given viewpoints."""
+"""Rendering CAD models from given viewpoints."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from viewnet.errors import ViewnetError
-from viewnet.render.camera import RADIUS, camera_frames
+from viewnet.render.camera import RADIUS, look_from
 from viewnet.render.mesh import Mesh
 
 Backend = Literal["auto", "raycast", "pyrender"]
@@ -20,7 +20,7 @@ VERSION = 2
 log = logging.getLogger(__name__)
 
 
-def render(
+def render_mesh(
     mesh: Mesh,
     azimuth: np.ndarray,
     elevation: np.ndarray,
@@ -33,7 +33,7 @@ def render(
 
     `lights` (V, 3) are unit directions from the object to the light in the world frame; None puts it at the camera.
     Both back ends share camera, lighting, flat normals, bilinear repeating textures and the treatment of transparency
-    (nearly transparent faces and holes of RGBA textures are not drawn, all else is opaque). Where there is nothing
+    (nearly transparent faces and holes of RGBA textures are left out, all else is opaque). Where there is nothing
     the colour is black and alpha 0.
 
     Raises ViewnetError for sizes below 1, counts that do not match, and a mesh that reaches beyond the unit sphere's
@@ -44,17 +44,17 @@ def render(
         raise ViewnetError(
             f"azimuth {azimuth.shape} and elevation {elevation.shape}: expected one of each for every view"
         )
-    frames = camera_frames(azimuth, elevation)
-    lights = frames[:, :, 2] if lights is None else np.asarray(lights, dtype=np.float64)
-    if lights.shape != (len(frames), 3):
-        raise ViewnetError(f"lights {lights.shape}: expected ({len(frames)}, 3), a direction for every view")
-    return render_frames(mesh, frames, lights, size, supersample, choose_backend(backend))
+    world_from_camera = look_from(azimuth, elevation)
+    lights = world_from_camera[:, :, 2] if lights is None else np.asarray(lights, dtype=np.float64)
+    if lights.shape != (len(world_from_camera), 3):
+        raise ViewnetError(f"lights {lights.shape}: expected ({len(world_from_camera)}, 3), a direction for every view")
+    return render_cameras(mesh, world_from_camera, lights, size, supersample, choose_backend(backend))
 
 
-def render_frames(
-    mesh: Mesh, frames: np.ndarray, lights: np.ndarray, size: int, supersample: int, backend: Backend
+def render_cameras(
+    mesh: Mesh, world_from_camera: np.ndarray, lights: np.ndarray, size: int, supersample: int, backend: Backend
 ) -> np.ndarray:
-    """As `render`, for camera frames (V, 3, 3) and a back end that `choose_backend` gave.
+    """As `render_mesh`, for world_from_camera (V, 3, 3) and a back end that `choose_backend` gave.
 
     Raises ViewnetError for sizes below 1, and for a mesh that is not normalised.
     """
@@ -65,14 +65,14 @@ def render_frames(
     if backend == "pyrender":
         from viewnet.render import opengl
 
-        return opengl.draw(mesh, frames, lights, size, supersample)
+        return opengl.render(mesh, world_from_camera, lights, size, supersample)
     from viewnet.render import raycast
 
-    return raycast.draw(raycast.prepare(mesh), frames, lights, size, supersample)
+    return raycast.render(raycast.prepare(mesh), world_from_camera, lights, size, supersample)
 
 
 def choose_backend(backend: Backend) -> Backend:
-    """The back end that will draw: `auto` is the ray caster; pyrender falls back to it, with a warning.
+    """The back end that will render: `auto` is the ray caster; pyrender falls back to it, with a warning.
 
     Raises ViewnetError for another name.
     """
@@ -82,7 +82,7 @@ def choose_backend(backend: Backend) -> Backend:
         try:
             importlib.import_module("viewnet.render.opengl").check()
         except Exception as error:  # GL stacks fail in every way there is.
-            log.warning("pyrender cannot draw here (%s: %s): using the ray caster", type(error).__name__, error)
+            log.warning("pyrender cannot render here (%s: %s): using the ray caster", type(error).__name__, error)
             return "raycast"
         return "pyrender"
     return "raycast"

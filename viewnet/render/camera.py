@@ -15,9 +15,9 @@ RADIUS = 0.5
 """No vertex of a normalised mesh is farther from the origin, so every one lies in front of the camera."""
 
 
-def camera_frames(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
-    """Camera frames (V, 3, 3), columns right, up, back, of viewpoints (V,) in degrees (geometry.look_at)."""
-    # torch is slow to import, and processes that only draw are handed frames.
+def look_from(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
+    """world_from_camera (V, 3, 3), columns right, up, back, of viewpoints (V,) in degrees (geometry.look_at)."""
+    # torch is slow to import, and processes that only render are handed cameras.
     import torch
 
     from viewnet.geometry import look_at, view_vector
@@ -26,8 +26,8 @@ def camera_frames(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
     return look_at(view_vector(*angles)).numpy()
 
 
-def project(points: np.ndarray, frames: np.ndarray) -> np.ndarray:
+def project(points: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
     """Image positions (V, P, 2) of world points (P, 3): x right, y down, (0, 0) and (1, 1) the image's corners."""
-    camera = np.einsum("pi,vij->vpj", points, frames)
+    camera = np.einsum("pi,vij->vpj", points, world_from_camera)  # (V, P, 3)
     depth = DISTANCE - camera[..., 2:]
     return 0.5 + np.array([FOCAL, -FOCAL]) * camera[..., :2] / depth

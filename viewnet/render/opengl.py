@@ -92,18 +92,18 @@ _LINEAR, _REPEAT = 9729, 10497
 
 @lru_cache(maxsize=1)
 def check() -> None:
-    """Draw one triangle; whatever is wrong with OpenGL or pyrender here is raised."""
+    """Render one triangle; whatever is wrong with OpenGL or pyrender here is raised."""
     from viewnet.render.mesh import Material
 
     corners = np.array([[0.0, -0.3, -0.3], [0.0, 0.3, -0.3], [0.0, 0.0, 0.3]])
     mesh = Mesh(corners, np.array([[0, 1, 2]], np.int32), np.zeros(1, np.int32), (Material(),))
-    frame = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    if draw(mesh, frame[None], frame[None, :, 2], 8, 1)[0, 4, 4, 3] != 255:
-        raise RuntimeError("a triangle that was drawn does not show")
+    camera = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    if render(mesh, camera[None], camera[None, :, 2], 8, 1)[0, 4, 4, 3] != 255:
+        raise RuntimeError("a rendered triangle does not show")
 
 
-def draw(mesh: Mesh, frames: np.ndarray, lights: np.ndarray, size: int, supersample: int) -> np.ndarray:
-    """Straight-alpha RGBA (V, size, size, 4) uint8 for camera frames and unit directions to the light (see render)."""
+def render(mesh: Mesh, world_from_camera: np.ndarray, lights: np.ndarray, size: int, supersample: int) -> np.ndarray:
+    """Straight-alpha RGBA (V, size, size, 4) uint8 for cameras (V, 3, 3) and unit directions to the light (V, 3)."""
     renderer, pyrender = _renderer(size * supersample), _pyrender()
     scene = pyrender.Scene(bg_color=np.zeros(4), ambient_light=np.full(3, AMBIENT))
     scene.add(pyrender.Mesh(_primitives(mesh)))
@@ -114,13 +114,13 @@ def draw(mesh: Mesh, frames: np.ndarray, lights: np.ndarray, size: int, supersam
         )
     )
     light = scene.add(pyrender.DirectionalLight())
-    images = np.zeros((len(frames), size, size, 4), np.uint8)
-    for view, (frame, direction) in enumerate(zip(frames, lights, strict=True)):
-        scene.set_pose(camera, _pose(frame, DISTANCE * frame[:, 2]))
+    images = np.zeros((len(world_from_camera), size, size, 4), np.uint8)
+    for view, (pose, direction) in enumerate(zip(world_from_camera, lights, strict=True)):
+        scene.set_pose(camera, _pose(pose, DISTANCE * pose[:, 2]))
         scene.set_pose(light, _pose(_towards(direction), np.zeros(3)))
-        drawn, _ = renderer.render(scene, flags=pyrender.RenderFlags.RGBA)
+        fine, _ = renderer.render(scene, flags=pyrender.RenderFlags.RGBA)
         # Smoothed edges are over black, so colours are weighted by alpha already.
-        total = drawn.astype(np.float64).reshape(size, supersample, size, supersample, 4).sum(axis=(1, 3))
+        total = fine.astype(np.float64).reshape(size, supersample, size, supersample, 4).sum(axis=(1, 3))
         alpha = total[..., 3:]
         colour = np.divide(total[..., :3] * 255, alpha, out=np.zeros_like(total[..., :3]), where=alpha > 0)
         images[view] = np.concatenate([colour.clip(0, 255), alpha / supersample**2], axis=-1) + 0.5

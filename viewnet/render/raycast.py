@@ -94,15 +94,17 @@ def _device() -> EmbreeDevice:
     return EmbreeDevice()
 
 
-def draw(surface: Surface, frames: np.ndarray, lights: np.ndarray, size: int, supersample: int) -> np.ndarray:
-    """Straight-alpha RGBA (V, size, size, 4) uint8 for camera frames and unit directions to the light (see render)."""
-    facing = DISTANCE * frames[:, :, 2] @ surface.normals.T > surface.planes
+def render(
+    surface: Surface, world_from_camera: np.ndarray, lights: np.ndarray, size: int, supersample: int
+) -> np.ndarray:
+    """Straight-alpha RGBA (V, size, size, 4) uint8 for cameras (V, 3, 3) and unit directions to the light (V, 3)."""
+    facing = DISTANCE * world_from_camera[:, :, 2] @ surface.normals.T > surface.planes
     seen = np.where(facing[:, surface.front], surface.front, surface.back)
     diffuse = lights @ surface.normals.T
     shade = AMBIENT + (1 - AMBIENT) * np.maximum(np.where(facing, diffuse, -diffuse), 0)
-    covered = np.zeros(len(frames) * size**2)
+    covered = np.zeros(len(world_from_camera) * size**2)
     total = np.zeros((3, len(covered)))
-    for view, pixel, triangle, u, v in _batches(_cast(surface, frames, seen, size, supersample)):
+    for view, pixel, triangle, u, v in _batches(_cast(surface, world_from_camera, seen, size, supersample)):
         face = seen[view, triangle]
         colour = shade[view, face, None] * _albedo(surface, face, u, v)
         covered += np.bincount(pixel, minlength=len(covered))
@@ -112,7 +114,7 @@ def draw(surface: Surface, frames: np.ndarray, lights: np.ndarray, size: int, su
     inside = np.flatnonzero(covered)
     images[inside, :3] = np.minimum(total[:, inside] / covered[inside], 255).T + 0.5
     images[inside, 3] = 255 * covered[inside] / supersample**2 + 0.5
-    return images.reshape(len(frames), size, size, 4)
+    return images.reshape(len(world_from_camera), size, size, 4)
 
 
 Hits = tuple[np.ndarray, ...]
@@ -131,18 +133,20 @@ def _batches(parts: Iterator[Hits]) -> Iterator[Hits]:
         yield tuple(np.concatenate(arrays) for arrays in zip(*pending, strict=True))
 
 
-def _cast(surface: Surface, frames: np.ndarray, seen: np.ndarray, size: int, supersample: int) -> Iterator[Hits]:
+def _cast(
+    surface: Surface, world_from_camera: np.ndarray, seen: np.ndarray, size: int, supersample: int
+) -> Iterator[Hits]:
     """Cast the rays of every sample in the mesh's bounding box in each image, some rows at a time."""
     samples = size * supersample
     places = (np.arange(samples) + 0.5) / samples - 0.5
-    boxes = project(surface.vertices, frames) * samples - 0.5
+    boxes = project(surface.vertices, world_from_camera) * samples - 0.5
     # A little wider than the box, as the rays are of single precision.
     lows = np.clip(np.ceil(boxes.min(axis=1) - 0.01), 0, samples).astype(int)
     highs = np.clip(np.floor(boxes.max(axis=1) + 0.01) + 1, 0, samples).astype(int)
-    for view, (frame, (left, top), (right, bottom)) in enumerate(zip(frames, lows, highs, strict=True)):
+    for view, (camera, (left, top), (right, bottom)) in enumerate(zip(world_from_camera, lows, highs, strict=True)):
         if (width := int(right - left)) == 0:
             continue
-        axes = frame.astype(np.float32)
+        axes = camera.astype(np.float32)
         origin = np.float32(DISTANCE) * axes[:, 2]
         height = max(1, BATCH // width)
         for row in range(int(top), int(bottom), height):

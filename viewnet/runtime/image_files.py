@@ -13,6 +13,8 @@ from viewnet.errors import ViewnetError
 
 FORMATS = ("JPEG", "PNG", "BMP", "WEBP", "PPM", "TIFF", "GIF")
 """Formats that are decoded, whatever a file's suffix. Of Pillow's others, EPS would run Ghostscript on its content."""
+SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".ppm", ".tif", ".tiff")
+"""Suffixes of image files, where a folder is searched for them."""
 MOST_PIXELS = 100_000_000
 """The largest image, 0.4 GB once decoded: a file of some kB can claim any number of pixels."""
 

@@ -14,13 +14,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
-from viewnet.config import known
-from viewnet.data.clips import Clip, Frame
+from viewnet.config import VideoConfig, known
+from viewnet.data.clips import Clip, Frame, images_in, pick_frames
 from viewnet.data.crop import Box
-from viewnet.data.frames import images
-from viewnet.data.readers.pascal3d import tally
+from viewnet.data.readers.reader import Contents, DataSet, Reader, VideoReader
+from viewnet.data.store import Rejected, in_words, tally
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import size
 
@@ -33,9 +34,6 @@ ELEVATION = 0.0
 """Degrees."""
 ANNOTATIONS = "annotations"
 MASKS = "masks"
-
-Rejected = tuple[str, str, str]
-"""Clip or frame, path within the data set, reason."""
 
 SPLITS: dict[str, Callable[[int], str]] = {
     "45/2/rest": lambda number: "train" if number <= 45 else "val" if number <= 47 else "test",
@@ -74,8 +72,8 @@ def read(root: Path, split_rule: str = "45/2/rest") -> tuple[list[Clip], list[Re
                 found = masks if masks.is_dir() else None
                 clips.append(Clip(name, CATEGORY, split(number), folders[number], tuple(frames), found))
     if not clips:
-        told = ", ".join(f"{count} {reason}" for reason, count in tally(reason for *_, reason in rejected).items())
-        raise ViewnetError(f"{root}: no usable frame ({told or 'no sequences'})")
+        reasons = in_words(tally(reason for *_, reason in rejected)) or "no sequences"
+        raise ViewnetError(f"{root}: no usable frame ({reasons})")
     return clips, rejected
 
 
@@ -100,7 +98,7 @@ def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> l
     except (OSError, UnicodeDecodeError) as error:
         rejected.append((folder.name, where, f"annotations cannot be read ({type(error).__name__})"))
         return []
-    files = images(folder)
+    files = images_in(folder)
     places = {path.stem: number for number, path in enumerate(files)}
     found: dict[int, Frame] = {}
     annotated: set[int] = set()
@@ -147,3 +145,40 @@ def _cut(box: Box, image: Path) -> Box:
 
 def _within(path: Path, root: Path) -> str:
     return path.relative_to(root).as_posix()
+
+
+def _read_videos(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]:
+    if config.category != CATEGORY:
+        raise ViewnetError(f"{root}: shows cars, not {config.category}: name another root or category car")
+    clips, rejected = read(root, config.split_rule)
+    picked = []
+    for clip in clips:
+        chosen = pick_frames(len(clip.frames), config.count or None, config.pick, clip.id, config.seed)
+        picked.append(replace(clip, frames=tuple(clip.frames[i] for i in chosen)))
+    return picked, rejected
+
+
+def _count(root: Path, contents: Contents) -> None:
+    clips, rejected = read(root, "all")
+    usable = ["sequences"] * len(clips) + ["frames"] * sum(len(clip.frames) for clip in clips)
+    usable += ["sequences with masks"] * sum(clip.masks is not None for clip in clips)
+    contents.add(CATEGORY, usable, [reason for *_, reason in rejected])
+
+
+READER = Reader(
+    DataSet(
+        key="freiburg",
+        title="Freiburg static cars 52, release 1.1",
+        use="videos to train on: Table 4",
+        named="-p video_root FOLDER",
+        layout="car001/<frame>.png ... and annotations/<number>_annot.txt; masks/car001/<frame>.png of your own",
+        terms="see https://lmb.informatik.uni-freiburg.de/resources/datasets/",
+        source="https://lmb.informatik.uni-freiburg.de/resources/datasets/FreiburgStaticCars52/"
+        "freiburg_static_cars_52_v1.1.tar.gz",
+    ),
+    recognises=lambda folder: any((folder / ANNOTATIONS).glob("*_annot.txt")),
+    count=_count,
+    videos=VideoReader(
+        accepts=lambda folder: (folder / ANNOTATIONS).is_dir() and not (folder / "videos").is_dir(), read=_read_videos
+    ),
+)

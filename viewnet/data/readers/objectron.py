@@ -15,30 +15,28 @@ Nothing else is left out silently: whatever is not used is listed with the reaso
 
 from __future__ import annotations
 
-import hashlib
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from viewnet.data.clips import Clip, Frame
-from viewnet.data.frames import natural
+from viewnet.config import VideoConfig
+from viewnet.data.clips import Clip, Frame, natural
 from viewnet.data.readers.objectron_record import Record, View, read_record
-from viewnet.data.readers.pascal3d import tally
+from viewnet.data.readers.reader import Contents, DataSet, Reader, VideoReader
+from viewnet.data.store import Rejected, in_words, tally
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 from viewnet.runtime.progress import bar
+from viewnet.runtime.splits import seeded_rank, seeded_splits
 
 CLASSES = {"bicycle": "bike", "bottle": "bottle", "chair": "chair"}
 """Objectron's classes that are categories here."""
-SHARES = {"val": 0.1, "test": 0.2}
-"""Of all videos where there are no lists; else the first one of the train list's."""
 VIDEO = "video.MOV"
 MASKS = "masks"
 
 _IMAGES = (".jpg", ".jpeg", ".png")
-
-Rejected = tuple[str, str, str]
 
 
 def read(
@@ -78,9 +76,11 @@ def read(
         if place.is_dir() and Path(video) not in known:
             rejected.append((video, place.relative_to(root).as_posix(), "video without a record"))
     if not clips:
-        told = ", ".join(f"{count} {reason}" for reason, count in tally(reason for _, _, reason in rejected).items())
-        raise ViewnetError(f"{root}: no usable video of {name} ({told})")
-    return _with_splits(clips, listed is not None, seed), rejected
+        reasons = in_words(tally(reason for *_, reason in rejected))
+        raise ViewnetError(f"{root}: no usable video of {name} ({reasons})")
+    free = [clip.id for clip in clips if clip.split == "train"]
+    splits = seeded_splits(free, seed, {"val": 1, "test": 2}, order=("val", "test") if listed is None else ("val",))
+    return [replace(clip, split=splits.get(clip.id, clip.split)) for clip in clips], rejected
 
 
 def _clip(
@@ -99,7 +99,7 @@ def _clip(
     source = _source(root / "videos" / video, record)
     rejected += [(f"{video}/{number}", where, reason) for number, reason in record.rejected]
     rejected += [(f"{video}/object {name}", where, "object smaller than another one") for name in record.others]
-    order = np.random.default_rng(list(_rank(seed, "frames", video))).permutation(len(record.views))
+    order = np.random.default_rng(list(seeded_rank(seed, "frames", video))).permutation(len(record.views))
     drawn: list[Frame] = []
     if isinstance(source, _Images):
         gone = {view.number for view in record.views} - source.places.keys()
@@ -189,17 +189,36 @@ def _split(listed: dict[str, set[str]] | None, video: str) -> str:
     return found[0]
 
 
-def _with_splits(clips: list[Clip], listed: bool, seed: int) -> list[Clip]:
-    """Some of the train videos as val, and test unless lists tell it, in an order by seed and id only."""
-    free = sorted((clip.id for clip in clips if clip.split == "train"), key=lambda name: _rank(seed, "split", name))
-    chosen: dict[str, str] = {}
-    start = 0
-    for least, (split, share) in enumerate(SHARES.items() if not listed else [("val", SHARES["val"])], start=1):
-        number = max(round(share * len(free)), int(len(free) > least))
-        chosen |= dict.fromkeys(free[start : start + number], split)
-        start += number
-    return [replace(clip, split=chosen.get(clip.id, clip.split)) for clip in clips]
+def _read_videos(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]:
+    if config.pick != "random":
+        raise ViewnetError(f"pick {config.pick}: frames of Objectron are chosen at random: use random")
+    return read(root, config.category, config.count or sys.maxsize, config.seed)
 
 
-def _rank(seed: int, purpose: str, name: str) -> bytes:
-    return hashlib.sha256(f"{seed} {purpose} {name}".encode()).digest()
+def _count(root: Path, contents: Contents) -> None:
+    for category, name in CLASSES.items():
+        if (root / "annotations" / name).is_dir():
+            with contents.error_is_problem():
+                clips, rejected = read(root, category, sys.maxsize)
+                usable = [f"videos to {clip.split}" for clip in clips]
+                usable += ["frames"] * sum(len(clip.frames) for clip in clips)
+                usable += ["videos with masks"] * sum(clip.masks is not None for clip in clips)
+                contents.add(category, usable, [reason for *_, reason in rejected])
+
+
+READER = Reader(
+    DataSet(
+        key="objectron",
+        title="Objectron",
+        use="videos to train on: bicycles, bottles and chairs",
+        named="-p video_root FOLDER (notebook objectron)",
+        layout="annotations/<class>/batch-N/M.pbdata and videos/<class>/batch-N/M/video.MOV, or its frames as images",
+        terms="C-UDA 1.0: https://github.com/google-research-datasets/Objectron",
+        source="https://storage.googleapis.com/objectron (videos/ and annotations/; v1/index/ has the lists)",
+    ),
+    recognises=lambda folder: any((folder / "annotations" / name).is_dir() for name in CLASSES.values()),
+    count=_count,
+    videos=VideoReader(
+        accepts=lambda folder: (folder / "annotations").is_dir() and (folder / "videos").is_dir(), read=_read_videos
+    ),
+)

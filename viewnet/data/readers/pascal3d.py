@@ -12,17 +12,21 @@ Nothing is left out silently: whatever is not used is listed with the reason.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from viewnet.config import CATEGORIES, known
+from viewnet.config import CATEGORIES, PhotoConfig, known
 from viewnet.data.crop import Box
+from viewnet.data.photo_store import Photograph
 from viewnet.data.readers import matlab
+from viewnet.data.readers.reader import Contents, DataSet, Photographs, PhotoReader, Reader
+from viewnet.data.store import Rejected, in_words, tally
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
@@ -45,26 +49,17 @@ _SUFFIXES = (".JPEG", ".jpg", ".jpeg", ".JPG", ".png", ".PNG")
 
 
 @dataclass(frozen=True)
-class Annotation:
-    """One object of one photograph.
+class Annotation(Photograph):
+    """One object of one photograph; its split is the data set's own, "train" or "val".
 
-    image_path          the file
-    number              which of the record's objects it is, from 0
-    box                 its left, upper, right and lower edge, pixels from the image's left upper corner, within it
-    azimuth, elevation  degrees: [0, 360), 0 the object's front, 90 its left side; [-90, 90]
-    tilt                the camera's in-plane rotation, degrees (`theta`)
-    coarse              whether no closer viewpoint than one of eight azimuths was annotated
+    number   which of the record's objects it is, from 0
+    tilt     the camera's in-plane rotation, degrees (`theta`)
+    coarse   whether no closer viewpoint than one of eight azimuths was annotated
     """
 
-    category: str
     subset: str
-    split: str
     image: str
     number: int
-    image_path: Path
-    box: Box
-    azimuth: float
-    elevation: float
     tilt: float
     coarse: bool
     truncated: bool
@@ -76,11 +71,6 @@ class Annotation:
         """Neither difficult nor truncated nor occluded."""
         return not (self.difficult or self.truncated or self.occluded)
 
-    @property
-    def id(self) -> str:
-        """Names the object within the data set."""
-        return f"{self.subset}/{self.image}/{self.number}"
-
 
 @dataclass
 class Report:
@@ -91,7 +81,7 @@ class Report:
     others      objects of other categories in the same images, which were not asked for
     """
 
-    rejected: list[tuple[str, str, str]] = field(default_factory=list)
+    rejected: list[Rejected] = field(default_factory=list)
     mended: list[tuple[str, str]] = field(default_factory=list)
     others: int = 0
 
@@ -99,11 +89,6 @@ class Report:
     def counts(self) -> dict[str, int]:
         """Reason -> how many objects or images were not used for it."""
         return tally(reason for _, _, reason in self.rejected)
-
-
-def tally(reasons: Iterable[str]) -> dict[str, int]:
-    """Reason, without what stands in brackets behind it -> how often."""
-    return dict(Counter(reason.split(" (")[0] for reason in reasons))
 
 
 def read(
@@ -128,8 +113,8 @@ def read(
         for image in dict.fromkeys(names):
             found += _read_image(root, category, part, split, image, keep, coarse, report)
     if not found:
-        told = ", ".join(f"{count} {reason}" for reason, count in report.counts.items())
-        raise ViewnetError(f"{root}: no usable {category} in {subset} {split} ({told or 'the list is empty'})")
+        reasons = in_words(report.counts) or "the list is empty"
+        raise ViewnetError(f"{root}: no usable {category} in {subset} {split} ({reasons})")
     return found, report
 
 
@@ -286,9 +271,9 @@ def _annotation(
         raise ViewnetError(f"elevation beyond 90 degrees ({elevation:g})")
     tilt = 0.0 if coarse else _number(viewpoint, "theta", 0.0)
     flags = (bool(_number(item, name, 0.0)) for name in ("truncated", "occluded", "difficult"))
-    # A tiny negative angle is 360 after rounding.
-    turn = azimuth % 360 % 360
-    return Annotation(category, subset, split, image, number, image_path, box, turn, elevation, tilt, coarse, *flags)
+    azimuth = azimuth % 360 % 360  # a tiny negative angle is 360 after rounding
+    seen = (f"{subset}/{image}/{number}", category, split, image_path, box, azimuth, elevation)
+    return Annotation(*seen, subset, image, number, tilt, coarse, *flags)
 
 
 def _is_coarse(viewpoint: Any) -> bool:
@@ -316,3 +301,76 @@ def _number(item: Any, name: str, default: float | None = None) -> float:
     if not np.isfinite(number):
         raise ViewnetError(f"field {name!r} is no finite number")
     return number
+
+
+def digest(root: Path, category: str, subset: str) -> str:
+    """What photographs depend on: lists, annotations and, as a cheap sign of a changed image, sizes."""
+    hashed = hashlib.sha256()
+    for part in parts(subset):
+        for split in SPLITS:
+            for image in listed(root, category, part, split):
+                record, image_path = (file(root, category, part, image) for file in (annotation_file, image_file))
+                content = hashlib.sha256(record.read_bytes()).hexdigest() if record.is_file() else ""
+                size = image_path.stat().st_size if image_path.is_file() else -1
+                hashed.update(json.dumps([part, split, image, content, image_path.name, size]).encode())
+    return hashed.hexdigest()
+
+
+def settings(config: PhotoConfig) -> dict[str, Any]:
+    """What of a configuration chooses among a data set's photographs, as JSON values."""
+    return {"subset": config.subset, "keep": config.keep, "coarse": config.coarse}
+
+
+def _describe(config: PhotoConfig, root: Path) -> dict[str, Any]:
+    return {"pascal3d": digest(root, config.category, config.subset)} | settings(config)
+
+
+def _read_both_splits(config: PhotoConfig, root: Path) -> Photographs:
+    """Viewpoints are calibrated on the data set's "train" and scored on its "val"."""
+    usable: list[Photograph] = []
+    whole = Report()
+    for split, ours in zip(SPLITS, ("val", "test"), strict=True):
+        annotations, report = read(root, config.category, config.subset, split, config.keep, config.coarse)
+        usable += [replace(annotation, split=ours) for annotation in annotations]
+        whole.rejected += report.rejected
+        whole.mended += report.mended
+        whole.others += report.others
+    notes = {"mended": tally(what for _, what in whole.mended), "objects of other categories": whole.others}
+    return Photographs(usable, whole.rejected, notes)
+
+
+def _count(root: Path, contents: Contents) -> None:
+    lists = [
+        (category, subset)
+        for category in CATEGORIES
+        for subset in SUBSETS
+        if any(list_file(root, category, subset, split).is_file() for split in SPLITS)
+    ]
+    if not lists:
+        contents.problems.append(f"{root / LISTS}: no list of any category: expected PASCAL3D+ release 1.1")
+    for category in dict.fromkeys(category for category, _ in lists):
+        usable: list[str] = []
+        reasons: list[str] = []
+        for subset in (subset for name, subset in lists if name == category):
+            for split, use in zip(SPLITS, ("calibrate", "score"), strict=True):
+                with contents.error_is_problem():
+                    annotations, report = read(root, category, subset, split)
+                    usable += [f"{subset} objects to {use}"] * len(annotations)
+                    reasons += [reason for _, _, reason in report.rejected]
+        contents.add(category, usable, reasons)
+
+
+READER = Reader(
+    DataSet(
+        key="pascal3d",
+        title="PASCAL3D+ release 1.1",
+        use="photographs to score on: Tables 3 and 4, DVA, the study of alignments",
+        named="-p data_root FOLDER",
+        layout="Annotations/, Images/, Image_sets/ and, for the subset pascal, PASCAL/VOCdevkit/",
+        terms="its images are ImageNet's and PASCAL VOC's: see https://cvgl.stanford.edu/projects/pascal3d.html",
+        source="ftp://cs.stanford.edu/cs/cvgl/PASCAL3D+_release1.1.zip",
+    ),
+    recognises=lambda folder: (folder / "Annotations").is_dir(),
+    count=_count,
+    photographs=PhotoReader(_describe, _read_both_splits),
+)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import re
@@ -15,14 +14,12 @@ from typing import Literal
 import numpy as np
 
 from viewnet.config import SYNSETS, known
+from viewnet.data.readers.reader import Contents, DataSet, Reader
 from viewnet.errors import ViewnetError
 from viewnet.render.mesh import Mesh, UnusableModel
 from viewnet.render.obj import read_obj
 from viewnet.runtime.files import read_csv
-
-SPLITS = ("train", "val", "test")
-SHARES = (0.7, 0.1, 0.2)
-"""Fractions of models (section 4.2)."""
+from viewnet.runtime.splits import SPLITS, seeded_rank, seeded_splits
 
 # Rows are world axes (x front, y left, z up) in the file's axes. Both layouts are y up; v1 faces +x, v2 faces -z.
 FRAMES = {
@@ -70,7 +67,8 @@ def find_models(root: Path | str, category: str, splits: Path | str | None = Non
     elif (root / "all.csv").is_file():
         listed, source = _read_csv(root / "all.csv", synset), str(root / "all.csv")
     else:
-        return _seeded_splits(models, seed)
+        splits_of = seeded_splits((model.id for model in models), seed, {"val": 2, "test": 1})
+        return [replace(model, split=splits_of[model.id]) for model in models]
     if not listed:
         raise ViewnetError(f"{source}: lists no model of {category} ({synset}): give a list that does, or none at all")
     there = {model.id for model in models}
@@ -101,7 +99,9 @@ def take(models: Sequence[ModelFile], count: int, seed: int = 0) -> list[ModelFi
     sizes = Counter(model.split for model in models)
     chosen: set[str] = set()
     for split, size in sizes.items():
-        ids = sorted((model.id for model in models if model.split == split), key=lambda name: _rank(seed, "take", name))
+        ids = sorted(
+            (model.id for model in models if model.split == split), key=lambda name: seeded_rank(seed, "take", name)
+        )
         chosen.update(ids[: max(1, round(count * size / len(models)))])
     return [model for model in models if model.id in chosen]
 
@@ -168,20 +168,6 @@ def _paths(folder: Path) -> dict[Literal["v1", "v2"], Path]:
     return {"v2": folder / "models" / "model_normalized.obj", "v1": folder / "model.obj"}
 
 
-def _seeded_splits(models: list[ModelFile], seed: int) -> list[ModelFile]:
-    """Exact shares of the models, in an order by seed and id only; from three models on none is empty."""
-    order = sorted(range(len(models)), key=lambda i: _rank(seed, "split", models[i].id))
-    test = max(round(SHARES[2] * len(models)), int(len(models) > 1))
-    val = max(round(SHARES[1] * len(models)), int(len(models) > 2))
-    names = ["test"] * test + ["val"] * val + ["train"] * (len(models) - test - val)
-    split = dict(zip(order, names, strict=True))
-    return [replace(model, split=split[i]) for i, model in enumerate(models)]
-
-
-def _rank(seed: int, purpose: str, name: str) -> bytes:
-    return hashlib.sha256(f"{seed} {purpose} {name}".encode()).digest()
-
-
 def _read_csv(file: Path, synset: str) -> dict[str, str]:
     """Model id -> split of one category of an official list."""
     # Ids and synsets are text: as numbers they would lose leading zeros, and "1e5" its meaning.
@@ -223,3 +209,33 @@ def _unique(source: Path, pairs: list[tuple[str, str]]) -> dict[str, str]:
                 f"{source}: model {name[:60]} is in both {listed[name]} and {split}: keep it in one split"
             )
     return listed
+
+
+def _synset_there(root: Path, synset: str) -> bool:
+    return (root / synset).is_dir() or (root / f"{synset}.zip").is_file()
+
+
+def _count(root: Path, contents: Contents) -> None:
+    for category, synset in SYNSETS.items():
+        if _synset_there(root, synset):
+            with contents.error_is_problem():
+                models = find_models(root, category)
+                usable = [f"{model.layout} models to {model.split}" for model in models if model.path.is_file()]
+                contents.add(category, usable, [f"no {m.path.name}" for m in models if not m.path.is_file()])
+
+
+READER = Reader(
+    DataSet(
+        key="shapenet",
+        title="ShapeNetCore v1 or v2",
+        use="CAD models to train on; Tables 1 and 2",
+        named="-p data_root FOLDER (Tables 1 and 2), -p cad_root FOLDER (Tables 3 and 4), train --data-root FOLDER",
+        layout=(
+            "<synset>/<id>/model.obj (v1) or <synset>/<id>/models/model_normalized.obj (v2); all.csv if there is one"
+        ),
+        terms="ShapeNet's terms of use: https://shapenet.org/terms",
+        source="https://shapenet.org, and on application https://huggingface.co/datasets/ShapeNet",
+    ),
+    recognises=lambda folder: any(_synset_there(folder, synset) for synset in SYNSETS.values()),
+    count=_count,
+)

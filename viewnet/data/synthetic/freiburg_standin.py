@@ -21,8 +21,8 @@ from viewnet.data.synthetic import scenes
 from viewnet.data.synthetic.pascal3d_standin import built_in_mesh
 from viewnet.errors import ViewnetError
 from viewnet.render import VERSION as RENDER_VERSION
-from viewnet.render import render_frames
-from viewnet.render.camera import camera_frames
+from viewnet.render import render_cameras
+from viewnet.render.camera import look_from
 from viewnet.runtime.files import write_text
 from viewnet.runtime.parallel import as_done, cores
 from viewnet.runtime.progress import bar
@@ -97,12 +97,12 @@ def _write_sequence(job: _Job) -> None:
     sense = rng.choice([-1.0, 1.0])
     azimuths = (rng.uniform(0, 360) + sense * 360 * np.arange(job.frames) / job.frames) % 360
     elevations = rng.uniform(2, 12) + np.cumsum(rng.normal(0, 0.3, job.frames)).clip(-3, 3)
-    cameras = camera_frames(azimuths, elevations)
+    cameras = look_from(azimuths, elevations)
     light = np.array([*rng.normal(0, 1, 2), rng.uniform(0.8, 2)])
     # The sun stays where it is; what is in the shade is lit by the sky, from the camera's side.
     lights = light / np.linalg.norm(light) + 0.9 * cameras[:, :, 2]
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
-    drawings = render_frames(
+    drawings = render_cameras(
         built_in_mesh(CATEGORY, job.number, job.seed + MODEL_SEED), cameras, lights, OBJECT, 2, "raycast"
     )
     around = _panorama(rng)

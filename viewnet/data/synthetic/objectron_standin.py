@@ -25,8 +25,8 @@ from viewnet.data.synthetic import scenes
 from viewnet.data.synthetic.pascal3d_standin import built_in_mesh
 from viewnet.errors import ViewnetError
 from viewnet.render import VERSION as RENDER_VERSION
-from viewnet.render import render_frames
-from viewnet.render.camera import DISTANCE, FOCAL, camera_frames
+from viewnet.render import render_cameras
+from viewnet.render.camera import DISTANCE, FOCAL, look_from
 from viewnet.render.mesh import Mesh
 from viewnet.runtime.files import write_text
 from viewnet.runtime.progress import bar
@@ -110,7 +110,7 @@ def _write_video(
     rng = np.random.default_rng([seed, list(CLASSES).index(category), number])
     mesh = built_in_mesh(category, number, seed + MODEL_SEED)
     shots = _shots(rng, frames, size)
-    drawings = render_frames(
+    drawings = render_cameras(
         mesh, np.stack([shot.frame for shot in shots]), _lights(rng, shots), max(size), 2, "raycast"
     )
     images, masks = _filmed(rng, shots, drawings, size)
@@ -138,7 +138,7 @@ def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> list
     elevation = (rng.uniform(8, 38) + 12 * _drift(rng, frames) + jitter[1]).clip(-5, 75)
     zoom = rng.uniform(0.9, 1.25) * (1 + 0.1 * _drift(rng, frames))
     x, y = 0.5 + 0.05 * _drift(rng, frames), 0.5 + 0.06 * _drift(rng, frames)
-    cameras = camera_frames(azimuth % 360, elevation)
+    cameras = look_from(azimuth % 360, elevation)
     return [
         _Shot(cameras[i], float(FOCAL * width * zoom[i]), (float(x[i] * width), float(y[i] * height)))
         for i in range(frames)

@@ -22,14 +22,14 @@ from viewnet import cad
 from viewnet.cad.writer import write_model
 from viewnet.config import CATEGORIES, known
 from viewnet.data.annotated_viewpoints import histogram_file, sample
-from viewnet.data.backgrounds import list_images
+from viewnet.data.readers.image_folder import list_images
 from viewnet.data.readers.pascal3d import EXTENSIONS, LISTS, SPLITS, VOC, annotation_file, image_file, parts
 from viewnet.data.readers.shapenet import ModelFile, load_model
 from viewnet.data.synthetic import scenes
 from viewnet.errors import ViewnetError
 from viewnet.render import VERSION as RENDER_VERSION
-from viewnet.render import render_frames
-from viewnet.render.camera import camera_frames
+from viewnet.render import render_cameras
+from viewnet.render.camera import look_from
 from viewnet.render.mesh import Mesh
 from viewnet.runtime.files import write_text
 from viewnet.runtime.image_files import opened
@@ -141,7 +141,7 @@ def _plan(category: str, subset: str, models: int, count: int, seed: int) -> dic
     planned: dict[int, list[_Photograph]] = {}
     for place, split in enumerate(SPLITS):
         angles = mine.loc[mine["split"] == split, ["azimuth", "elevation"]].to_numpy()
-        frames = camera_frames(*angles.T.copy())
+        frames = look_from(*angles.T.copy())
         for part in parts(subset):
             for number, ((azimuth, elevation), frame) in enumerate(zip(angles.tolist(), frames, strict=True)):
                 photograph = _Photograph(part, split, _name(category, split, number), azimuth, elevation, frame)
@@ -168,7 +168,7 @@ def _draw_model(job: _Job) -> int:
         # Mostly from above, and never from behind, where nothing would be seen.
         light = rng.normal(size=3) * 0.7 + frame[:, 2] * 0.6 + np.array([0.0, 0.0, 0.8])
         lights.append(light / np.linalg.norm(light))
-    drawings = render_frames(mesh, frames, np.stack(lights), OBJECT, 2, "raycast")
+    drawings = render_cameras(mesh, frames, np.stack(lights), OBJECT, 2, "raycast")
     for photograph, drawing, rng in zip(job.photographs, drawings, generators, strict=True):
         image, entry = _photograph(drawing, photograph, HARD[photograph.subset], job.backgrounds, rng)
         entry["class"] = job.category

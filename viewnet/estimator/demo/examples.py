@@ -12,7 +12,7 @@ from viewnet.data.crop import Box, bounds
 from viewnet.data.synthetic import scenes
 from viewnet.data.synthetic.pascal3d_standin import built_in_mesh
 from viewnet.estimator import ViewpointEstimator
-from viewnet.render import render
+from viewnet.render import render_mesh
 
 VIEWPOINTS = ((35.0, 15.0), (140.0, 10.0), (250.0, 25.0), (320.0, 5.0))
 """Azimuth and elevation in degrees, of a model each."""
@@ -43,7 +43,7 @@ def rendered(estimator: ViewpointEstimator) -> list[Example]:
     found = []
     for number, (azimuth, elevation) in enumerate(VIEWPOINTS):
         mesh = built_in_mesh(category, number, SEED)
-        view = render(mesh, np.array([azimuth]), np.array([elevation]), SIZE, 2)[0]
+        view = render_mesh(mesh, np.array([azimuth]), np.array([elevation]), SIZE, 2)[0]
         image, box = Image.fromarray(view), None
         if not framing.cutout:
             image, box = _before(image, np.random.default_rng([SEED, number]))

@@ -1,0 +1,118 @@
+"""A folder of photographs with a list of their viewpoints.
+
+images/            the photographs
+viewpoints.csv     file, azimuth_deg, elevation_deg, split and perhaps x0, y0, x1, y1: one object a row
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from viewnet.config import CATEGORIES, PhotoConfig, known
+from viewnet.data.photo_store import SPLITS, Photograph
+from viewnet.data.readers.reader import Contents, DataSet, Photographs, PhotoReader, Reader
+from viewnet.errors import ViewnetError
+from viewnet.runtime.files import read_csv
+
+LIST = "viewpoints.csv"
+_CORNERS = ("x0", "y0", "x1", "y1")
+
+
+def read(root: Path, category: str) -> list[Photograph]:
+    """The photographs in `<root>/images` that `<root>/viewpoints.csv` lists.
+
+    Columns: file, azimuth_deg, elevation_deg, split (val: viewpoints are calibrated on it; test: scored), and x0, y0,
+    x1, y1, the edges of the object's box in pixels from the upright image's left upper corner, unless an image
+    shows just the object. All other columns are ignored. A file may have several rows, one for each object.
+
+    Raises ViewnetError for a missing list, column or value, naming the row (the first after the header is 1).
+    """
+    known(category, CATEGORIES, "category")
+    path = Path(root) / LIST
+    table = read_csv(path, dtype={"file": str, "split": str})
+    boxed = any(name in table.columns for name in _CORNERS)
+    for name in ("file", "azimuth_deg", "elevation_deg", "split", *(_CORNERS if boxed else ())):
+        if name not in table.columns:
+            raise ViewnetError(f"{path}: column {name!r} is missing")
+    if table.empty:
+        raise ViewnetError(f"{path}: lists no photograph")
+    photographs: list[Photograph] = []
+    times: dict[str, int] = {}
+    for number, row in enumerate(table.to_dict("records"), start=1):
+        where = f"{path}: row {number}"
+        file, split = str(row["file"]), row["split"]
+        if not isinstance(row["file"], str) or PurePath(file).is_absolute() or ".." in PurePath(file).parts:
+            raise ViewnetError(f"{where}: file {row['file']!r}: expected the name of an image in images/")
+        if split not in SPLITS:
+            raise ViewnetError(f"{where}: split {split!r}: expected val (calibrated on) or test (scored)")
+        azimuth, elevation = (_value(row, name, where) for name in ("azimuth_deg", "elevation_deg"))
+        if abs(elevation) > 90:
+            raise ViewnetError(f"{where}: elevation_deg {elevation:g}: expected -90 to 90")
+        box = None
+        if boxed and not all(pd.isna(row[name]) for name in _CORNERS):
+            x0, y0, x1, y1 = (_value(row, name, where) for name in _CORNERS)
+            box = (x0, y0, x1, y1)
+        before = times.get(file, 0)
+        times[file] = before + 1
+        name = f"{file}/{before}" if before else file
+        image = Path(root) / "images" / file
+        photographs.append(Photograph(name, category, split, image, box, azimuth % 360, elevation))
+    return photographs
+
+
+def _value(row: dict[Any, Any], name: str, where: str) -> float:
+    try:
+        value = float(row[name])
+    except (TypeError, ValueError):
+        value = np.nan
+    if not np.isfinite(value):
+        raise ViewnetError(f"{where}: {name} {row[name]!r}: expected a number")
+    return value
+
+
+def digest(root: Path) -> str:
+    """What the photographs depend on: the list and, as a cheap sign of a changed image, sizes."""
+    hashed = hashlib.sha256((Path(root) / LIST).read_bytes())
+    for path in sorted((Path(root) / "images").rglob("*")):
+        if path.is_file():
+            hashed.update(json.dumps([path.relative_to(root).as_posix(), path.stat().st_size]).encode())
+    return hashed.hexdigest()
+
+
+def _describe(config: PhotoConfig, root: Path) -> dict[str, Any]:
+    if config.keep != "all" or config.coarse:
+        raise ViewnetError(f"{root}: its list has no flags to go by: use keep='all' and coarse=False, or PASCAL3D+")
+    return {"listed": digest(root)}
+
+
+def _count(root: Path, contents: Contents) -> None:
+    # The list does not name the objects' category, and any will do here.
+    photographs = read(root, CATEGORIES[0])
+    there = [photograph for photograph in photographs if photograph.image_path.is_file()]
+    uses = {"val": "calibrate", "test": "score"}
+    missing = ["no such image"] * (len(photographs) - len(there))
+    contents.add("", [f"objects to {uses[photograph.split]}" for photograph in there], missing)
+    there_of = {photograph.split for photograph in there}
+    contents.problems += [f"{LIST}: no row of split {split}" for split in uses if split not in there_of]
+
+
+READER = Reader(
+    DataSet(
+        key="photographs",
+        title="photographs of your own",
+        use="in place of PASCAL3D+",
+        named="-p data_root FOLDER",
+        layout=(f"images/ and {LIST}: file, azimuth_deg, elevation_deg, split (val or test); boxes x0, y0, x1, y1"),
+        terms="yours",
+        source="you",
+    ),
+    recognises=lambda folder: (folder / LIST).is_file(),
+    count=_count,
+    photographs=PhotoReader(_describe, lambda config, root: Photographs(read(root, config.category)), upright=True),
+)
