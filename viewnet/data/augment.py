@@ -12,8 +12,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from viewnet.config import DataConfig, TrainConfig
-from viewnet.data import backgrounds
+from viewnet.config import DataConfig, PhotoAugmentationConfig
+from viewnet.data.backgrounds import Backgrounds
+from viewnet.data.backgrounds import load as load_backgrounds
 from viewnet.data.pairs import CROP_MARGIN
 from viewnet.runtime.random import RandomSource, rand, randint, randn
 
@@ -30,28 +31,28 @@ def load(config: DataConfig, size: int, device: torch.device) -> Tensor | None:
     return None if found is None else torch.from_numpy(found.images).to(device)
 
 
-def wanted(config: DataConfig, size: int, progress: bool = True) -> backgrounds.Backgrounds | None:
+def wanted(config: DataConfig, size: int, progress: bool = True) -> Backgrounds | None:
     """The same with what decided them, made where they are not there yet."""
     if config.backgrounds is None:
         return None
-    return backgrounds.load(config.backgrounds, 2 * size, COUNT, progress=progress)
+    return load_backgrounds(config.backgrounds, 2 * size, COUNT, progress=progress)
 
 
-def behind(scenery: Tensor, count: int, size: int, generator: RandomSource, device: torch.device) -> Tensor:
-    """`count` random windows (count, 3, size, size) in [0, 1] of the scenery, half of them as in a mirror."""
-    room = scenery.shape[-1] - size + 1
-    chosen = randint(len(scenery), count, generator=generator).tolist()
+def windows(images: Tensor, count: int, size: int, generator: RandomSource, device: torch.device) -> Tensor:
+    """`count` random windows (count, 3, size, size) in [0, 1] of images (K, 3, B, B), half of them mirrored."""
+    room = images.shape[-1] - size + 1
+    chosen = randint(len(images), count, generator=generator).tolist()
     places = randint(room, count, 2, generator=generator).tolist()
-    windows = [scenery[k, :, y : y + size, x : x + size] for k, (y, x) in zip(chosen, places, strict=True)]
+    parts = [images[k, :, y : y + size, x : x + size] for k, (y, x) in zip(chosen, places, strict=True)]
     mirrored = (rand(count, 1, 1, 1, generator=generator) < 0.5).to(device)
-    images = torch.stack(windows).to(device).float() / 255
-    return torch.where(mirrored, images.flip(-1), images)
+    result = torch.stack(parts).to(device).float() / 255  # (count, 3, size, size)
+    return torch.where(mirrored, result.flip(-1), result)
 
 
-def over(images: Tensor, scene: Tensor) -> Tensor:
-    """Images (N, 4, S, S), RGB times alpha and alpha, before scenes (N, 3, S, S): the same, without transparency."""
+def over(images: Tensor, background: Tensor) -> Tensor:
+    """Images (N, 4, S, S), RGB times alpha and alpha, over backgrounds (N, 3, S, S): the same, without transparency."""
     alpha = images[:, 3:]
-    return torch.cat([images[:, :3] + scene * (1 - alpha), torch.ones_like(alpha)], 1)
+    return torch.cat([images[:, :3] + background * (1 - alpha), torch.ones_like(alpha)], 1)
 
 
 def crop_and_rotate(images: Tensor, generator: RandomSource) -> Tensor:
@@ -82,7 +83,7 @@ def jitter(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
     return torch.cat([torch.minimum(gain * colours, alpha), alpha], 1)
 
 
-def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: RandomSource) -> Tensor:
+def photograph(crops: Tensor, backgrounds: Tensor, config: PhotoAugmentationConfig, generator: RandomSource) -> Tensor:
     """Crops of views (N, 4, S, S), RGB times alpha and alpha, as if cut from photographs: (N, 4, S, S) with alpha 1.
 
     Crops have CROP_MARGIN about the object, photographs' boxes none. In this order: the box is off by up to `box_error`
@@ -91,12 +92,12 @@ def photograph(crops: Tensor, scenery: Tensor, config: TrainConfig, generator: R
     """
     count, size, device = len(crops), crops.shape[-1], crops.device
     crops = _shifted(crops, config, generator)
-    images = over(crops, behind(scenery, count, size, generator, device))[:, :3]
-    if config.photo.occlude:
-        before = _patch(count, size, config.photo.occlude, generator).to(device)
-        images = torch.where(before, behind(scenery, count, size, generator, device), images)
-    if config.photo.exposure:
-        images = expose(images, config.photo.exposure, generator)
+    images = over(crops, windows(backgrounds, count, size, generator, device))[:, :3]
+    if config.occlude:
+        before = _patch(count, size, config.occlude, generator).to(device)
+        images = torch.where(before, windows(backgrounds, count, size, generator, device), images)
+    if config.exposure:
+        images = expose(images, config.exposure, generator)
     return torch.cat([images, torch.ones_like(crops[:, 3:])], 1)
 
 
@@ -117,12 +118,12 @@ def expose(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
     return (images + deviation * noise).clamp(0, 1)
 
 
-def _shifted(crops: Tensor, config: TrainConfig, generator: RandomSource) -> Tensor:
+def _shifted(crops: Tensor, config: PhotoAugmentationConfig, generator: RandomSource) -> Tensor:
     """Crops (N, 4, S, S) larger or smaller, moved and tilted; what comes in from outside is empty."""
     count = len(crops)
-    scale = (1 + config.photo.box_error * _uniform(-1, 1, (2, count), generator, dim=1)) / (1 + 2 * CROP_MARGIN)
-    shift = config.photo.box_error * _uniform(-1, 1, (count, 2), generator)
-    angle = torch.deg2rad(config.photo.tilt * _uniform(-1, 1, (count,), generator))
+    scale = (1 + config.box_error * _uniform(-1, 1, (2, count), generator, dim=1)) / (1 + 2 * CROP_MARGIN)
+    shift = config.box_error * _uniform(-1, 1, (count, 2), generator)
+    angle = torch.deg2rad(config.tilt * _uniform(-1, 1, (count,), generator))
     rows = [
         torch.stack([scale[0] * angle.cos(), -scale[0] * angle.sin(), shift[:, 0]], 1),
         torch.stack([scale[1] * angle.sin(), scale[1] * angle.cos(), shift[:, 1]], 1),

@@ -38,12 +38,12 @@ class Views:
         """Whether nothing in any view is transparent: photographs."""
         return bool((self.pixels[:, 3] == 255).all())
 
-    def partners(self, rows: Tensor) -> Tensor:
+    def next_views(self, rows: Tensor) -> Tensor:
         """The next view of each view's object, the last one's being the first: where an appearance may come from."""
         start, count = self.first[self.objects[rows]], self.count[self.objects[rows]]
         return start + (rows - start + 1) % count
 
-    def seen(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
+    def viewpoint_input(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
         """What the viewpoint network sees: the crops where there are any, the views themselves otherwise."""
         if self.crops is None:
             return self.images(rows, size, device)
@@ -110,14 +110,14 @@ def load_views(store: ViewStore, split: str, size: int, crop: int | None = None,
     return Views(torch.cat(chunks), torch.cat(crops) if crop else None, objects, truth, count.cumsum(0) - count, count)
 
 
-def viewed(store: ViewStore, split: str, size: int, config: ModelConfig) -> Views:
+def model_views(store: ViewStore, split: str, size: int, config: ModelConfig) -> Views:
     """`load_views` with the crops that the networks of `config` want."""
     return load_views(
         store, split, size, None if config.crop == "none" else config.input_size, config.crop == "stretched"
     )
 
 
-def draw_pairs(views: Views, objects: int, targets: int, seed: int, step: int) -> tuple[Tensor, Tensor]:
+def sample_pairs(views: Views, objects: int, targets: int, seed: int, step: int) -> tuple[Tensor, Tensor]:
     """Rows of `objects` appearance views and of `objects * targets` target views of the same objects, none twice.
 
     An epoch's worth of steps visits every object equally often (a fresh shuffle each time round); the draw depends on

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from viewnet.config import TrainConfig
+from viewnet.config import CycleConfig
 from viewnet.model.viewnet import Hypotheses
 from viewnet.runtime.torchvision_weights import IMAGENET_MEAN, IMAGENET_STD, convolutions
 
@@ -82,7 +82,7 @@ def head_errors(images: Tensor, target: Tensor) -> Tensor:
     return (images - target[:, None]).square().mean(dim=(2, 3, 4))
 
 
-def cycle_loss(found: Hypotheses, truth: Tensor, config: TrainConfig) -> Tensor:
+def cycle_loss(found: Hypotheses, truth: Tensor, config: CycleConfig) -> Tensor:
     """Section 3.4: how far the viewpoint network is from the viewpoints `truth` (N, 3) of generated images.
 
     The head that the network selects is pulled (the released code), or the closest one; either way the selection is
@@ -90,5 +90,5 @@ def cycle_loss(found: Hypotheses, truth: Tensor, config: TrainConfig) -> Tensor:
     """
     with torch.no_grad():
         closest = (found.vectors - truth[:, None]).square().sum(-1).argmin(1)
-        pulled = closest if config.cycle.head == "closest" else found.logits.argmax(1)
-    return F.mse_loss(found.pick(pulled), truth) + F.cross_entropy(found.logits, closest)
+        pulled = closest if config.head == "closest" else found.logits.argmax(1)
+    return F.mse_loss(found.of_heads(pulled), truth) + F.cross_entropy(found.logits, closest)

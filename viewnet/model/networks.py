@@ -254,14 +254,14 @@ class HoloGANDecoder(nn.Module):
             x = stage(x, appearance)
         return x
 
-    def draw(self, features: Tensor, appearance: Tensor, frames: Tensor) -> Tensor:
+    def render(self, features: Tensor, appearance: Tensor, world_from_camera: Tensor) -> Tensor:
         """Images (N, 3, S, S) in [0, 1]; N a multiple of the number of feature volumes, as in viewnet.model.volume."""
-        share = len(frames) // len(features)
-        points = ray_points(self.size, self.size, frames.new_zeros(()))
+        share = len(world_from_camera) // len(features)
+        points = ray_points(self.size, self.size, world_from_camera.new_zeros(()))
         # A volume's views are sampled as one grid, one behind the other, which spares a copy of the volume for each.
-        grid = torch.einsum("nij,dhwj->ndhwi", frames, points).unflatten(0, (-1, share)).flatten(1, 2)
-        turned = F.grid_sample(features, grid.to(features.dtype), padding_mode="border", align_corners=False)
-        views = turned.unflatten(2, (share, self.size)).transpose(1, 2).flatten(0, 1)
+        grid = torch.einsum("nij,dhwj->ndhwi", world_from_camera, points).unflatten(0, (-1, share)).flatten(1, 2)
+        rotated = F.grid_sample(features, grid.to(features.dtype), padding_mode="border", align_corners=False)
+        views = rotated.unflatten(2, (share, self.size)).transpose(1, 2).flatten(0, 1)
         x = F.relu(self.fold(views.flatten(1, 2).contiguous(memory_format=torch.channels_last)))
         for stage in self.paint:
             x = stage(x, appearance.repeat_interleave(share, dim=0))

@@ -1,4 +1,4 @@
-"""ViewNet: appearance from one image, viewpoints from another, and the second one drawn again (figure 2)."""
+"""ViewNet: appearance from one image, viewpoint hypotheses from another, and the second image reconstructed (figure 2)."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from viewnet.runtime import distributed
 
 @dataclass
 class Hypotheses:
-    """What the viewpoint network says of N images: M viewpoints and how likely each is the best."""
+    """M predicted viewpoints for each of N images, and logits of which one is the best (section 3.1)."""
 
-    vectors: Tensor  # (N, M, 3), unit length
+    vectors: Tensor  # (N, M, 3), unit view vectors from object to camera
     logits: Tensor  # (N, M)
     ups: Tensor | None = None  # (N, M, 3), only with in-plane rotation
 
     @property
-    def frames(self) -> Tensor:
-        """Camera frames (N, M, 3, 3)."""
+    def world_from_camera(self) -> Tensor:
+        """Camera frames (N, M, 3, 3): columns right, up and back in world coordinates."""
         return look_at(self.vectors, self.ups)
 
-    def part(self, rows: slice) -> Hypotheses:
+    def rows(self, rows: slice) -> Hypotheses:
         """Those of some of the images."""
         return Hypotheses(self.vectors[rows], self.logits[rows], None if self.ups is None else self.ups[rows])
 
-    def pick(self, index: Tensor) -> Tensor:
-        """View vectors (N, 3) of the heads `index` (N,)."""
-        return self.vectors.gather(1, index[:, None, None].expand(-1, 1, 3))[:, 0]
+    def of_heads(self, index: Tensor) -> Tensor:
+        """View vectors (N, 3), each image's of its head `index` (N,)."""
+        return self.vectors.gather(1, index[:, None, None].expand(-1, 1, 3))[:, 0]  # (N, 3)
 
 
 class ViewpointNetwork(nn.Module):
-    """f^v: images (N, 3, S, S) -> Hypotheses. One trunk; its last layer gives logits and vectors (section 3.1).
+    """f^v: images (N, 3, S, S) -> Hypotheses. One encoder whose last layer gives logits and vectors (section 3.1).
 
-    `shares` (12, bands) is kept by training: how often the viewpoints drawn from lay in each part of the sphere.
+    `shares` (12, bands) is kept by training: the share of chosen viewpoints in each part of the sphere.
     """
 
     shares: Tensor
@@ -52,17 +52,18 @@ class ViewpointNetwork(nn.Module):
         outputs = (7 if config.in_plane else 4) * config.heads
         self.encoder = Encoder(config.encoder_channels, outputs, config.input_size, config.encoder_padding)
         azimuth = torch.arange(config.heads) * (2 * math.pi / config.heads)
+        # Heads that start in one place would all learn the same viewpoint.
         offset = config.head_spread * torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros_like(azimuth)], dim=1)
         self.register_buffer("offset", offset, persistent=False)
         bands = config.balance_bands
         self.register_buffer("shares", torch.full((12, bands), 1 / (12 * bands)))
 
     def forward(self, images: Tensor) -> Hypotheses:
-        """The hypotheses for images (N, 3, S, S), as `see` gives them."""
+        """The hypotheses for images (N, 3, S, S), as `ViewNet.composite` gives them."""
         out = self.encoder(images).float()
-        logits, rest = out[:, : self.heads], out[:, self.heads :].unflatten(1, (-1, self.heads, 3))
+        logits, rest = out[:, : self.heads], out[:, self.heads :].unflatten(1, (-1, self.heads, 3))  # (N, 1 or 2, M, 3)
         vectors = self._on_sphere(rest[:, 0] + self.offset)
-        # A learned up starts near the world's: the network only has to say how far it is tilted.
+        # A learned up starts near the world's: the network only has to predict how far it is tilted.
         ups = F.normalize(rest[:, 1] + rest.new_tensor([0.0, 0.0, 1.0]), dim=-1) if self.in_plane else None
         return Hypotheses(vectors, logits, ups)
 
@@ -76,10 +77,10 @@ class ViewpointNetwork(nn.Module):
 
 
 class ViewNet(nn.Module):
-    """f^v, f^a and f^d of the paper.
+    """The paper's f^v (`viewpoint`), f^a (`appearance`) and f^d (`decoder` and the volume renderer).
 
-    `draw` gives images (N, 4, S, S): RGB times mask, and mask. The HoloGAN ablation has no mask, so its fourth
-    channel is 1 everywhere.
+    Images of objects are (N, 4, S, S): RGB times mask, and mask, in [0, 1]. The HoloGAN ablation has no mask: the fourth
+    channel of what it renders is 1 everywhere.
     """
 
     prior: Tensor
@@ -96,46 +97,47 @@ class ViewNet(nn.Module):
         prior = gaussian_prior(config.volume_size) if config.shape_prior else torch.empty(0)
         self.register_buffer("prior", prior, persistent=False)
 
-    def see(self, images: Tensor, behind: Tensor | None = None) -> Tensor:
-        """Images (N, 4, S, S), RGB times alpha and alpha, as the encoders take them: (N, 3, S, S).
+    def composite(self, images: Tensor, background: Tensor | None = None) -> Tensor:
+        """Images (N, 4, S, S) over backgrounds (N, 3, S, S), or over the backdrop: (N, 3, S, S), as encoders take them."""
+        return images[:, :3] + (self.config.backdrop if background is None else background) * (1 - images[:, 3:])
 
-        On the backdrop, or with the scenes `behind` (N, 3, S, S) behind them.
+    def encode(
+        self, images: Tensor, own_shape: float = 1.0, background: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Appearance codes (N, A) and volumes, as `generate` gives them, of the objects in images (N, 4, S, S).
+
+        `own_shape` below 1 moves codes towards their mean, which they are at 0: one shape for all, in many colours.
+        `background` as in `composite`.
         """
-        return images[:, :3] + (self.config.backdrop if behind is None else behind) * (1 - images[:, 3:])
-
-    def imagine(self, images: Tensor, own: float = 1.0, behind: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Appearance codes (N, A) and volumes, as `shape` gives them, of the objects in images (N, 4, S, S).
-
-        With `own` below 1 codes are drawn towards the mean of all, which they are at 0: one shape in many colours.
-        `behind` as in `see`.
-        """
-        code = self.appearance(self.see(images, behind))
-        if own < 1:
-            code = torch.lerp(distributed.mean(code.mean(0, keepdim=True)), code, own)
+        code = self.appearance(self.composite(images, background))
+        if own_shape < 1:
+            code = torch.lerp(distributed.mean(code.mean(0, keepdim=True)), code, own_shape)
         colour = None
         if self.config.colour_prior:
-            colour = images[:, :3].sum((2, 3)) / images[:, 3].sum((1, 2))[:, None].clamp(min=1)
-        return code, self.shape(code, colour)
+            colour = images[:, :3].sum((2, 3)) / images[:, 3].sum((1, 2))[:, None].clamp(min=1)  # (N, 3)
+        return code, self.generate(code, colour)
 
-    def shape(self, appearance: Tensor, colour: Tensor | None = None) -> Tensor:
-        """Volumes (N, 4, n, n, n): colour and occupancy in [0, 1] (or the HoloGAN decoder's features).
+    def generate(self, code: Tensor, colour: Tensor | None = None) -> Tensor:
+        """Volumes (N, 4, n, n, n) of appearance codes (N, A): colour and occupancy in [0, 1] (section 3.3).
 
-        With `colour` (N, 3), an object's mean colour, the generator only has to say how its parts differ from that.
-
-        Q = S + Q' as printed, where Q' = 2 sigmoid - 1 lies in [-1, 1] and the sum is kept in [0, 1]. Without the prior
-        S is 0, and nothing else changes.
+        Q = S + Q' as reported, where Q' = 2 sigmoid - 1 lies in [-1, 1] and the sum is limited to [0, 1]. Without the
+        prior S is 0, and nothing else changes. With `colour` (N, 3), an object's mean colour, the generator's colours
+        are differences to it. The HoloGAN decoder's volumes are features.
         """
         if isinstance(self.decoder, HoloGANDecoder):
-            return self.decoder.features(appearance)
-        # Both orders of squashing and sampling are in use; squashing first keeps the volume itself an image's worth.
-        blocks = self.decoder.blocks(appearance)
+            return self.decoder.features(code)
+        # Squashed before it is sampled (both orders are in use), so that the volume itself holds colours.
+        blocks = self.decoder.blocks(code)
         logit = None if colour is None else colour.clamp(0.03, 0.97).logit()
         return volume.squash(blocks, logit, self.prior if self.config.shape_prior else None)
 
-    def draw(self, shape: Tensor, appearance: Tensor, frames: Tensor, size: int | None = None) -> Tensor:
-        """Images (N, 4, size, size) of `shape` (B, ...) from camera frames (N, 3, 3), N a multiple of B."""
+    def render(self, volumes: Tensor, code: Tensor, world_from_camera: Tensor, size: int | None = None) -> Tensor:
+        """Images (N, 4, size, size) of volumes (B, ...) from camera frames (N, 3, 3), N a multiple of B (section 3.3).
+
+        `size` defaults to the size of reconstructions; the HoloGAN decoder has no other.
+        """
         size = self.config.render_size if size is None else size
         if isinstance(self.decoder, HoloGANDecoder):
-            image = self.decoder.draw(shape, appearance, frames).float()
+            image = self.decoder.render(volumes, code, world_from_camera).float()
             return torch.cat([image, torch.ones_like(image[:, :1])], dim=1)
-        return volume.render(shape, frames, self.focal, size, sparse=True)
+        return volume.render(volumes, world_from_camera, self.focal, size, sparse=True)

@@ -93,11 +93,11 @@ class _Clamp(torch.autograd.Function):
         return grad.masked_fill((x < 0) & (grad > 0) | (x > 1) & (grad < 0), 0)
 
 
-def render_reference(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
+def render_reference(volume: Tensor, world_from_camera: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
     """Images (N, 4, size, size) of volumes (B, 4, Z, Y, X) from camera frames (N, 3, 3): RGB times mask, and mask.
 
     N is a multiple of B, and image n shows volume n // (N / B). `focal` is the scalar f above. Occupancy is expected
-    in [0, 1]; outside the cube everything is 0. Differentiable in volume, frames and focal.
+    in [0, 1]; outside the cube everything is 0. Differentiable in volume, camera frames and focal.
 
     A volume that is red, and opaque where y > 0, the object's left half: from the front that is on the right.
 
@@ -110,8 +110,8 @@ def render_reference(volume: Tensor, frames: Tensor, focal: Tensor, size: int, s
     (tensor([0., 0., 1., 1.]), True, False)
     """
     points = ray_points(size, steps, focal)
-    grid = torch.einsum("nij,dhwj->ndhwi", frames, points)
-    volume = volume.repeat_interleave(len(frames) // len(volume), dim=0)
+    grid = torch.einsum("nij,dhwj->ndhwi", world_from_camera, points)
+    volume = volume.repeat_interleave(len(world_from_camera) // len(volume), dim=0)
     sampled = F.grid_sample(volume, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
     colour, occupancy = sampled[:, :3], sampled[:, 3:]
     passing = torch.cumprod(1 - occupancy, dim=2)
@@ -121,7 +121,7 @@ def render_reference(volume: Tensor, frames: Tensor, focal: Tensor, size: int, s
 
 
 def render(
-    volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int | None = None, sparse: bool = False
+    volume: Tensor, world_from_camera: Tensor, focal: Tensor, size: int, steps: int | None = None, sparse: bool = False
 ) -> Tensor:
     """`render_reference` by the fastest path there is for the device; `steps` along a ray defaults to `size`.
 
@@ -135,12 +135,12 @@ def render(
     torch.Size([2, 4, 16, 16])
     """
     steps = size if steps is None else steps
-    if len(frames) % len(volume):
-        raise ValueError(f"{len(frames)} frames cannot be shared out evenly over {len(volume)} volumes")
+    if len(world_from_camera) % len(volume):
+        raise ValueError(f"{len(world_from_camera)} camera frames cannot be shared out evenly over {len(volume)} volumes")
     fused = _fused(volume.device)
     if fused is not None:
-        return fused.render(volume.float(), frames.float(), focal.float(), size, steps, sparse)
-    return render_reference(volume.float(), frames.float(), focal.float(), size, steps)
+        return fused.render(volume.float(), world_from_camera.float(), focal.float(), size, steps, sparse)
+    return render_reference(volume.float(), world_from_camera.float(), focal.float(), size, steps)
 
 
 def _fused(device: torch.device) -> ModuleType | None:

@@ -1,0 +1,105 @@
+"""How far a training is: its log, its best weights so far, and the files that it resumes from."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import save_file
+from torch.optim import Optimizer
+
+from viewnet.config import RunConfig
+from viewnet.errors import ViewnetError
+from viewnet.model.checkpoint import CHECKPOINT
+from viewnet.model.viewnet import ViewNet
+from viewnet.runtime import distributed
+from viewnet.runtime.files import replacing
+
+STATE = "state.pt"
+"""What a training resumes from; removed when it has come to its end."""
+
+
+@dataclass
+class History:
+    """How far a training is: its log, and the best weights so far."""
+
+    epoch: int = 0  # finished ones
+    seconds: float = 0.0
+    log: list[dict[str, Any]] = field(default_factory=list)
+    best: dict[str, Any] = field(default_factory=lambda: {"score": -math.inf, "epoch": -1, "weights": None})
+
+    def exhausted(self, patience: int) -> bool:
+        """Whether the last `patience` epochs brought no improvement."""
+        return bool(self.log) and self.log[-1]["epoch"] - 1 - self.best["epoch"] >= patience
+
+    def add(self, model: ViewNet, step: int, by: str, scores: dict[str, float], means: dict[str, float]) -> None:
+        """Adds a row to the log, and keeps the weights where they are the best by "accuracy" or "reconstruction"."""
+        score = scores["accuracy"] if by == "accuracy" else -scores["reconstruction"]
+        if score > self.best["score"] or self.best["weights"] is None:
+            weights = {
+                name: value.detach().cpu().clone(memory_format=torch.contiguous_format)
+                for name, value in model.state_dict().items()
+            }
+            self.best = {"score": score, "epoch": self.epoch - 1, "weights": weights}
+        self.log.append(
+            {"epoch": self.epoch, "step": step, "seconds": round(self.seconds, 2)}
+            | {"loss": sum(means.values())}
+            | {f"val_{name}": value for name, value in scores.items()}
+            | means
+        )
+
+
+def resume(model: ViewNet, optimisers: list[Optimizer], folder: Path) -> History:
+    """How far the training in `folder` is; its state goes to the model and the optimisers."""
+    def saved() -> dict[str, Any] | None:
+        path = folder / STATE
+        return torch.load(path, map_location="cpu", weights_only=True) if path.exists() else None
+
+    state = distributed.first(saved)
+    if state is None:
+        return History()
+    model.load_state_dict(state["model"])
+    for optimiser, values in zip(optimisers, state["optimisers"], strict=True):
+        optimiser.load_state_dict(values)
+    return History(state["epoch"], state["seconds"], state["log"], state["best"])
+
+
+def write(model: ViewNet, optimisers: list[Optimizer], history: History, folder: Path) -> None:
+    """Writes log.csv, and all that `resume` needs."""
+    columns = list(dict.fromkeys(name for row in history.log for name in row))
+    with replacing(folder / "log.csv") as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(history.log)
+    state = {"model": model.state_dict(), "optimisers": [each.state_dict() for each in optimisers]}
+    state |= {"log": history.log, "best": history.best, "epoch": history.epoch, "seconds": history.seconds}
+    with replacing(folder / STATE) as temporary:
+        torch.save(state, temporary)
+
+
+def keep_best(config: RunConfig, history: History, folder: Path) -> None:
+    """Writes the checkpoint of the best weights, and removes the state: the training has come to its end."""
+    best = history.best
+    metadata = {"config": json.dumps(config.to_dict()), "epoch": str(best["epoch"] + 1), "score": repr(best["score"])}
+    with replacing(folder / CHECKPOINT) as temporary:
+        save_file(best["weights"], temporary, metadata=metadata)
+    (folder / STATE).unlink(missing_ok=True)
+
+
+def board_of(folder: Path) -> Any:
+    """A TensorBoard log in the run's folder where VIEWNET_TENSORBOARD is set, else None."""
+    if not os.environ.get("VIEWNET_TENSORBOARD"):
+        return None
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise ViewnetError(
+            "VIEWNET_TENSORBOARD is set, but TensorBoard is not installed: pip install tensorboard, or unset it"
+        ) from error
+    return SummaryWriter(folder / "tensorboard")

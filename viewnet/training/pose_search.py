@@ -1,0 +1,156 @@
+"""Which viewpoints a training step reconstructs from: the heads', their neighbours, and a search around the object (ours).
+
+Early on the viewpoint network answers from what little it has learned, and the volume settles on its mistakes: turned
+inside out, or with two sides folded into one. Viewpoints of a search do not depend on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from viewnet.config import TrainConfig
+from viewnet.data.pairs import resize
+from viewnet.geometry import azimuth_elevation, view_vector
+from viewnet.model.reconstruction import Choice, Encoded, compare
+from viewnet.model.viewnet import Hypotheses, ViewNet
+from viewnet.model.volume import halved
+from viewnet.runtime import distributed
+from viewnet.runtime.random import RandomSource, rand
+
+SECTORS = 4
+"""Of azimuth: of a search's viewpoints, the best of each sector is compared with the heads'."""
+
+
+@dataclass
+class Search:
+    """Viewpoints all around the object. `noise`, added to errors, is a multiple of their spread over a target's."""
+
+    views: int
+    noise: float
+    generator: RandomSource
+
+    def grid(self, count: int, limits: tuple[float, float]) -> Tensor:
+        """View vectors (count, views, 3): azimuths evenly spaced and jittered, elevations uniform within limits."""
+        places = torch.arange(self.views) + rand(count, self.views, generator=self.generator)
+        elevation = rand(count, self.views, generator=self.generator) * (limits[1] - limits[0]) + limits[0]
+        return view_vector(360 / self.views * places, elevation)
+
+    def perturb(self, errors: Tensor) -> Tensor:
+        """Errors (N, T) with Gumbel noise, so that the least is a sample of their Boltzmann distribution."""
+        uniform = rand(*errors.shape, generator=self.generator).clamp(1e-9, 1 - 1e-7).to(errors.device)
+        return errors + self.noise * errors.std(1, keepdim=True) * uniform.log().neg().log()
+
+
+@dataclass(frozen=True)
+class PoseSearch:
+    """The choice of viewpoints at one point of training; called as viewnet.model.reconstruction.Choose."""
+
+    search: Search | None = None  # its viewpoints compete with the heads', and are reconstructed from
+    trust: float = 0.0  # weight of the selection logits in the choice (SelectionConfig.trust)
+
+    def __call__(
+        self, model: ViewNet, objects: Encoded, hypotheses: Hypotheses, target: Tensor, config: TrainConfig
+    ) -> Choice:
+        """The best viewpoint of each target, and what it teaches the heads."""
+        vectors = hypotheses.vectors
+        heads, limits = vectors.shape[1], model.config.elevation_limits or (-90.0, 90.0)
+        candidates, errors = compare_heads(model, objects, hypotheses, target, config)  # (N, M, 3), (N, M)
+        score = errors
+        if self.trust and heads > 1:
+            spread = distributed.mean(errors.std(1, keepdim=True).mean())
+            score = errors - self.trust * spread * hypotheses.logits.log_softmax(1)
+        if self.search:
+            grid = self.search.grid(len(target), limits).to(vectors)
+            searched, search_errors = compare_grid(model, objects, grid, target, config)
+            candidates = torch.cat([candidates, searched], 1)  # (N, M + SECTORS, 3)
+            score = self.search.perturb(torch.cat([score, search_errors], 1))  # (N, M + SECTORS)
+        balance = config.search.balance
+        if balance and score.shape[1] > 1:
+            score = balanced(score, candidates, model.viewpoint.shares, limits, balance)
+        winner = score.argmin(1)
+        viewpoint = candidates[torch.arange(len(target), device=target.device), winner]  # (N, 3)
+        if balance:
+            _count(model.viewpoint.shares, viewpoint, limits)
+        closest = (vectors - viewpoint[:, None]).square().sum(-1).argmin(1)
+        head = torch.where(winner < heads, winner, closest)
+        # Were the selection taught a choice in which it took part, it would confirm itself.
+        label = errors.argmin(1) if self.trust else head
+        return Choice(head, viewpoint, label, errors, viewpoint if self.search else None)
+
+
+def compare_heads(
+    model: ViewNet, objects: Encoded, hypotheses: Hypotheses, target: Tensor, config: TrainConfig
+) -> tuple[Tensor, Tensor]:
+    """View vectors (N, M, 3), each the head's own or its best neighbour, and their errors (N, M).
+
+    Neighbours are compared at half the resolution; what tells two sides of an object apart is often smaller, so heads
+    are compared at the full one.
+    """
+    best = hypotheses.vectors
+    if config.comparison.neighbours:
+        candidates = neighbours(best, config.comparison.neighbours)
+        coarse, small = _half(model, objects, target)
+        best, errors = compare(model, coarse, candidates, hypotheses.ups, small, config)
+        if coarse is objects or best.shape[1] == 1:
+            return best, errors
+    return compare(model, objects, best[:, :, None], hypotheses.ups, target, config)
+
+
+def compare_grid(
+    model: ViewNet, objects: Encoded, grid: Tensor, target: Tensor, config: TrainConfig
+) -> tuple[Tensor, Tensor]:
+    """Of viewpoints all around (N, T, 3) the best in each sector, (N, SECTORS, 3), and their errors (N, SECTORS).
+
+    Within a sector half the resolution is enough. Sectors are compared at the full one: at half of it the fin that tells
+    an aeroplane's tail from its nose is gone, and a group of aeroplanes that is laid wrong then stays so.
+    """
+    coarse, small = _half(model, objects, target)
+    if coarse is objects or grid.shape[1] <= SECTORS:
+        return grid, compare(model, objects, grid[:, :, None], None, target, config)[1]
+    whole = torch.cat([grid, grid[:, : -grid.shape[1] % SECTORS]], 1)  # T a multiple of SECTORS
+    by_sector = whole.unflatten(1, (SECTORS, -1))  # (N, SECTORS, T / SECTORS, 3)
+    best, _ = compare(model, coarse, by_sector, None, small, config)
+    return compare(model, objects, best[:, :, None], None, target, config)
+
+
+def _half(model: ViewNet, objects: Encoded, target: Tensor) -> tuple[Encoded, Tensor]:
+    """Volumes and targets at half the resolution; themselves where that is too low, or the decoder has one only."""
+    if target.shape[-1] <= 16 or model.config.decoder == "hologan":
+        return objects, target
+    return Encoded(objects.code, halved(objects.volume)), resize(target, target.shape[-1] // 2)
+
+
+def balanced(score: Tensor, views: Tensor, shares: Tensor, limits: tuple[float, float], weight: float) -> Tensor:
+    """Scores (N, T) of viewpoints (N, T, 3) with a penalty on parts of the sphere chosen more often than their share.
+
+    A volume that has grown alike on two sides explains images of either from one of them, is never reconstructed from
+    the other, and would stay as it is. Images are taken from all around and from all elevations within the limits, so no
+    part of the sphere is due more than its share of `shares` (12, bands).
+    """
+    smooth = (2 * shares + shares.roll(1, 0) + shares.roll(-1, 0)) / 4
+    excess = torch.log(smooth * smooth.numel() + 0.05).flatten()[_part(views, limits, shares.shape[1])]  # (N, T)
+    return score + weight * score.std(1, keepdim=True) * excess
+
+
+def _count(shares: Tensor, viewpoint: Tensor, limits: tuple[float, float]) -> None:
+    """Moves the running `shares` (12, bands) towards where viewpoints (N, 3) lie."""
+    counts = torch.bincount(_part(viewpoint, limits, shares.shape[1]), minlength=shares.numel())
+    shares.lerp_(distributed.mean(counts / len(viewpoint)).view_as(shares), 0.02)
+
+
+def _part(views: Tensor, limits: tuple[float, float], bands: int) -> Tensor:
+    """The part of the sphere of view vectors (..., 3): one of 12 sectors of azimuth times bands of elevation."""
+    azimuth, elevation = azimuth_elevation(views)
+    band = ((elevation - limits[0]) / (limits[1] - limits[0]) * bands).long().clamp(0, bands - 1)
+    return (azimuth / 30).long() % 12 * bands + band
+
+
+def neighbours(vectors: Tensor, angle: float) -> Tensor:
+    """View vectors (N, M, 3) and those `angle` degrees to the left, right, above and below: (N, M, 5, 3)."""
+    azimuth, elevation = azimuth_elevation(vectors)
+    step = vectors.new_tensor([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]]) * angle
+    higher = (elevation[..., None] + step[:, 1] / 2).clamp(-89, 89)
+    return view_vector(azimuth[..., None] + step[:, 0], higher)
