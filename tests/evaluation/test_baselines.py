@@ -149,7 +149,7 @@ def test_regressions_that_cannot_be_fitted_are_refused(readable):
         baselines.view_regression(index, features[1:])
     with pytest.raises(ViewnetError, match=r"ridge 0: expected more than 0"):
         baselines.view_regression(index, features, ridge=0)
-    with pytest.raises(ViewnetError, match="151 images asked for, expected 4 to 150"):
+    with pytest.raises(ViewnetError, match="151 images requested, expected 4 to 150"):
         baselines.calibrating(index, 151)
     with pytest.raises(ViewnetError, match="no views of split 'val'"):
         test = (index["split"] == "test").to_numpy()

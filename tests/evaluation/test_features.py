@@ -47,14 +47,14 @@ def test_pixels_tell_the_viewpoint_without_weights(store):
 
 def test_pixels_do_not_depend_on_brightness_and_contrast():
     shown = torch.rand(3, 3, 32, 32, generator=torch.Generator().manual_seed(0))
-    assert np.allclose(features._pixels(shown), features._pixels(0.4 * shown + 0.3), atol=1e-3)
-    assert np.isfinite(features._pixels(torch.zeros(1, 3, 32, 32))).all()
+    assert np.allclose(features.pixel_features(shown), features.pixel_features(0.4 * shown + 0.3), atol=1e-3)
+    assert np.isfinite(features.pixel_features(torch.zeros(1, 3, 32, 32))).all()
 
 
 def test_edges_of_different_directions_are_told_apart():
     stripes = (torch.arange(32) // 4 % 2).float()
-    across = features._pixels(stripes.expand(1, 3, 32, 32))[0, 256:].reshape(8, 64)
-    along = features._pixels(stripes[:, None].expand(1, 3, 32, 32))[0, 256:].reshape(8, 64)
+    across = features.pixel_features(stripes.expand(1, 3, 32, 32))[0, 256:].reshape(8, 64)
+    along = features.pixel_features(stripes[:, None].expand(1, 3, 32, 32))[0, 256:].reshape(8, 64)
     assert across.sum(axis=1).argmax() == 0
     assert along.sum(axis=1).argmax() == 4
     assert across[4].max() < 0.1 * across[0].max()
@@ -90,7 +90,7 @@ def test_images_are_shown_over_black_at_the_size_asked_for(store):
 
 def test_features_are_kept_and_made_again_for_other_settings(store, tmp_path, monkeypatch):
     first = features.extract(store, "pixels", 32)
-    monkeypatch.setattr(features, "_pixels", lambda shown: pytest.fail("computed again"))
+    monkeypatch.setattr(features, "pixel_features", lambda shown: pytest.fail("computed again"))
     assert np.array_equal(features.extract(store, "pixels", 32), first)
     with pytest.raises(pytest.fail.Exception):
         features.extract(store, "pixels", 40)

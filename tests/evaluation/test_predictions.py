@@ -74,7 +74,7 @@ def test_values_are_not_writable():
         (with_column("azimuth", "east"), "'azimuth' holds values that are not numbers"),
         (with_column("elevation", 91.0), "elevation 91 is outside"),
         (with_column("model_id", 2958343), "'model_id' holds values that are not text"),
-        (with_column("view", 0), "view 0 of model 00000 is there twice"),
+        (with_column("view", 0), "view 0 of model 00000 appears twice"),
     ],
 )
 def test_bad_ids_are_named(ids, message):

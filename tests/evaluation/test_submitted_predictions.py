@@ -83,7 +83,7 @@ def changed(name, value, row=4):
         (lambda f: f.assign(category="boat"), "no row of category car"),
         (lambda f: f.iloc[:0], "no row of category car"),
         (lambda f: f.drop(index=7), r"no row for view 1 of car 00012 \(1 of 30 are missing\)"),
-        (lambda f: pd.concat([f, f.iloc[[2]]]), "row 31: view 2 of car 00010 is there twice"),
+        (lambda f: pd.concat([f, f.iloc[[2]]]), "row 31: view 2 of car 00010 appears twice"),
         (changed("model_id", "99999"), "row 4: view 0 of car 99999 is not among the images to calibrate on"),
         (changed("view", 0.5), "row 4: view 0.5 of car 00011 is not among"),
         (changed("view", "first"), "row 4: view is 'first': expected a finite number"),

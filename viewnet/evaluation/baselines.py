@@ -1,4 +1,7 @@
-"""Predictors that need no training. Each returns Predictions, scored by the same function as those of ViewNet."""
+"""Predictors that need no training. Each returns Predictions, scored by the same function as those of ViewNet.
+
+Their `index` has the columns of a view store (viewnet.data.store); the rows of `splits` are predicted.
+"""
 
 from __future__ import annotations
 
@@ -14,32 +17,31 @@ from numpy.typing import NDArray
 from viewnet import geometry
 from viewnet.config import known
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.alignment import calibration_rows
-from viewnet.evaluation.predictions import Floats, Predictions, true_vectors
+from viewnet.evaluation.alignment import draw_calibration
+from viewnet.evaluation.predictions import Floats, Predictions, object_names, true_vectors
 
 RIDGE = 1e3
 """Weight of squared coefficients in the view regression. Chosen on real cars with SqueezeNet's features."""
+SPLITS = ("val", "test")
 
 
 def constant(
-    index: pd.DataFrame, splits: tuple[str, ...] = ("val", "test"), source: str = "train", mean: str = "vector"
+    index: pd.DataFrame, splits: tuple[str, ...] = SPLITS, source: str = "train", mean: str = "vector"
 ) -> Predictions:
-    """The mean viewpoint of the rows of the split `source`, for every image (the rows "Constant").
+    """The mean viewpoint of the split `source`, for every image (the rows "Constant").
 
-    `index` has the columns of a view store; its rows of `splits` are predicted. The supplement takes the mean over
-    training data, the main text over validation data. There are two means, `mean`:
+    The supplement takes the mean over training data, the main text over validation data. There are two means, `mean`:
 
-    vector    the mean view vector, normalised. Where cameras stand all around an object their azimuths cancel and leave
-              what they have in common, the height: it points to the sky, where no camera was.
-    rotation  the level camera frame with the smallest sum of squared distances (Frobenius) to the frames of `source`.
-              It has a right direction that must fit as well, which is level at any height: where azimuths cancel, the
-              mean elevation remains.
+    vector    the mean view vector, normalised. Where cameras stand all around an object their azimuths cancel, and only
+              the height remains: it points to the sky, where no camera was.
+    rotation  the level camera frame with the least sum of squared distances (Frobenius) to the frames of `source`.
+              Where azimuths cancel, the mean elevation remains, since a level frame's right axis is always horizontal.
 
     Both agree where viewpoints lie close together. Raises ViewnetError for a missing split, an unknown mean, and where
     view vectors cancel out altogether.
     """
-    middle = MEANS[known(mean, MEANS, "mean")]
-    return _same(index, splits, middle(true_vectors(_rows(index, (source,)))))
+    mean_of = MEANS[known(mean, MEANS, "mean")]
+    return _same_for_all(index, splits, mean_of(true_vectors(_rows(index, (source,)))))
 
 
 def mean_vector(truth: Floats) -> Floats:
@@ -75,49 +77,51 @@ def view_regression(
     index: pd.DataFrame,
     features: NDArray[np.float32],
     ridge: float = RIDGE,
-    splits: tuple[str, ...] = ("val", "test"),
+    splits: tuple[str, ...] = SPLITS,
     source: str = "val",
 ) -> Predictions:
     """Linear regression from features (N, D) to view vectors, fitted on the split `source` (the row "VGG view").
 
-    Fitted on "val" it is SSV's setup: no more labels than unsupervised predictions are aligned by (see `calibrating`),
-    and what is predicted for "val" was fitted on it. `features` are in the order of `index` (see viewnet.evaluation.features);
-    `ridge` is the weight of the squared coefficients against the sum of squared errors, with features and view vectors
-    centred on what is fitted on. It is solved in the space of the images, which are far fewer than features. Raises
-    ViewnetError for features that do not fit the index and a `ridge` not above 0.
+    Fitted on "val" it is SSV's setup: no more labels than the alignment of unsupervised predictions uses (see
+    `calibrating`), and predictions for "val" are for images it was fitted on. `features` are in the order of `index`
+    (viewnet.evaluation.features); `ridge` is the weight of the squared coefficients against the sum of squared errors,
+    with features and view vectors centred. It is solved in the space of the images, which are far fewer than features.
+    Raises ViewnetError for features that do not fit the index and a `ridge` not above 0.
     """
     if features.ndim != 2 or len(features) != len(index):
         raise ViewnetError(f"view regression: features are {features.shape} for {len(index)} images")
     if not ridge > 0:
         raise ViewnetError(f"ridge {ridge}: expected more than 0: features outnumber the images to fit on")
     ids, fit = _rows(index, splits), (index["split"] == source).to_numpy()
-    x, y = features[fit].astype(np.float64), true_vectors(_rows(index, (source,)))
-    middle, mean = x.mean(axis=0), y.mean(axis=0)
-    x -= middle
-    dual = np.linalg.solve(x @ x.T + ridge * np.eye(len(x)), y - mean)
-    found = (features[index["split"].isin(splits).to_numpy()] - middle) @ (x.T @ dual) + mean
-    lengths = np.linalg.norm(found, axis=1, keepdims=True)
+    x, y = features[fit].astype(np.float64), true_vectors(_rows(index, (source,)))  # (n, D), (n, 3)
+    x_mean, y_mean = x.mean(axis=0), y.mean(axis=0)
+    x -= x_mean
+    dual = np.linalg.solve(x @ x.T + ridge * np.eye(len(x)), y - y_mean)  # (n, 3)
+    vectors = (features[index["split"].isin(splits).to_numpy()] - x_mean) @ (x.T @ dual) + y_mean
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     if (lengths < 1e-12).any():
         raise ViewnetError("view regression: a prediction is the zero vector, which has no direction: use more images")
-    return Predictions(ids, (found / lengths)[:, None], np.zeros((len(ids), 1)))
+    return Predictions(ids, (vectors / lengths)[:, None], np.zeros((len(ids), 1)))
 
 
 def calibrating(index: pd.DataFrame, count: int | None = None, seed: int = 0) -> NDArray[np.bool_]:
-    """Which rows (N,) of an index are left where of the split "val" only `count` images stay (None: all).
+    """A mask (N,) of an index without the images of "val" that are not among `count` calibration images (None: all).
 
-    They are the ones that predictions would be aligned on (viewnet.evaluation.alignment.calibration_rows), so that a baseline that
-    is fitted sees as many labels as an alignment does, and the same.
+    They are those that predictions are aligned on (alignment.draw_calibration), so that a fitted baseline uses the same
+    labels as an alignment does. Raises ViewnetError as that does.
     """
-    drawn = calibration_rows(oracle(index, ("val",)), count, seed)
-    keys = ["category", "model_id", "view"]
-    stays = pd.MultiIndex.from_frame(index[keys]).isin(pd.MultiIndex.from_frame(drawn.ids[keys]))
-    return stays | (index["split"] != "val").to_numpy()
+    mask = np.ones(len(index), dtype=bool)
+    if count is not None:
+        val = np.flatnonzero(index["split"] == "val")
+        mask[val] = False
+        mask[val[draw_calibration(object_names(index.iloc[val]), count, seed)]] = True
+    return mask
 
 
-def best_constant(index: pd.DataFrame, splits: tuple[str, ...] = ("val", "test")) -> Predictions:
+def best_constant(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS) -> Predictions:
     """The one viewpoint that is within 30 degrees (geodesic) of the most training views, on a grid of 2 degrees.
 
-    The mean of viewpoints all around an object points to the sky, where no camera was; this is the strongest constant.
+    The strongest constant: the mean of viewpoints all around an object points to the sky, where no camera was.
     """
     truth = geometry.look_at(torch.from_numpy(true_vectors(_rows(index, ("train",)))))
     azimuth, elevation = torch.meshgrid(
@@ -125,33 +129,24 @@ def best_constant(index: pd.DataFrame, splits: tuple[str, ...] = ("val", "test")
         torch.arange(-88.0, 90.0, 2.0, dtype=torch.float64),
         indexing="ij",
     )
-    grid = geometry.view_vector(azimuth.reshape(-1), elevation.reshape(-1))
+    grid = geometry.view_vector(azimuth.reshape(-1), elevation.reshape(-1))  # (G, 3)
     # The angle of A^T B is below t where its trace, the sum of products of entries, exceeds 1 + 2 cos t.
     bound = 1 + 2 * np.cos(np.deg2rad(30))
     frames, flat = geometry.look_at(grid).reshape(-1, 9), truth.reshape(-1, 9).T
-    hits = torch.cat([(part @ flat > bound).double().mean(1) for part in frames.split(500)])
-    return _same(index, splits, grid[hits.argmax()].numpy())
+    hits = torch.cat([(part @ flat > bound).double().mean(1) for part in frames.split(500)])  # (G,)
+    return _same_for_all(index, splits, grid[hits.argmax()].numpy())
 
 
-def random(
-    index: pd.DataFrame,
-    splits: tuple[str, ...] = ("val", "test"),
-    seed: int = 0,
-    heads: int = 1,
-    azimuth_range: tuple[float, float] = (0.0, 360.0),
-    elevation_range: tuple[float, float] = (-20.0, 40.0),
-) -> Predictions:
-    """`heads` viewpoints an image, uniform in azimuth and in elevation within the ranges (degrees), from `seed`."""
+def random(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS, seed: int = 0) -> Predictions:
+    """One viewpoint per image, uniform in azimuth and in elevation from -20 to 40 degrees, from `seed`."""
     ids, rng = _rows(index, splits), np.random.default_rng(seed)
-    azimuth = torch.from_numpy(rng.uniform(*azimuth_range, (len(ids), heads)))
-    elevation = torch.from_numpy(rng.uniform(*elevation_range, (len(ids), heads)))
-    return Predictions(ids, geometry.view_vector(azimuth, elevation).numpy(), rng.standard_normal((len(ids), heads)))
+    azimuth = torch.from_numpy(rng.uniform(0, 360, (len(ids), 1)))
+    elevation = torch.from_numpy(rng.uniform(-20, 40, (len(ids), 1)))
+    return Predictions(ids, geometry.view_vector(azimuth, elevation).numpy(), rng.standard_normal((len(ids), 1)))
 
 
-def oracle(
-    index: pd.DataFrame, splits: tuple[str, ...] = ("val", "test"), rotation: Floats | None = None
-) -> Predictions:
-    """The true viewpoints, in a frame turned by `rotation` (3, 3): what alignment must undo."""
+def oracle(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS, rotation: Floats | None = None) -> Predictions:
+    """The true viewpoints, in a frame rotated by `rotation` (3, 3): what alignment must undo."""
     ids = _rows(index, splits)
     vectors = true_vectors(ids) if rotation is None else true_vectors(ids) @ np.asarray(rotation).T
     return Predictions(ids, vectors[:, None], np.zeros((len(ids), 1)))
@@ -164,7 +159,7 @@ def _rows(index: pd.DataFrame, splits: tuple[str, ...]) -> pd.DataFrame:
     return index[index["split"].isin(splits)]
 
 
-def _same(index: pd.DataFrame, splits: tuple[str, ...], vector: Floats) -> Predictions:
+def _same_for_all(index: pd.DataFrame, splits: tuple[str, ...], vector: Floats) -> Predictions:
     ids = _rows(index, splits)
     return Predictions(ids, np.broadcast_to(vector, (len(ids), 1, 3)), np.zeros((len(ids), 1)))
 
@@ -177,11 +172,7 @@ class Baseline:
     alignments: tuple[str, ...] = ("none", "procrustes")  # what is fitted on labels is in the annotated frame already
 
 
-UNTRAINED = {
-    "constant": Baseline(constant),
-    "best_constant": Baseline(best_constant),
-    "random": Baseline(random),
-}
+UNTRAINED = {"constant": Baseline(constant), "best_constant": Baseline(best_constant), "random": Baseline(random)}
 """Baselines fitted on training views, by variant: runs of the run store (viewnet.training.run_store.untrained)."""
 ON_CALIBRATION = {
     "constant": Baseline(partial(constant, source="val")),

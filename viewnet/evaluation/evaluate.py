@@ -1,10 +1,10 @@
-"""From predictions to numbers: one function for every predictor, fitted on validation images, scored on test images.
+"""From predictions to numbers, for every predictor alike: aligned on validation images, scored on test images.
 
 >>> import pandas as pd
 >>> from viewnet.evaluation.predictions import true_vectors
 >>> ids = pd.DataFrame({"model_id": list("abcdefgh"), "category": "car", "split": ["val", "test"] * 4, "view": 0,
 ...                     "azimuth": np.arange(0.0, 360, 45), "elevation": [0.0, 20, 20, 0] * 2})
->>> own = true_vectors(ids)[:, [1, 2, 0]]  # right, in a frame of its own
+>>> own = true_vectors(ids)[:, [1, 2, 0]]  # right, in another frame
 >>> predictions = Predictions(ids, own[:, None], np.zeros((8, 1)))
 >>> [round(evaluate(predictions, kind, draws=10)["acc30"]) for kind in ("procrustes", "none")]
 [100, 25]
@@ -20,7 +20,7 @@ import numpy as np
 from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
-from viewnet.evaluation.alignment import ALIGNMENTS, Alignment, calibration_rows
+from viewnet.evaluation.alignment import ALIGNMENTS, Alignment, Identity, Procrustes, calibration_rows
 from viewnet.evaluation.predictions import Floats, Predictions
 
 
@@ -28,8 +28,8 @@ from viewnet.evaluation.predictions import Floats, Predictions
 class Aligned:
     """Test predictions in the annotated frame.
 
-    predictions  the test rows
-    alignment    the map, fitted on `calibration`
+    predictions  the test rows, in the predictor's frame
+    alignment    the map, fitted on the predictions `calibration`
     hypotheses   (N, M, 3) mapped view vectors
     errors       (N, M) geodesic error of each hypothesis, degrees
     """
@@ -47,17 +47,17 @@ class Aligned:
 
     @property
     def selected_errors(self) -> Floats:
-        """(N,) errors of the selected hypotheses: what the tables are made of."""
+        """(N,) errors of the selected hypotheses, which the tables are made of."""
         return self.errors[np.arange(len(self.predictions)), self.predictions.choice]
 
 
 def align(
     predictions: Predictions, alignment: str = "procrustes", calibration: int | None = None, seed: int = 0
 ) -> Aligned:
-    """Fit on the split "val", map the split "test".
+    """Fit an alignment on the split "val" and apply it to the split "test".
 
-    `calibration` images (all, if None) are drawn by objects from `seed`. Raises ViewnetError where a split is missing,
-    an object is in both, or there is more than one category: each has a frame of its own.
+    `calibration` images (None: all) are drawn by objects from `seed`. Raises ViewnetError where a split is missing,
+    an object is in both, or there is more than one category: each has its own frame.
     """
     fit = ALIGNMENTS[known(alignment, ALIGNMENTS, "alignment")].fit
     val, test = predictions.subset("val"), predictions.subset("test")
@@ -68,8 +68,9 @@ def align(
     rows = calibration_rows(val, calibration, seed)
     fitted = fit(rows.selected, rows.truth)
     hypotheses = fitted.apply(test.hypotheses)
-    # An affine map of view vectors says nothing of the tilt, a rotation of the world turns the up vectors along.
-    ups = fitted.apply(test.ups) if test.ups is not None and alignment in ("procrustes", "robust", "none") else None
+    # Rotations of the world apply to up vectors too; other maps of view vectors do not determine the tilt.
+    rigid = isinstance(fitted, Procrustes | Identity)
+    ups = fitted.apply(test.ups) if rigid and test.ups is not None else None
     truth = np.repeat(test.truth[:, None], test.heads, axis=1)
     errors = metrics.geodesic_error(hypotheses, truth, ups)
     return Aligned(test, rows, fitted, hypotheses, errors)
@@ -82,24 +83,24 @@ def evaluate(
     seed: int = 0,
     draws: int = 1000,
 ) -> dict[str, Any]:
-    """Every measure of the predictions' test split, as plain JSON types; per cent and degrees.
+    """Every metric of the test split as plain JSON types, in per cent and degrees.
 
-    acc10 acc15 acc30  share of geodesic errors strictly below
+    acc10 acc15 acc30  accuracy: share of geodesic errors strictly below 10, 15, 30 degrees
     median, flips      median error; share of errors over 150 degrees
-    dva                mean of acc30 over the azimuth bins, of 30 degrees, that are not empty
-    confidence_index   share of those twelve bins with more than ten images: how far dva can be trusted
+    dva                mean of acc30 over the non-empty azimuth bins of 30 degrees
+    confidence_index   share of the twelve bins with more than ten images: how far dva can be trusted
     intervals          95 % bootstrap intervals over objects of acc30, median and dva (None with a single object)
-    oracle             acc30 and median of the best hypothesis of each image: what perfect selection would reach
+    oracle             acc30 and median of the best hypothesis of each image: the limit of perfect selection
     heads              per hypothesis: how often it is selected, how often it is the best, and its acc30
-    audit              acc30 and median by the three other definitions of the error (see `metrics`)
-    alignment          the fitted map, and on how many images of how many objects
+    audit              acc30 and median by three other definitions of the error (see `metrics`)
+    alignment          the fitted map, and the images and objects it was fitted on
     """
     aligned = align(predictions, alignment, calibration, seed)
     test, errors = aligned.predictions, aligned.selected_errors
     rng = np.random.default_rng(seed)
     azimuths = test.ids["azimuth"].to_numpy()
     intervals = metrics.bootstrap_intervals(
-        [errors], [test.objects], rng, draws, statistics=("acc30", "median", "dva"), azimuths=[azimuths]
+        [errors], [test.objects], rng, draws, ("acc30", "median", "dva"), azimuths=[azimuths]
     )
     best = aligned.errors.argmin(axis=1)
     level = metrics.geodesic_error(aligned.selected, test.truth)

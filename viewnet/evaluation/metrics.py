@@ -1,12 +1,12 @@
-"""Errors in degrees, what is made of them, and how sure it is.
+"""Errors of viewpoints in degrees, statistics of them, and bootstrap intervals.
 
-The headline error is the geodesic angle between camera frames. Two other definitions are in print and in code around
-this paper; they are here by name so that an audit can compute them, and nothing else uses them.
+The error is the geodesic angle between camera frames. Two other definitions appear in the literature around this paper;
+they are here for the audit of reported numbers only.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -20,15 +20,15 @@ from viewnet.evaluation.predictions import Floats
 
 THRESHOLDS = (10, 15, 30)
 FLIP = 150.0
-"""An error above so many degrees is a flip: the object seen from the opposite side."""
+"""Errors above this many degrees are flips: the object seen from the opposite side."""
 
 
 def geodesic_error(predicted: Floats, truth: Floats, ups: Floats | None = None) -> Floats:
-    """Angles (...), [0, 180] degrees, between the camera frames of view vectors (..., 3), both held level.
+    """Angles (...), [0, 180] degrees, between the level camera frames of view vectors (..., 3).
 
-    With predicted up vectors `ups` (..., 3) the predicted frame has the tilt they give it; the true one stays level.
+    With predicted up vectors `ups` (..., 3) the predicted frame is tilted by them; the true one stays level.
 
-    A quarter turn around an object is 90 degrees from whatever height; view vectors alone come closer to each other:
+    A quarter turn around an object is 90 degrees at any height, while the angle between view vectors is smaller:
 
     >>> high = np.sqrt(3) / 2  # 60 degrees above the horizon
     >>> front, left = np.array([[0.5, 0, high]]), np.array([[0, 0.5, high]])
@@ -40,14 +40,14 @@ def geodesic_error(predicted: Floats, truth: Floats, ups: Floats | None = None) 
 
 
 def vector_error(predicted: Floats, truth: Floats) -> Floats:
-    """Angles (...) between the view vectors (..., 3) themselves: never more than the geodesic error. A diagnostic."""
+    """Angles (...) between view vectors (..., 3), never more than the geodesic error. A diagnostic."""
     return geometry.vector_angle(_tensor(predicted), _tensor(truth)).numpy()
 
 
 def folded(errors: Floats) -> Floats:
-    """What the arcsine of the relative rotation's antisymmetric part makes of geodesic errors e (...): min(e, 180 - e).
+    """Geodesic errors e (...) as the arcsine of the relative rotation's antisymmetric part gives them: min(e, 180 - e).
 
-    A prediction from the opposite side counts as right. For the audit of printed numbers only.
+    Counts a prediction from the opposite side as right.
 
     >>> folded(np.array([10.0, 170.0]))
     array([10., 10.])
@@ -56,17 +56,17 @@ def folded(errors: Floats) -> Floats:
 
 
 def scaled(errors: Floats) -> Floats:
-    """What |log(A^T B)|_F / 2 makes of geodesic errors e (...): e / sqrt(2). For the audit of printed numbers only."""
+    """Geodesic errors e (...) as |log(A^T B)|_F / 2 gives them: e / sqrt(2)."""
     return errors / np.sqrt(2)
 
 
 DEFINITIONS: dict[str, Callable[[Floats], Floats]] = {"geodesic": np.asarray, "folded": folded, "scaled": scaled}
-"""Name -> what a definition of the error in print makes of geodesic errors (...). Only the first is an angle between
+"""Definitions of the error in the literature, as functions of geodesic errors (...). Only the first is an angle between
 camera frames."""
 
 
 def accuracy(errors: Floats, threshold: float) -> float:
-    """Per cent of errors strictly below `threshold` degrees.
+    """Accuracy: per cent of errors strictly below `threshold` degrees (Acc@30).
 
     >>> accuracy(np.array([5.0, 29.9, 30.0, 170.0]), 30)
     50.0
@@ -75,7 +75,7 @@ def accuracy(errors: Floats, threshold: float) -> float:
 
 
 def median(errors: Floats) -> float:
-    """The median, degrees; of an even number of errors the mean of the middle two.
+    """The median error in degrees; of an even number the mean of the middle two.
 
     >>> median(np.array([1.0, 2.0, 4.0, 90.0]))
     3.0
@@ -84,13 +84,13 @@ def median(errors: Floats) -> float:
 
 
 AZIMUTH_BINS = 12
-"""Of 30 degrees each, the first from 0 (supplement, Discretized Viewpoint Accuracy)."""
+"""Bins of 30 degrees, the first from 0 (supplement, Discretized Viewpoint Accuracy)."""
 CONFIDENT = 10
-"""A bin counts for the confidence index that has more images than this."""
+"""Bins with more images than this count for the confidence index."""
 
 
 def azimuth_bins(azimuths: Floats) -> NDArray[np.intp]:
-    """In which of the twelve bins azimuths (N,), degrees, lie: 0 to 11.
+    """The bins, 0 to 11, of azimuths (N,) in degrees.
 
     >>> azimuth_bins(np.array([0.0, 29.9, 30.0, 359.9]))
     array([ 0,  0,  1, 11])
@@ -99,15 +99,15 @@ def azimuth_bins(azimuths: Floats) -> NDArray[np.intp]:
 
 
 def bin_accuracies(errors: Floats, azimuths: Floats, threshold: float = 30) -> Floats:
-    """Per cent of errors (..., N) below `threshold` degrees in each bin, not empty, of azimuths (N,): (..., B)."""
-    bins, right = azimuth_bins(azimuths), np.asarray(errors) < threshold
-    return np.stack([100 * right[..., bins == part].mean(axis=-1) for part in np.unique(bins)], axis=-1)
+    """Per cent of errors (..., N) below `threshold` degrees in each non-empty bin of azimuths (N,): (..., B)."""
+    bins, correct = azimuth_bins(azimuths), np.asarray(errors) < threshold
+    return np.stack([100 * correct[..., bins == part].mean(axis=-1) for part in np.unique(bins)], axis=-1)
 
 
 def dva(errors: Floats, azimuths: Floats) -> float:
-    """Discretized viewpoint accuracy, per cent, of errors (N,) at true azimuths (N,): the mean over bins not empty.
+    """Discretized viewpoint accuracy, per cent, of errors (N,) at true azimuths (N,): the mean over non-empty bins.
 
-    Three images from the front and one from the left, all but one of the front's right: 75 % of the images, but
+    Two of three images from the front and one of one from the left are right: 75 % of the images, but
 
     >>> round(dva(np.array([10.0, 10.0, 100.0, 10.0]), np.array([5.0, 6.0, 7.0, 95.0])), 1)
     83.3
@@ -125,7 +125,7 @@ def confidence_index(azimuths: Floats) -> float:
 
 
 def flips(errors: Floats) -> float:
-    """Per cent of errors over 150 degrees."""
+    """Per cent of errors over FLIP degrees."""
     return 100 * float(np.mean(np.asarray(errors) > FLIP))
 
 
@@ -134,11 +134,11 @@ STATISTICS: dict[str, Callable[[Floats], float]] = {
     "median": median,
     "flips": flips,
 }
-"""Name -> function of errors (N,): acc10, acc15, acc30 and flips in per cent, median in degrees."""
+"""Statistics of errors (N,) by name: acc10, acc15, acc30 and flips in per cent, median in degrees."""
 
 
 def summary(errors: Floats) -> dict[str, float]:
-    """Every one of `STATISTICS` of errors (N,).
+    """All `STATISTICS` of errors (N,).
 
     >>> summary(np.array([5.0, 12.0, 40.0, 175.0]))
     {'acc10': 25.0, 'acc15': 50.0, 'acc30': 50.0, 'median': 26.0, 'flips': 25.0}
@@ -146,21 +146,23 @@ def summary(errors: Floats) -> dict[str, float]:
     return {name: statistic(errors) for name, statistic in STATISTICS.items()}
 
 
+LEVEL = 0.95
+
+
 def bootstrap_intervals(
     errors: Sequence[Floats],
     objects: Sequence[NDArray[Any]],
     rng: np.random.Generator,
     draws: int = 1000,
-    level: float = 0.95,
     statistics: Sequence[str] = ("acc30", "median"),
     azimuths: Sequence[Floats] = (),
 ) -> dict[str, tuple[float, float] | None]:
-    """Percentile intervals of statistics, by resampling objects and not images: views of one object err together.
+    """95 % percentile intervals of statistics by resampling objects, since errors of one object's views are correlated.
 
     `errors` and `objects` hold one array (N,) for each run (seed); the statistic is the mean over runs, and a draw
-    takes the same objects in every run. None stands for an interval that does not exist: fewer than two objects. The
-    statistic "dva" needs the true `azimuths` (N,) of each run, degrees; bins that a draw leaves empty are left out of
-    its mean, as `dva` does. Raises ViewnetError for "dva" without azimuths of every run.
+    takes the same objects in every run. None where there are fewer than two objects. The statistic "dva" needs the true
+    `azimuths` (N,) of each run, degrees; bins that a draw leaves empty do not count, as in `dva`. Raises ViewnetError
+    for "dva" without azimuths of every run.
 
     >>> errors, objects = np.array([5.0, 6.0, 7.0, 90.0]), np.array(["a", "b", "c", "d"])
     >>> bootstrap_intervals([errors], [objects], np.random.default_rng(0), statistics=["acc30"])
@@ -171,19 +173,22 @@ def bootstrap_intervals(
     names, owners = _owners(objects)
     if len(names) < 2:
         return dict.fromkeys(statistics)
-    # Sorted once, so that every resampled array is sorted and its median found at once.
+    # Sorted once: repeating sorted errors keeps them sorted, and medians of sorted arrays are fast.
     order = [np.argsort(e, kind="stable") for e in errors]
-    runs = [(np.asarray(e)[o], w[o]) for e, w, o in zip(errors, owners, order, strict=True)]
-    places = [(azimuth_bins(a), np.asarray(e) < 30, w) for a, e, w in zip(azimuths, errors, owners, strict=False)]
+    runs = [(np.asarray(e)[o], owner[o]) for e, owner, o in zip(errors, owners, order, strict=True)]
+    binned = [(azimuth_bins(a), np.asarray(e) < 30, w) for a, e, w in zip(azimuths, errors, owners, strict=False)]
     values: dict[str, list[float]] = {name: [] for name in statistics}
-    for _ in range(draws):
-        times = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))
-        samples = [np.repeat(e, times[w]) for e, w in runs]
+    for times in _resamples(len(names), rng, draws):
+        samples = [np.repeat(e, times[owner]) for e, owner in runs]
         if all(len(sample) for sample in samples):
             for name in statistics:
-                found = [_weighted_dva(*place, times) for place in places] if name == "dva" else None
-                values[name].append(float(np.mean(found or [STATISTICS[name](sample) for sample in samples])))
-    tail = 100 * (1 - level) / 2
+                per_run = (
+                    [_weighted_dva(*each, times) for each in binned]
+                    if name == "dva"
+                    else [STATISTICS[name](sample) for sample in samples]
+                )
+                values[name].append(float(np.mean(per_run)))
+    tail = 100 * (1 - LEVEL) / 2
     bounds = {name: np.percentile(v, [tail, 100 - tail]) for name, v in values.items()}
     return {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
 
@@ -191,21 +196,26 @@ def bootstrap_intervals(
 def mean_interval(
     values: Sequence[Floats], objects: Sequence[NDArray[Any]], draws: int = 1000, seed: int = 0
 ) -> tuple[float, float] | None:
-    """95 % percentile interval of the mean over runs of the means of values (N,), by resampling objects (N,).
+    """95 % percentile interval of the mean over runs of means of values (N,), by resampling objects (N,).
 
-    A draw takes the same objects in every run. None with fewer than two objects, and for values that are NaN.
+    None with fewer than two objects, and for values that are NaN.
     """
     names, owners = _owners(objects)
     if len(names) < 2 or any(np.isnan(v).any() for v in values):
         return None
-    drawn = np.random.default_rng(seed).integers(len(names), size=(draws, len(names)))
-    times = np.stack([np.bincount(d, minlength=len(names)) for d in drawn]).astype(np.float64)  # (draws, objects)
+    times = np.stack(list(_resamples(len(names), np.random.default_rng(seed), draws))).astype(np.float64)
     means = []
     for value, owner in zip(values, owners, strict=True):
         total, count = (np.bincount(owner, weights, len(names)) for weights in (value, np.ones(len(value))))
-        means.append((times @ total) / np.maximum(times @ count, 1))
+        means.append((times @ total) / np.maximum(times @ count, 1))  # (draws,)
     low, high = np.percentile(np.mean(means, axis=0), [2.5, 97.5])
     return float(low), float(high)
+
+
+def _resamples(count: int, rng: np.random.Generator, draws: int) -> Iterator[NDArray[np.intp]]:
+    """How often each of `count` objects (count,) is drawn, with replacement, for each draw."""
+    for _ in range(draws):
+        yield np.bincount(rng.integers(count, size=count), minlength=count)
 
 
 def _owners(objects: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], list[NDArray[np.intp]]]:
@@ -215,11 +225,11 @@ def _owners(objects: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], list[NDArray
 
 
 def _weighted_dva(
-    bins: NDArray[np.intp], right: NDArray[np.bool_], owner: NDArray[np.intp], times: NDArray[np.intp]
+    bins: NDArray[np.intp], correct: NDArray[np.bool_], owner: NDArray[np.intp], times: NDArray[np.intp]
 ) -> float:
-    """`dva` of images (N,) that each count as often as their owner was drawn."""
+    """`dva` of images (N,), each counted as often as its object was drawn."""
     weights = times[owner].astype(np.float64)
-    total, hits = (np.bincount(bins, w, AZIMUTH_BINS) for w in (weights, weights * right))
+    total, hits = (np.bincount(bins, w, AZIMUTH_BINS) for w in (weights, weights * correct))
     return 100 * float((hits[total > 0] / total[total > 0]).mean())
 
 

@@ -1,4 +1,4 @@
-"""What a predictor says about a set of images: the one thing that evaluation, tables and figures read."""
+"""Predicted viewpoints for a set of images: what evaluation, tables and figures read."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ UNIT_TOLERANCE = 1e-3  # of a view vector's length: float16 and bfloat16 outputs
 
 @dataclass(frozen=True)
 class Predictions:
-    """N images, M viewpoint hypotheses each.
+    """N images with M viewpoint hypotheses each.
 
-    ids         one row an image: model_id, category, split (text), view (whole number), and the true azimuth and
+    ids         a row for each image: model_id, category, split (text), view (integer), and the true azimuth and
                 elevation in degrees
-    hypotheses  (N, M, 3) unit view vectors in the predictor's own frame, which alignment maps to the true one
-    logits      (N, M) selection logits: the largest names the hypothesis that is the prediction
-    ups         (N, M, 3) unit up vectors of a predictor of in-plane rotation; None where the horizon is level
+    hypotheses  (N, M, 3) unit view vectors in the predictor's own frame, which alignment maps to the annotated one
+    logits      (N, M) selection logits: the hypothesis of the largest is the prediction
+    ups         (N, M, 3) unit up vectors of a predictor of in-plane rotation; None where the camera is level
 
     Raises ViewnetError for missing columns, no rows, wrong shapes, values that are not finite and vectors whose length
     is not 1.
 
     >>> ids = pd.DataFrame([["a", "car", "test", 0, 90.0, 0.0]], columns=ID_COLUMNS)
-    >>> said = Predictions(ids, np.array([[[1.0, 0, 0], [0, 1, 0]]]), np.array([[0.2, 1.5]]))
-    >>> said.choice, said.selected, said.truth.round(3)
+    >>> predictions = Predictions(ids, np.array([[[1.0, 0, 0], [0, 1, 0]]]), np.array([[0.2, 1.5]]))
+    >>> predictions.choice, predictions.selected, predictions.truth.round(3)
     (array([1]), array([[0., 1., 0.]]), array([[0., 1., 0.]]))
     """
 
@@ -46,25 +46,21 @@ class Predictions:
     ups: Floats | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "ids", _checked_ids(self.ids))
-        n = len(self.ids)
-        hypotheses = _floats(self.hypotheses, "hypotheses")
-        if hypotheses.ndim != 3 or hypotheses.shape[0] != n or hypotheses.shape[1] < 1 or hypotheses.shape[2] != 3:
-            raise ViewnetError(
-                f"predictions: hypotheses are {hypotheses.shape}, expected ({n}, M, 3) with M of 1 or more"
-            )
-        logits = _floats(self.logits, "logits")
-        if logits.shape != hypotheses.shape[:2]:
-            raise ViewnetError(f"predictions: logits are {logits.shape}, expected {hypotheses.shape[:2]}")
+        ids = _checked_ids(self.ids)
+        hypotheses, logits = _floats(self.hypotheses, "hypotheses"), _floats(self.logits, "logits")
+        ups = None if self.ups is None else _floats(self.ups, "ups")
+        shape = hypotheses.shape
+        if len(shape) != 3 or shape[0] != len(ids) or shape[1] < 1 or shape[2] != 3:
+            raise ViewnetError(f"predictions: hypotheses are {shape}, expected ({len(ids)}, M, 3) with M of 1 or more")
+        if logits.shape != shape[:2]:
+            raise ViewnetError(f"predictions: logits are {logits.shape}, expected {shape[:2]}")
+        if ups is not None and ups.shape != shape:
+            raise ViewnetError(f"predictions: ups are {ups.shape}, expected {shape}")
         _check_unit(hypotheses, "hypotheses")
-        object.__setattr__(self, "hypotheses", hypotheses)
-        object.__setattr__(self, "logits", logits)
-        if self.ups is not None:
-            ups = _floats(self.ups, "ups")
-            if ups.shape != hypotheses.shape:
-                raise ViewnetError(f"predictions: ups are {ups.shape}, expected {hypotheses.shape}")
+        if ups is not None:
             _check_unit(ups, "ups")
-            object.__setattr__(self, "ups", ups)
+        for name, value in (("ids", ids), ("hypotheses", hypotheses), ("logits", logits), ("ups", ups)):
+            object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -76,7 +72,7 @@ class Predictions:
 
     @property
     def choice(self) -> NDArray[np.intp]:
-        """(N,) index of the selected hypothesis; the first of equals."""
+        """(N,) index of the selected hypothesis; of ties the first."""
         return self.logits.argmax(axis=1)
 
     @property
@@ -91,11 +87,11 @@ class Predictions:
 
     @property
     def objects(self) -> NDArray[np.object_]:
-        """(N,) the object each image shows, by category and model id: the unit that is drawn and resampled."""
-        return (self.ids["category"] + "/" + self.ids["model_id"]).to_numpy(dtype=object)
+        """(N,) the object each image shows, see `object_names`: the unit that is drawn and resampled."""
+        return object_names(self.ids)
 
     def subset(self, split: str) -> Predictions:
-        """The rows of one split. ViewnetError naming the splits there are where it has none."""
+        """The rows of one split. ViewnetError, naming the splits there are, where it has none."""
         rows = (self.ids["split"] == split).to_numpy()
         if not rows.any():
             splits = ", ".join(sorted(self.ids["split"].unique()))
@@ -103,13 +99,13 @@ class Predictions:
         return self.take(rows)
 
     def take(self, rows: ArrayLike) -> Predictions:
-        """The rows that a mask (N,) or a list of positions names, in that order."""
+        """The rows of a mask (N,) or of a list of positions, in that order."""
         rows = np.asarray(rows)
         ups = None if self.ups is None else self.ups[rows]
         return Predictions(self.ids.iloc[rows], self.hypotheses[rows], self.logits[rows], ups)
 
     def to_parquet(self, path: Path) -> None:
-        """One flat column a number: the ids, then h0_x h0_y h0_z logit_0 (up0_x up0_y up0_z), h1_x and so on."""
+        """A column for each number: the ids, then h0_x h0_y h0_z logit_0 (up0_x up0_y up0_z), h1_x and so on."""
         columns: dict[str, Floats] = {}
         for m in range(self.heads):
             columns |= {f"h{m}_{axis}": self.hypotheses[:, m, i] for i, axis in enumerate("xyz")}
@@ -121,7 +117,7 @@ class Predictions:
 
     @classmethod
     def from_parquet(cls, path: Path) -> Predictions:
-        """What `to_parquet` wrote. Raises ViewnetError naming the file where it is missing, damaged or incomplete."""
+        """Read what `to_parquet` wrote. ViewnetError, naming the file, where it is missing, damaged or incomplete."""
         try:
             frame = pd.read_parquet(path)
         except FileNotFoundError as error:
@@ -147,22 +143,24 @@ class Predictions:
 
 
 def joined(parts: Sequence[Predictions]) -> Predictions:
-    """Predictions of the same predictor one after another.
-
-    ViewnetError where they differ in hypotheses or up vectors.
-    """
+    """Predictions of one predictor, concatenated. ViewnetError where they differ in hypotheses or up vectors."""
     heads = sorted({part.heads for part in parts})
     if len(heads) != 1:
         raise ViewnetError(f"predictions of {' and '.join(map(str, heads))} hypotheses cannot be joined")
-    ups = [part.ups for part in parts]
-    if any(u is None for u in ups) != all(u is None for u in ups):
+    ups = [part.ups for part in parts if part.ups is not None]
+    if 0 < len(ups) < len(parts):
         raise ViewnetError("predictions with and without up vectors cannot be joined")
     return Predictions(
         pd.concat([part.ids for part in parts]),
         np.concatenate([part.hypotheses for part in parts]),
         np.concatenate([part.logits for part in parts]),
-        None if ups[0] is None else np.concatenate([u for u in ups if u is not None]),
+        np.concatenate(ups) if ups else None,
     )
+
+
+def object_names(ids: pd.DataFrame) -> NDArray[np.object_]:
+    """(N,) names of the objects of images: category and model id."""
+    return (ids["category"] + "/" + ids["model_id"]).to_numpy(dtype=object)
 
 
 def true_vectors(ids: pd.DataFrame) -> Floats:
@@ -180,7 +178,7 @@ def _checked_ids(ids: pd.DataFrame) -> pd.DataFrame:
     if empty := [name for name in ID_COLUMNS if ids[name].isna().any()]:
         raise ViewnetError(f"predictions: column {empty[0]!r} has empty values")
     for name in ("model_id", "category", "split"):
-        # A number here is an id that lost its leading zeros on the way.
+        # A number here is an id that has lost its leading zeros.
         if not ids[name].map(lambda value: isinstance(value, str)).all():
             raise ViewnetError(f"predictions: column {name!r} holds values that are not text")
     for name in ("view", "azimuth", "elevation"):
@@ -195,9 +193,9 @@ def _checked_ids(ids: pd.DataFrame) -> pd.DataFrame:
         raise ViewnetError("predictions: azimuth or elevation is not finite")
     if not ids["elevation"].between(-90, 90).all():
         raise ViewnetError(f"predictions: elevation {ids['elevation'].abs().max():g} is outside -90 to 90 degrees")
-    if (twice := ids.duplicated(["category", "model_id", "view"])).any():
-        row = ids[twice].iloc[0]
-        raise ViewnetError(f"predictions: view {row['view']} of model {row['model_id']} is there twice")
+    if (duplicate := ids.duplicated(["category", "model_id", "view"])).any():
+        row = ids[duplicate].iloc[0]
+        raise ViewnetError(f"predictions: view {row['view']} of model {row['model_id']} appears twice")
     return ids
 
 

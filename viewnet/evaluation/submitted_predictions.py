@@ -1,12 +1,12 @@
-"""Predictions that another program wrote, as parquet or CSV: read, and held against the images they are of.
+"""Predictions that another program wrote, as parquet or CSV, checked against the images they are for.
 
 A row is an image. Its columns are those that `Predictions.to_parquet` writes:
 
-    category, model_id, view    which image, as in a view store's index
+    category, model_id, view    the image, as in a view store's index
     h0_x h0_y h0_z              a unit view vector in the method's own frame; h1_x and so on for further hypotheses
-    logit_0, logit_1 ...        the largest names the hypothesis that counts; needed where there are several
-    up0_x up0_y up0_z ...       unit up vectors, of methods that tell a camera's roll
-    split, azimuth, elevation   are not needed; where they are there they must be the store's
+    logit_0, logit_1 ...        the hypothesis of the largest is the prediction; required where there are several
+    up0_x up0_y up0_z ...       unit up vectors, of methods that predict in-plane rotation
+    split, azimuth, elevation   optional; where present they must be the store's
 
 A file may hold several categories.
 
@@ -23,11 +23,11 @@ array([[1., 0., 0.],
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import UNIT_TOLERANCE, Floats, Predictions
@@ -38,35 +38,40 @@ ANGLE_TOLERANCE = 0.01
 
 
 def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
-    """What a file says of the images `ids` (predictions.ID_COLUMNS), which are of one category, in their order.
+    """A file's predictions for the images `ids` (predictions.ID_COLUMNS), which are of one category, in their order.
 
-    Rows of other categories are left alone; of this one every image must be there once, and no other. True angles are
-    taken from `ids`. Raises ViewnetError naming the file and the first row at fault (1 is the first below a header).
+    Rows of other categories are ignored; of this one every image must appear once, and no other. True angles are taken
+    from `ids`. Raises ViewnetError naming the file and the first row at fault (1 is the first below a header).
     """
     path = Path(path)
     frame = _frame(path)
     for name in (*IMAGE, "h0_x"):
         if name not in frame.columns:
             raise ViewnetError(f"{path}: column {name!r} is missing: expected {', '.join(IMAGE)}, h0_x, h0_y, h0_z")
-    _check_text(path, frame, ("category", "model_id"))
+    for name in ("category", "model_id"):
+        text = frame[name].map(lambda value: isinstance(value, str)).to_numpy(dtype=bool)
+        if (row := _first(frame, ~text)) is not None:
+            raise ViewnetError(f"{path}: row {row}: {name} {frame.at[row, name]} is no text: write ids as text")
     category = ids["category"].iloc[0]
     frame = frame[frame["category"] == category]
     if frame.empty:
         raise ViewnetError(f"{path}: no row of category {category}")
     rows = _matched(path, frame, ids)
-    _check_angles(path, frame, ids.iloc[rows])
+    _check_truth(path, frame, ids.iloc[rows])
     heads = sum(name.startswith("h") and name.endswith("_x") and name[1:-2].isdigit() for name in frame.columns)
-    hypotheses = _vectors(path, frame, [f"h{m}" for m in range(heads)])
-    ups = _vectors(path, frame, [f"up{m}" for m in range(heads)]) if "up0_x" in frame.columns else None
-    named = heads > 1 or "logit_0" in frame.columns
-    logits = np.stack([_numbers(path, frame, f"logit_{m}") for m in range(heads)], axis=1) if named else None
+    hypotheses = _vectors(path, frame, "h", heads)
+    ups = _vectors(path, frame, "up", heads) if "up0_x" in frame.columns else None
+    logits = np.zeros((len(frame), 1))
+    if heads > 1 or "logit_0" in frame.columns:
+        logits = np.stack([_numbers(path, frame, f"logit_{m}") for m in range(heads)], axis=1)  # (N, M)
     order = np.argsort(rows)
-    return Predictions(
-        ids,
-        hypotheses[order],
-        np.zeros((len(ids), 1)) if logits is None else logits[order],
-        None if ups is None else ups[order],
-    )
+    return Predictions(ids, hypotheses[order], logits[order], None if ups is None else ups[order])
+
+
+_READERS = {
+    ".parquet": pd.read_parquet,
+    ".csv": lambda path: pd.read_csv(path, dtype=str, keep_default_na=False),  # as text, or ids lose leading zeros
+}
 
 
 def _frame(path: Path) -> pd.DataFrame:
@@ -82,18 +87,9 @@ def _frame(path: Path) -> pd.DataFrame:
     return frame.set_axis(pd.RangeIndex(1, len(frame) + 1))
 
 
-_READERS: dict[str, Callable[[Path], pd.DataFrame]] = {
-    ".parquet": pd.read_parquet,
-    ".csv": lambda path: pd.read_csv(path, dtype=str, keep_default_na=False),  # as text ids keep their zeros
-}
-
-
-def _check_text(path: Path, frame: pd.DataFrame, names: tuple[str, ...]) -> None:
-    for name in names:
-        text = frame[name].map(lambda value: isinstance(value, str)).to_numpy(dtype=bool)
-        if not text.all():
-            row = frame.index[~text][0]
-            raise ViewnetError(f"{path}: row {row}: {name} {frame.at[row, name]} is no text: write ids as text")
+def _first(frame: pd.DataFrame, mask: NDArray[np.bool_]) -> int | None:
+    """The number of the first row of a mask (N,), None for an empty one."""
+    return int(frame.index[mask][0]) if mask.any() else None
 
 
 def _numbers(path: Path, frame: pd.DataFrame, name: str) -> Floats:
@@ -101,60 +97,56 @@ def _numbers(path: Path, frame: pd.DataFrame, name: str) -> Floats:
     if name not in frame.columns:
         raise ViewnetError(f"{path}: column {name!r} is missing")
     values = np.array(pd.to_numeric(frame[name], errors="coerce"), dtype=np.float64)
-    if not (finite := np.isfinite(values)).all():
-        row = frame.index[~finite][0]
+    if (row := _first(frame, ~np.isfinite(values))) is not None:
         raise ViewnetError(f"{path}: row {row}: {name} is {str(frame.at[row, name])!r}: expected a finite number")
     return values
 
 
-def _vectors(path: Path, frame: pd.DataFrame, names: list[str]) -> Floats:
-    """Unit vectors (N, M, 3) of the columns <name>_x, <name>_y and <name>_z."""
-    found = []
-    for name in names:
-        vectors = np.stack([_numbers(path, frame, f"{name}_{axis}") for axis in "xyz"], axis=1)
-        lengths = np.linalg.norm(vectors, axis=1)
-        if (off := np.abs(lengths - 1) > UNIT_TOLERANCE).any():
-            row = frame.index[off][0]
-            raise ViewnetError(f"{path}: row {row}: {name} has length {lengths[off][0]:g}: expected a unit vector")
-        found.append(vectors)
-    return np.stack(found, axis=1)
+def _vectors(path: Path, frame: pd.DataFrame, prefix: str, count: int) -> Floats:
+    """Unit vectors (N, M, 3) of the columns <prefix><m>_x, <prefix><m>_y and <prefix><m>_z."""
+    vectors = []
+    for name in [f"{prefix}{m}" for m in range(count)]:
+        vector = np.stack([_numbers(path, frame, f"{name}_{axis}") for axis in "xyz"], axis=1)  # (N, 3)
+        lengths = np.linalg.norm(vector, axis=1)
+        wrong = np.abs(lengths - 1) > UNIT_TOLERANCE
+        if (row := _first(frame, wrong)) is not None:
+            raise ViewnetError(f"{path}: row {row}: {name} has length {lengths[wrong][0]:g}: expected a unit vector")
+        vectors.append(vector)
+    return np.stack(vectors, axis=1)
 
 
-def _matched(path: Path, frame: pd.DataFrame, ids: pd.DataFrame) -> np.ndarray:
-    """Which row of `ids` each row of the file is of; ViewnetError unless it has each of them once and no other."""
-    views = _numbers(path, frame, "view")
-    wanted = pd.MultiIndex.from_frame(ids[["model_id", "view"]])
-    given = pd.MultiIndex.from_arrays([frame["model_id"], views])
-    rows = wanted.get_indexer(given)
-    category = ids["category"].iloc[0]
-    for bad, problem in ((rows < 0, "is not among the images to calibrate on and to score"),
-                         (given.duplicated(), "is there twice")):  # fmt: skip
-        if bad.any():
-            at = int(np.flatnonzero(bad)[0])
-            image = f"view {views[at]:g} of {category} {frame['model_id'].iloc[at]}"
-            raise ViewnetError(f"{path}: row {frame.index[at]}: {image} {problem}")
+def _matched(path: Path, frame: pd.DataFrame, ids: pd.DataFrame) -> NDArray[np.intp]:
+    """The position in `ids` of each row of the file; ViewnetError unless it has each image once and no other."""
+    views, category = _numbers(path, frame, "view"), ids["category"].iloc[0]
+    expected = pd.MultiIndex.from_frame(ids[["model_id", "view"]])
+    submitted = pd.MultiIndex.from_arrays([frame["model_id"], views])
+    rows = expected.get_indexer(submitted)
+    for wrong, problem in (
+        (rows < 0, "is not among the images to calibrate on and to score"),
+        (submitted.duplicated(), "appears twice"),
+    ):
+        if (row := _first(frame, wrong)) is not None:
+            image = f"view {views[wrong][0]:g} of {category} {frame.at[row, 'model_id']}"
+            raise ViewnetError(f"{path}: row {row}: {image} {problem}")
     if len(rows) < len(ids):
-        left = np.setdiff1d(np.arange(len(ids)), rows)
-        model, view = wanted[left[0]]
+        missing = np.setdiff1d(np.arange(len(ids)), rows)
+        model, view = expected[missing[0]]
         raise ViewnetError(
-            f"{path}: no row for view {view} of {category} {model} ({len(left)} of {len(ids)} are missing)"
+            f"{path}: no row for view {view} of {category} {model} ({len(missing)} of {len(ids)} are missing)"
         )
     return rows
 
 
-def _check_angles(path: Path, frame: pd.DataFrame, ids: pd.DataFrame) -> None:
-    """What a file says of split and truth must be so, else it is of other images."""
-    for name in ("split", "azimuth", "elevation"):
-        if name not in frame.columns:
-            continue
+def _check_truth(path: Path, frame: pd.DataFrame, ids: pd.DataFrame) -> None:
+    """ViewnetError where a file's splits or true angles are not the store's: it was made for other images."""
+    for name in [name for name in ("split", "azimuth", "elevation") if name in frame.columns]:
         if name == "split":
-            off = frame[name].to_numpy() != ids[name].to_numpy()
+            wrong = frame[name].to_numpy() != ids[name].to_numpy()
         else:
             away = np.abs(_numbers(path, frame, name) - ids[name].to_numpy())
-            off = (np.minimum(away, 360 - away) if name == "azimuth" else away) > ANGLE_TOLERANCE
-        if off.any():
-            at = int(np.flatnonzero(off)[0])
+            wrong = (np.minimum(away, 360 - away) if name == "azimuth" else away) > ANGLE_TOLERANCE
+        if (row := _first(frame, wrong)) is not None:
             raise ViewnetError(
-                f"{path}: row {frame.index[at]}: {name} is {frame[name].iloc[at]}, but that image's is"
-                f" {ids[name].iloc[at]}: the file was made for other images"
+                f"{path}: row {row}: {name} is {frame.at[row, name]}, but that image's is"
+                f" {ids[name].to_numpy()[wrong][0]}: the file was made for other images"
             )
