@@ -80,13 +80,13 @@ def test_links_lead_somewhere_and_nothing_is_loaded_from_elsewhere(site):
 @pytest.mark.slow
 def test_the_reference_links_names_shows_source_and_is_searched(site):
     folder = folder_of(site)
-    estimates = (folder / "viewnet" / "estimates.html").read_text(encoding="utf-8")
-    assert 'href="geometry.html"' in estimates
-    assert "View Source" in estimates
+    viewpoints = (folder / "viewnet" / "estimator" / "viewpoints.html").read_text(encoding="utf-8")
+    assert 'href="../geometry.html"' in viewpoints
+    assert "View Source" in viewpoints
     (text,) = re.findall(r"docs = (.*?);?\n", (folder / "search.js").read_text(encoding="utf-8"))
     assert json.loads(text)
     assert "viewnet.evaluation.metrics.geodesic_error" in text
-    assert "Heads compared among their neighbours" in text
+    assert "Neighbours of each head" in text
 
 
 def test_aligned_lists_become_tables_and_nothing_else_does():
