@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.pascal3d_files import listed, thing, viewpoint
+from helpers.pascal3d_files import write as annotate
 from PIL import Image
-from test_pascal3d import listed, thing, viewpoint
-from test_pascal3d import write as annotate
 
 from viewnet import cli
 from viewnet.config import SYNSETS

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
+from helpers.pascal3d_files import listed, thing, viewpoint, write
 from PIL import Image
 
 from viewnet import cad
@@ -24,39 +25,6 @@ def stand_in(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("pascal3d") / "root"
     write_stand_in(root, ["bus"], 3, 12, "both", workers=1, progress=False)
     return root
-
-
-def viewpoint(**changes):
-    base = {
-        "azimuth": 10.0,
-        "elevation": 5.0,
-        "distance": 3.0,
-        "theta": 2.0,
-        "azimuth_coarse": 45,
-        "elevation_coarse": 0,
-    }
-    return {name: value for name, value in {**base, **changes}.items() if value is not None}
-
-
-def thing(**changes):
-    base = {
-        "class": "car",
-        "bbox": np.array([11.0, 21, 60, 80]),
-        "truncated": 0,
-        "occluded": 0,
-        "difficult": 0,
-        "viewpoint": viewpoint(),
-    }
-    return {name: value for name, value in {**base, **changes}.items() if value is not None}
-
-
-def write(root: Path, name: str, *objects, subset: str = "imagenet") -> None:
-    """An image of 100 x 90 pixels with a record."""
-    pascal3d_standin._write(root, "car", subset, name, Image.new("RGB", (100, 90), (9, 99, 199)), objects)
-
-
-def listed(root: Path, *names: str) -> None:
-    pascal3d_standin._write_list(root, "car", "imagenet", "val", names)
 
 
 def read(root: Path, **filters):

@@ -17,7 +17,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.documents import NOTEBOOKS, PAGES, ROOT, page
+from helpers import documents
+from helpers.documents import NOTEBOOKS, PAGES, ROOT
 from helpers.fake_steps import STEPS
 from helpers.photo_data import keep_apart, make_photos
 from helpers.untrained_models import finished_run
@@ -330,7 +331,7 @@ def test_names_of_the_package_exist():
 
 
 def test_the_changelog_names_modules_that_exist():
-    rows = page(HISTORY).table("before", "now")
+    rows = documents.page(HISTORY).table("before", "now")
     assert len(rows) > 20
     for _, now in rows:
         for name in re.findall(r"viewnet[\w.]+", now):

@@ -17,8 +17,8 @@ from PIL import Image
 
 from viewnet import cli
 from viewnet.errors import ViewnetError
-from viewnet.estimator.model_card import with_interval
 from viewnet.estimator import ViewpointEstimator
+from viewnet.estimator.model_card import with_interval
 from viewnet.evaluation import evaluate, metrics
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import NOT_SCORED

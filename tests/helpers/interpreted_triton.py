@@ -120,9 +120,9 @@ def test_tiles_and_chunks_do_not_change_the_image(warps, chunk, monkeypatch):
     (voxels, frames, focal), _ = FLAT.inputs()
     wanted = render(voxels, frames, focal, 9, 3)
     monkeypatch.setitem(volume_gpu.CHOICES, "draw", ((warps, chunk),))
-    volume_gpu._kernel.cache_clear()
+    volume_gpu.kernel.cache_clear()
     assert torch.equal(render(voxels, frames, focal, 9, 3), wanted)
-    volume_gpu._kernel.cache_clear()
+    volume_gpu.kernel.cache_clear()
 
 
 def test_any_memory_layout_is_read():

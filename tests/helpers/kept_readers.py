@@ -156,7 +156,7 @@ def _weights(folder: Path) -> None:
 
 def _fill(folder: Path) -> object:
     network = nn.Conv2d(3, 4, 3)
-    masks._fill(network, folder / "weights.pth", masks.NETWORKS["deeplabv3"])
+    masks.load_weights(network, folder / "weights.pth", masks.NETWORKS["deeplabv3"])
     with torch.no_grad():
         return network(torch.zeros(1, 3, 8, 8)).mean()
 

@@ -220,8 +220,10 @@ def _pascal3d(root: Path) -> None:
         names = [f"n{number}_{i}" for i in range(2)]
         for name in names:
             image = Image.fromarray(np.random.default_rng(number).integers(0, 255, (24, 32, 3), dtype=np.uint8))
-            pascal3d_standin._write(root, "car", "imagenet", name, image, [_thing(), _thing(difficult=1)])
-        pascal3d_standin._write_list(root, "car", "imagenet", split, names)
+            pascal3d_standin.write_annotated_image(
+                root, "car", "imagenet", name, image, [_thing(), _thing(difficult=1)]
+            )
+        pascal3d_standin.write_list(root, "car", "imagenet", split, names)
     # One record without compression, in which damage is not caught by a checksum.
     path = pascal3d.annotation_file(root, "car", "imagenet", "n0_0")
     scipy.io.savemat(path, {"record": {"objects": _thing(), "imgsize": np.array([32.0, 24, 3])}})

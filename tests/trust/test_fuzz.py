@@ -18,8 +18,8 @@ from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.predict import _least
 from viewnet.experiments import experiment
+from viewnet.model.checkpoint import fewest_weights
 from viewnet.model.viewnet import ViewNet
 from viewnet.recipes import VARIANTS, make_config
 
@@ -99,7 +99,7 @@ def test_no_network_is_taken_for_a_larger_one_than_its_checkpoint(profile):
     for variant in VARIANTS:
         config = make_config(variant, profile=profile).model
         weights = sum(weight.numel() for weight in ViewNet(config).state_dict().values())
-        assert _least(config) <= weights < 200 * _least(config), variant
+        assert fewest_weights(config) <= weights < 200 * fewest_weights(config), variant
 
 
 def test_what_breaks_the_promise_is_seen(tmp_path):

@@ -199,7 +199,7 @@ def _maskrcnn(category: str, path: Path, device: torch.device) -> Segmenter:
     from torchvision.models import detection
 
     network = detection.maskrcnn_resnet50_fpn(weights=None, weights_backbone=None)
-    _fill(network, path, NETWORKS["maskrcnn"])
+    load_weights(network, path, NETWORKS["maskrcnn"])
     for layer in network.modules():
         if isinstance(layer, nn.BatchNorm2d):
             layer.eps = 0.0  # the weights were trained with layers that have none
@@ -220,7 +220,7 @@ def _deeplab(category: str, path: Path, device: torch.device) -> Segmenter:
     from torchvision.models import segmentation
 
     network = segmentation.deeplabv3_resnet50(weights=None, weights_backbone=None, aux_loss=False)
-    _fill(network, path, NETWORKS["deeplabv3"])
+    load_weights(network, path, NETWORKS["deeplabv3"])
     network.eval().to(device)
     names = segmentation.DeepLabV3_ResNet50_Weights.COCO_WITH_VOC_LABELS_V1.meta["categories"]
     label = names.index(category)
@@ -240,7 +240,7 @@ def _deeplab(category: str, path: Path, device: torch.device) -> Segmenter:
     return segment
 
 
-def _fill(network: nn.Module, path: Path, full: str) -> None:
+def load_weights(network: nn.Module, path: Path, full: str) -> None:
     """Give a network the weights of a file; what it has no place for, such as layers for training, is not used."""
     try:
         if zipfile.is_zipfile(path):

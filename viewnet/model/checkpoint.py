@@ -94,7 +94,7 @@ def build(config: ModelConfig, weights: dict[str, Tensor], path: Path) -> ViewNe
     Raises ViewnetError naming the first weight that is missing, has no place or is of another shape or type.
     """
     # Counted before room is made for it: a forged configuration must not allocate more than its file holds.
-    if _fewest_weights(config) > sum(map(Tensor.numel, weights.values())) or config.volume_size > LARGEST_VOLUME:
+    if fewest_weights(config) > sum(map(Tensor.numel, weights.values())) or config.volume_size > LARGEST_VOLUME:
         raise ViewnetError(f"{path}: its configuration is of a larger network: weights and configuration do not match")
     network = ViewNet(config)
     expected = network.state_dict()
@@ -130,7 +130,7 @@ def starting_weights(start: str, model: ModelConfig) -> dict[str, Tensor]:
     return read(path)[0]
 
 
-def _fewest_weights(config: ModelConfig) -> int:
+def fewest_weights(config: ModelConfig) -> int:
     """How many weights the largest layer of a network has at least."""
     encoder, generator = config.encoder_channels, config.generator_channels
     layers = [*pairwise(encoder), *pairwise(generator), (12, config.balance_bands)]

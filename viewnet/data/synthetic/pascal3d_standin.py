@@ -130,7 +130,7 @@ def write_stand_in(
         jobs += [_Job(root, category, model, images, behind, seed) for model, images in planned.items()]
         for part in parts(subset):
             for split in SPLITS:
-                _write_list(root, category, part, split, [_name(category, split, i) for i in range(count)])
+                write_list(root, category, part, split, [_name(category, split, i) for i in range(count)])
     _make(jobs, workers, progress)
 
 
@@ -172,7 +172,7 @@ def _draw_model(job: _Job) -> int:
     for photograph, drawing, rng in zip(job.photographs, drawings, generators, strict=True):
         image, entry = _photograph(drawing, photograph, HARD[photograph.subset], job.backgrounds, rng)
         entry["class"] = job.category
-        _write(job.root, job.category, photograph.subset, photograph.name, image, [entry])
+        write_annotated_image(job.root, job.category, photograph.subset, photograph.name, image, [entry])
     return len(job.photographs)
 
 
@@ -296,10 +296,10 @@ def _exposed(image: Image.Image, rng: np.random.Generator) -> Image.Image:
     return Image.fromarray((pixels.clip(0, 1) * 255 + 0.5).astype(np.uint8))
 
 
-def _write(
+def write_annotated_image(
     root: Path, category: str, subset: str, name: str, image: Image.Image, objects: Sequence[Mapping[str, Any]]
 ) -> None:
-    """An image and its record."""
+    """Write an image and its annotation of objects, whose fields are those of PASCAL3D+'s records."""
     path, annotation = image_file(root, category, subset, name), annotation_file(root, category, subset, name)
     for file in (path, annotation):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -324,7 +324,8 @@ def _write(
     annotation.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + stream.getvalue()[116:])
 
 
-def _write_list(root: Path, category: str, subset: str, split: str, names: Sequence[str]) -> None:
+def write_list(root: Path, category: str, subset: str, split: str, names: Sequence[str]) -> None:
+    """Write the list of a split's images, as ImageNet's or as PASCAL VOC's."""
     if subset == "imagenet":
         path, lines = root / LISTS / f"{category}_imagenet_{split}.txt", list(names)
     else:

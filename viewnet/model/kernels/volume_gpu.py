@@ -97,13 +97,13 @@ def _tiles(size: int, rays: int) -> int:
 def _launch(name: str, voxels: Tensor, cells: Tensor, frames: Tensor, *arguments: Any, size: int) -> None:
     """Calls a kernel on every tile of every image."""
     with torch.cuda.device_of(voxels):
-        _kernel(name)[lambda chosen: (len(frames) * _tiles(size, chosen["RAYS"]),)](
+        kernel(name)[lambda chosen: (len(frames) * _tiles(size, chosen["RAYS"]),)](
             voxels, cells, frames, *arguments, enable_fp_fusion=True
         )
 
 
 @functools.cache
-def _kernel(name: str) -> Any:
+def kernel(name: str) -> Any:
     """A kernel that tries its choices at the first call for a size; the interpreter takes the first."""
     import triton
 
