@@ -108,7 +108,7 @@ def test_regions_are_objects_and_specks_are_none():
 
 
 def made_up(network: nn.Module, file: Path, **values: torch.Tensor) -> Path:
-    """A small file of weights for a large network: zeros but for variances and `values` by name (__ for a dot)."""
+    """A small file of weights for a large network: zeros except variances and `values` by name (__ for a dot)."""
     state = {
         name: torch.full((), float(name.endswith("running_var")), dtype=value.dtype).expand(value.shape)
         for name, value in network.state_dict().items()

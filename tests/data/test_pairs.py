@@ -13,7 +13,7 @@ CPU = torch.device("cpu")
 
 
 def views_of(counts: list[int]) -> Views:
-    """Objects with so many views each, without images."""
+    """Objects with the given numbers of views, without images."""
     count = torch.tensor(counts)
     objects = torch.arange(len(counts)).repeat_interleave(count)
     total = int(count.sum())

@@ -79,7 +79,7 @@ def test_the_stand_in_shows_other_models_than_training(stand_in):
 
 
 def test_a_box_of_the_stand_in_holds_its_object(tmp_path):
-    # Before white, what is not white is the object, its shadow or noise; far from the box there is none of them.
+    # On white, other pixels are the object, its shadow or noise, and all of them are near the box.
     (tmp_path / "white").mkdir()
     Image.new("RGB", (300, 300), (255, 255, 255)).save(tmp_path / "white/a.png")
     write_stand_in(tmp_path / "root", ["car"], 2, 6, backgrounds=tmp_path / "white", workers=1, progress=False)

@@ -60,7 +60,7 @@ def test_a_box_is_cut_with_so_much_around_it(crop, wanted):
     if wanted == "exact":
         assert (small[..., :3] == (255, 0, 0)).all()
     else:
-        # A pixel at the box's edge has a little of what is beyond.
+        # A pixel at the box's edge includes a little of its surroundings.
         red = np.full((4, 4), False)
         red[1:3, 1:3] = True
         assert ((small[..., 0] > 220) == red).all() and ((small[..., 2] > 220) == ~red).all()

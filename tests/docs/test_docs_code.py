@@ -350,7 +350,7 @@ def test_files_exist():
 
 
 def test_settings_and_other_identifiers_exist():
-    """docs/decisions.md promises that what is in code there can be set."""
+    """Identifiers in docs/decisions.md are settings."""
     asked = FIELDS | PARAMETERS | CHOICES
     wrong = set()
     for page, span in SPANS:

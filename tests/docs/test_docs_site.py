@@ -17,7 +17,7 @@ def builder():
 
 
 class Page(HTMLParser):
-    """Its links, what it loads, and what can be linked to."""
+    """A page's links, the files it loads, and its anchors."""
 
     def __init__(self, text: str):
         super().__init__()

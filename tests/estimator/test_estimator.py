@@ -147,7 +147,7 @@ def test_a_masked_object_is_seen_as_in_training_wherever_it_is(images, overrides
     apart = (cut_out[:, None] - whole[None]).abs().flatten(2).mean(2)
     assert torch.equal(apart.argmin(1), torch.arange(len(images)))
     assert apart.diagonal().mean() < apart.mean() / 3
-    # Transparency is a mask, and so is any array that says where the object is.
+    # Transparency is a mask, and so is any array that marks the object.
     transparent = [np.dstack(both) for both in found]
     expected = estimator.predict(cutouts, masks)
     assert same(estimator.predict(transparent), expected)

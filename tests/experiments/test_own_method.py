@@ -39,7 +39,7 @@ SCORES = ("measured", "low", "high", "images", "objects")
 
 
 class Brightest:
-    """Where the bright square of viewnet's made-up photographs stands, in a frame a quarter turn off."""
+    """Reads the viewpoint off the synthetic photographs' bright square, in a frame a quarter turn off."""
 
     def predict(self, images):
         rows, columns = np.indices(images.shape[1:3]) - images.shape[1] / 2 + 0.5
@@ -49,7 +49,7 @@ class Brightest:
 
 
 class Nearest:
-    """The viewpoint of the calibration image with the least difference; keeps what it is given."""
+    """The viewpoint of the most similar calibration image; stores its inputs."""
 
     def __init__(self):
         self.fits, self.shown = [], []
@@ -107,7 +107,7 @@ def photographs(tmp_path, monkeypatch):
 
 @pytest.fixture
 def drawn(tmp_path, monkeypatch):
-    """Views with what is transparent in them, indexed as those that the made-up runs are trained on."""
+    """Views with transparent pixels, indexed like those of the synthetic runs."""
 
     def views(config, workers=None, progress=True):
         other = "other-" if config.root else ""

@@ -188,7 +188,7 @@ def _retyped(column: pd.Series, kind: str) -> pd.Series:
 
 @st.composite
 def other_array(draw: Callable[[Any], Any], content: bytes) -> bytes:
-    """A .npy file of another shape or type, or whose header says so while its data stay."""
+    """A .npy file of another shape or type, or with a header that claims one."""
     array = np.load(io.BytesIO(content), allow_pickle=False)
     kinds = ["u1", "<i8", "<f4", "<f8", "<c16", "?", "S3", "<U2", "<M8[s]", "|V4"]
     if draw(st.booleans()):

@@ -48,7 +48,7 @@ def open_store(folder: Path) -> FakeStore:
 
 
 def train(config: RunConfig, views: FakeStore, folder: Path, *, threads=None, progress=True) -> None:
-    """Counts its epochs in log.csv, one file a call in `calls`, and does what the seed's plan in plan.json says."""
+    """Logs its epochs in log.csv, leaves one file a call in `calls`, and follows the seed's plan in plan.json."""
     calls = Path(os.environ["VIEWNET_DATA"]) / "calls"
     calls.mkdir(parents=True, exist_ok=True)
     (calls / f"{config.category}-{config.seed}-{time.time_ns()}").write_text(f"{os.getpid()} {threads}")

@@ -27,7 +27,7 @@ CANARY = "executed"
 
 @dataclass(frozen=True)
 class Case:
-    """`spoil` changes a valid input of a reader and returns the file that an error may name.
+    """`spoil` damages a valid input of a reader and returns the file that an error may name.
 
     `says` is in the error, or in the result where that is text: what was left out.
     """

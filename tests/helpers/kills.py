@@ -33,7 +33,7 @@ class Tally:
 
 
 def begun(root: Path, process: Popen[bytes]) -> bool:
-    """Wait until work takes its first lock; False where it ended before."""
+    """Wait until work takes its first lock; False if it ended before."""
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
         if next(root.rglob(".*.lock"), None):
@@ -78,7 +78,7 @@ def undisturbed(work: Work, root: Path, data: Path | None) -> float:
 
 
 def trial(work: Work, root: Path, reference: Path, data: Path | None, rng: Random, kills: int, tally: Tally) -> None:
-    """Kill the work up to so many times, each time with the same command anew, then let it end and compare."""
+    """Kill the work up to some number of times, restarting it with the same command, then let it end and compare."""
     for number in range(kills):
         for lock in root.rglob(".*.lock"):  # nobody holds them; a new one shows that the next call is at work
             lock.unlink()

@@ -32,10 +32,10 @@ Rewriter = Callable[[bytes], st.SearchStrategy[bytes]]
 
 @dataclass(frozen=True)
 class Reader:
-    """`write` puts a valid input into an empty folder, `read` reads all of it and checks what it gets.
+    """`write` puts a valid input into an empty folder, `read` reads all of it and checks the result.
 
-    files   those to spoil, patterns within the folder -> None, or a strategy of well-formed files with other content
-    names   what a ViewnetError has to name: the spoilt file, or one of these, "{folder}" being where it lies
+    files   those to damage, patterns within the folder -> None, or a strategy of well-formed files with other content
+    names   what a ViewnetError has to name: the damaged file, or one of these, "{folder}" being its folder
     """
 
     name: str

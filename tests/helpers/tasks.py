@@ -22,7 +22,7 @@ from viewnet.training.run_store import ensure
 
 @dataclass(frozen=True)
 class Task:
-    """`act` does it where the environment says; it writes below `makes`, in the folder `place` and nowhere else."""
+    """`act` does the work; it writes below `makes`, in the folder `place`, and nowhere else."""
 
     name: str
     makes: str

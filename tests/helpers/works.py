@@ -35,7 +35,7 @@ view_store(make_config(category="car", profile="smoke", models={models}, image_s
 
 @dataclass(frozen=True)
 class Work:
-    """A command for the interpreter. `makes` are the folders it fills, `phase` says how far the work in a folder is."""
+    """A command for the interpreter. `makes` are the folders it fills, `phase` returns the progress in a folder."""
 
     name: str
     command: tuple[str, ...]
@@ -70,7 +70,7 @@ def _on_one_processor() -> None:
 
 
 def drawing(models: int = 160, workers: int = 2) -> Work:
-    """A view store and the CAD models that it shows."""
+    """A view store and its CAD models."""
     return Work("view store", ("-c", DRAWING.format(models=models, workers=workers)), ("data",), _drawn)
 
 
@@ -136,7 +136,7 @@ def content(file: Path) -> Any:
     if file.suffix == ".ipynb":  # its output is in the tables; the copy exists from the first cell on
         nbformat.validate(nbformat.read(file, as_version=4))
         return None
-    if file.suffix == ".safetensors":  # its header's order is drawn anew each time
+    if file.suffix == ".safetensors":  # the order of its header varies
         with safe_open(file, framework="pt") as stored:
             weights = {name: stored.get_tensor(name).numpy().tobytes() for name in sorted(stored.keys())}
             return stored.metadata(), weights

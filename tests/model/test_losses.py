@@ -222,7 +222,7 @@ def test_sectors_are_searched_at_half_the_resolution_and_compared_at_the_full_on
     if views > step.SECTORS:
         azimuth, _ = azimuth_elevation(tried)
         assert (azimuth.diff(dim=1)[:, : step.SECTORS - 2] > 0).all()  # one from each sector, in their order
-        # What half the resolution thinks best is the viewpoint that was drawn from, or close to it.
+        # The best at half the resolution is the true viewpoint, or close to it.
         assert ((where.gather(1, errors.argmin(1)[:, None]) - views // 2).abs() <= 3).all()
 
 
