@@ -54,7 +54,7 @@ def test_the_kernels_in_the_interpreter(chosen):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["pack", *volume_gpu.CHOICES])
 def test_the_kernels_compile_for_a_gpu(name, tmp_path, monkeypatch):
-    """With the real compiler, which is stricter than the interpreter; a voxel's values are loaded and added together."""
+    """With the real compiler, which is stricter than the interpreter; a voxel's values are loaded together."""
     monkeypatch.setenv("TRITON_CACHE_DIR", str(tmp_path))
     import triton
     from triton.backends.compiler import GPUTarget
