@@ -15,6 +15,7 @@ from helpers.evaluation_data import make_index, noisy
 from viewnet.config import DataConfig, RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Predictions
+from viewnet.recipes import make_config
 from viewnet.runtime.files import replacing
 from viewnet.training.make_run import Steps
 
@@ -86,6 +87,10 @@ def predict(folder: Path, views: FakeStore, splits=("val", "test")) -> Predictio
 
 
 STEPS = Steps(views, open_store, train, predict)
+
+
+def config(seed: int = 0, category: str = "car") -> RunConfig:
+    return make_config(category=category, profile="smoke", seed=seed)
 
 
 def plan(folder: Path, **what: str) -> None:
