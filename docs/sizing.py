@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from viewnet.runtime.splits import SHARES
 from viewnet.errors import ViewnetError
 from viewnet.recipes import make_config
+from viewnet.runtime.splits import SHARES
 
 SHAPENETCORE = (55, 51_300)
 """Categories of ShapeNetCore, and how many models they have together, about."""

@@ -115,14 +115,16 @@ def moved(words: list[str], world: Path) -> list[str]:
     return [places.get(word, word.replace("/data/", f"{world}/data/")) for word in words]
 
 
-def obeyed(words: list[str], world: Path, monkeypatch) -> None:
+def run_command(words: list[str], world: Path, monkeypatch) -> None:
     """Run a `viewnet` command with its slow parts replaced: training, notebooks, measurements and serving."""
-    asked = []
+    requests = []
     page = SimpleNamespace(local_url="here", share_url=None, block_thread=lambda: None)
-    monkeypatch.setattr("viewnet.commands.demo.start", lambda options: asked.append(options) or page)
-    monkeypatch.setattr("viewnet.training.run_store.ensure", lambda configs, workers=None: asked.extend(configs) or [])
-    monkeypatch.setattr("papermill.execute_notebook", lambda source, *_, **__: asked.append(source))
-    monkeypatch.setattr("viewnet.bench.measure.measure", lambda settings: asked.append(settings))
+    monkeypatch.setattr("viewnet.commands.demo.start", lambda options: requests.append(options) or page)
+    monkeypatch.setattr(
+        "viewnet.training.run_store.ensure", lambda configs, workers=None: requests.extend(configs) or []
+    )
+    monkeypatch.setattr("papermill.execute_notebook", lambda source, *_, **__: requests.append(source))
+    monkeypatch.setattr("viewnet.bench.measure.measure", lambda settings: requests.append(settings))
     monkeypatch.setattr("viewnet.bench.report.as_text", lambda found: "measured")
     monkeypatch.setattr("viewnet.bench.report.write", lambda found, folder: [folder])
     monkeypatch.setattr("viewnet.experiments.score_model.photo_views", lambda _: photographs(world))
@@ -135,33 +137,33 @@ def obeyed(words: list[str], world: Path, monkeypatch) -> None:
     if words[-1] == "--json":
         assert json.loads(Path(output).read_text())
     if words[0] in ("train", "notebook", "bench", "demo") and "--parameters" not in words:
-        assert asked
+        assert requests
 
 
 @pytest.mark.parametrize("words", given("viewnet"))
 @pytest.mark.slow
-def test_viewnet_does_as_it_is_told(words, world, monkeypatch):
-    obeyed(words[1:], world, monkeypatch)
+def test_viewnet_commands_run(words, world, monkeypatch):
+    run_command(words[1:], world, monkeypatch)
 
 
 @pytest.mark.parametrize("words", given("torchrun"))
-def test_torchrun_takes_its_options_and_viewnet_the_rest(words, world, monkeypatch):
+def test_torchrun_commands_run(words, world, monkeypatch):
     from torch.distributed.run import get_args_parser
 
     found = get_args_parser().parse_args(words[1:])
     assert (found.module, found.training_script) == (True, "viewnet")
-    obeyed(found.training_script_args, world, monkeypatch)
+    run_command(found.training_script_args, world, monkeypatch)
 
 
 @pytest.mark.parametrize("words", given("papermill"))
-def test_papermill_is_given_parameters_that_notebooks_have(words, world):
+def test_papermill_parameters_exist(words, world):
     source, _, *rest = words[1:]
     assert rest[::3] == ["-p"] * (len(rest) // 3)
     notebook.checked(ROOT / source, list(zip(rest[1::3], rest[2::3], strict=True)))
 
 
 @pytest.mark.parametrize("words", given("python"))
-def test_programs_are_there_and_have_the_options(words):
+def test_programs_exist_with_these_options(words):
     if words[1] == "-c":
         ast.parse(words[2])
         return
@@ -211,8 +213,8 @@ def check_torchrun(words: list[str]) -> str | None:
 def check_pip(words: list[str]) -> str | None:
     """Extras of the package only."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    asked = [re.fullmatch(r"(?:viewnet|\.)\[(\w+)\]", word) for word in words]
-    unknown = [found[1] for found in asked if found and found[1] not in extras]
+    requests = [re.fullmatch(r"(?:viewnet|\.)\[(\w+)\]", word) for word in words]
+    unknown = [found[1] for found in requests if found and found[1] not in extras]
     return f"no extra {unknown[0]}" if unknown else None
 
 
@@ -308,13 +310,13 @@ def beside() -> set[str]:
 VARIABLES = r"VIEWNET_[A-Z0-9]+(?:_[A-Z0-9]+)*"
 
 
-def test_environment_variables_are_read_and_those_that_are_read_are_told():
-    told = set().union(*(re.findall(VARIABLES, page.text) for page in PAGES))
+def test_documents_and_package_name_the_same_environment_variables():
+    documented = set().union(*(re.findall(VARIABLES, page.text) for page in PAGES))
     weights = {torchvision_weights.variable(network) for network in catalogue.NETWORKS}
-    assert told <= {name for name in package() | beside() if name} | weights
+    assert documented <= {name for name in package() | beside() if name} | weights
     read = {name for name in package() if name and re.fullmatch(VARIABLES, name)}
     assert {"VIEWNET_ROOT", "VIEWNET_RENDERER", "VIEWNET_TENSORBOARD"} <= read
-    assert read <= told
+    assert read <= documented
 
 
 def test_names_of_the_package_exist():
@@ -351,12 +353,12 @@ def test_files_exist():
 
 def test_settings_and_other_identifiers_exist():
     """Identifiers in docs/decisions.md are settings."""
-    asked = FIELDS | PARAMETERS | CHOICES
+    settable = FIELDS | PARAMETERS | CHOICES
     wrong = set()
     for page, span in SPANS:
         if not re.fullmatch(r"[a-z]\w*", span) or re.fullmatch(COLUMN, span) or page.name == HISTORY:
             continue
-        known = asked if page.name == "docs/decisions.md" else asked | package() | beside()
+        known = settable if page.name == "docs/decisions.md" else settable | package() | beside()
         if span not in known and ("_" in span or page.name == "docs/decisions.md"):
             wrong.add((page.name, span))
     assert wrong == set()
@@ -377,7 +379,7 @@ def test_settings_and_other_identifiers_exist():
         (check_setting, ["-s", "epoch=3"]),
     ],
 )
-def test_what_is_wrong_is_found(check, words):
+def test_errors_are_noticed(check, words):
     assert check(words)
 
 
