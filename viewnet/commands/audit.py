@@ -25,9 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the verdicts, and write the numbers where --output says."""
-    from viewnet.experiments.audit import audit_list
+    from viewnet.experiments.reported_constants import audit_file
 
-    audit = audit_list(options.viewpoints)
+    audit = audit_file(options.viewpoints)
     files = audit.write(options.output) if options.output else []
     if options.json:
         tables = {"constants": records(audit.constants), "confidence": records(audit.confidence)}

@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from viewnet.errors import ViewnetError
 from viewnet.experiments.alignment_study import Study
-from viewnet.experiments.audit import Audit
+from viewnet.experiments.reported_constants import ConstantAudit
 from viewnet.runtime.files import read_csv, read_json
 from viewnet.tables import benchmark
 from viewnet.tables.architecture import COLUMNS, Architecture
@@ -154,14 +154,14 @@ def study(files: Files) -> Content:
 
 
 def audit(files: Files) -> Content:
-    """Of the CSV files that viewnet.experiments.audit.Audit.write writes."""
+    """Of the CSV files that viewnet.experiments.reported_constants.ConstantAudit.write writes."""
     blocks: list[Block] = []
     names = {"table2_ablation": "Table 2", "table3_pascal3d": "Table 3", "table4_dva": "DVA"}
     for stem, source in (("audit", "a list of annotations"), ("stand_in", "a stand-in for annotations")):
         if f"{stem}_constants.csv" in files:
             constants = read_csv(files[f"{stem}_constants.csv"], dtype={"printed": str}).replace({"table": names})
             confidence = read_csv(files[f"{stem}_confidence.csv"])
-            summary = Audit(constants, confidence, {}, stem == "stand_in").summary()
+            summary = ConstantAudit(constants, confidence, {}, stem == "stand_in").summary()
             title = f"Can a constant reach the reported scores, by each definition of the error? ({source})"
             blocks.append(plain_table(title, summary))
             blocks.append(plain_table(f"Confidence index ({source})", confidence, folded=True, index=False))

@@ -17,7 +17,7 @@ from viewnet.data import annotated_viewpoints
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.predictions import true_vectors
-from viewnet.experiments import audit
+from viewnet.experiments import reported_constants as constants
 
 
 def rows(azimuth, elevation, **columns) -> pd.DataFrame:
@@ -31,7 +31,7 @@ def frame(azimuth: float, elevation: float) -> np.ndarray:
 
 
 def errors_of(constants: np.ndarray, views: pd.DataFrame) -> np.ndarray:
-    return audit._angles(constants, audit._frames(true_vectors(views)))
+    return constants.angles(constants, constants.level_frames(true_vectors(views)))
 
 
 @settings(max_examples=25, deadline=None)
@@ -40,10 +40,10 @@ def errors_of(constants: np.ndarray, views: pd.DataFrame) -> np.ndarray:
 def test_no_constant_passes_the_bounds(azimuth, elevation, seed):
     rng = np.random.default_rng(seed)
     views = rows(rng.normal(40, 50, 60) % 360, rng.normal(5, 20, 60).clip(-89, 89))
-    a, grid = views["azimuth"].to_numpy(), errors_of(audit._grid(around=True), views)
+    a, grid = views["azimuth"].to_numpy(), errors_of(constants.grid_frames(around=True), views)
     mine = errors_of(frame(azimuth, elevation)[None], views)[0]
     for name, made in metrics.DEFINITIONS.items():
-        bound, found = audit.bounds(grid, a, name), audit.scores(made(mine), a)
+        bound, found = constants.bounds(grid, a, name), constants.scores(made(mine), a)
         assert found["acc30"] <= bound["acc30"] + 1e-6
         assert found["median"] >= bound["median"] - 1e-6
         assert found["dva"] <= bound["dva"] + 1e-6
@@ -53,21 +53,23 @@ def test_bounds_are_close_to_what_some_constant_reaches():
     """One cluster of viewpoints: its centre has all of them right, with the median of their spread."""
     rng = np.random.default_rng(0)
     views = rows(rng.normal(90, 5, 500), rng.normal(10, 5, 500))
-    bound = audit.bounds(errors_of(audit._grid(around=True), views), views["azimuth"].to_numpy(), "geodesic")
-    own = audit.scores(errors_of(frame(90, 10)[None], views)[0], views["azimuth"].to_numpy())
+    bound = constants.bounds(
+        errors_of(constants.grid_frames(around=True), views), views["azimuth"].to_numpy(), "geodesic"
+    )
+    own = constants.scores(errors_of(frame(90, 10)[None], views)[0], views["azimuth"].to_numpy())
     assert bound["acc30"] == pytest.approx(own["acc30"], abs=1)
     assert own["median"] - 3 < bound["median"] <= own["median"]
 
 
 def test_means_of_viewpoints():
     truth = true_vectors(rows([350, 10], [20, 20]))
-    assert np.allclose(audit.mean_rotation(truth)[:, 2] @ audit.mean_view(truth)[:, 2], 1, atol=1e-3)
-    assert np.linalg.det(audit.mean_rotation(truth)) == pytest.approx(1)
-    assert geometry.azimuth_elevation(torch.from_numpy(audit.mean_view(truth)[:, 2]))[0].item() % 360 == pytest.approx(
-        0, abs=1e-6
-    )
+    assert np.allclose(constants.mean_rotation(truth)[:, 2] @ constants.mean_view(truth)[:, 2], 1, atol=1e-3)
+    assert np.linalg.det(constants.mean_rotation(truth)) == pytest.approx(1)
+    assert geometry.azimuth_elevation(torch.from_numpy(constants.mean_view(truth)[:, 2]))[
+        0
+    ].item() % 360 == pytest.approx(0, abs=1e-6)
     with pytest.raises(ViewnetError, match="cancel out"):
-        audit.mean_view(true_vectors(rows([0, 180], [0, 0])))
+        constants.mean_view(true_vectors(rows([0, 180], [0, 0])))
 
 
 @pytest.mark.slow
@@ -75,13 +77,15 @@ def test_verdicts_tell_the_definition_that_was_used(monkeypatch):
     """Numbers computed by one definition are reproduced by it, and not by the two others."""
     rng = np.random.default_rng(0)
     views = rows(rng.normal(0, 35, 400) % 360, rng.normal(5, 8, 400))
-    mine = errors_of(audit.mean_view(true_vectors(views))[None], views)[0]
+    mine = errors_of(constants.mean_view(true_vectors(views))[None], views)[0]
     for used, made in metrics.DEFINITIONS.items():
-        found = audit.scores(made(mine), views["azimuth"].to_numpy())
+        found = constants.scores(made(mine), views["azimuth"].to_numpy())
         monkeypatch.setattr(
-            audit, "_printed", lambda *a, found=found: {"bus": {name: found[name] for name in ("acc30", "median")}}
+            reported_constants,
+            "reported_scores",
+            lambda *a, found=found: {"bus": {name: found[name] for name in ("acc30", "median")}},
         )
-        cells = pd.DataFrame(audit._examine("set", "bus", views, {"own": views}, ("table3_pascal3d",)))
+        cells = pd.DataFrame(constants.examine("set", "bus", views, {"own": views}, ("table3_pascal3d",)))
         verdict = cells.set_index("definition")["verdict"]
         assert verdict[used] == "reproduced"
         if used == "scaled":  # every angle too small by sqrt(2): no constant is so good
@@ -90,11 +94,13 @@ def test_verdicts_tell_the_definition_that_was_used(monkeypatch):
 
 def test_the_printed_constants_of_table_2_are_no_geodesic_angles():
     """Azimuths all around: a constant is right in little more than one of any 12 bins."""
-    even = audit.lattice()
-    bound = audit.bounds(errors_of(audit._grid(around=False), even), even["azimuth"].to_numpy(), "geodesic")
+    even = constants.lattice()
+    bound = constants.bounds(
+        errors_of(constants.grid_frames(around=False), even), even["azimuth"].to_numpy(), "geodesic"
+    )
     assert 13 < bound["acc30"] < 15
     assert 88 < bound["median"] < 92
-    cells = pd.DataFrame(audit._examine("drawn evenly", "", even, {"drawn evenly": even}, ("table2_ablation",)))
+    cells = pd.DataFrame(constants.examine("drawn evenly", "", even, {"drawn evenly": even}, ("table2_ablation",)))
     cells = cells.set_index(["category", "definition"])
     for category in ("aeroplane", "car", "chair"):
         assert cells.loc[(category, "geodesic"), "verdict"] == "excluded"
@@ -119,7 +125,7 @@ def test_test_sets_by_name():
             rows([3], [0], split="train"),
         ]
     )
-    sets = {name: part["azimuth"].tolist() for name, part in audit.test_sets(frame)}
+    sets = {name: part["azimuth"].tolist() for name, part in constants.test_sets(frame)}
     assert sets == {
         "imagenet val": [0],
         "pascal val": [1, 2],
@@ -131,7 +137,7 @@ def test_test_sets_by_name():
 
 def test_a_list_without_test_viewpoints_is_refused():
     with pytest.raises(ViewnetError, match="splits train only"):
-        audit.audit(rows([0, 1], [0, 0], split="train"))
+        constants.audit_viewpoints(rows([0, 1], [0, 0], split="train"))
 
 
 def test_the_command(tmp_path, capsys):
@@ -159,16 +165,16 @@ def test_the_command(tmp_path, capsys):
 def test_pascal3d_confidence_indices_and_the_constant_of_buses():
     views, left_out = annotated_viewpoints.read(real_data() / "pascal3d_viewpoints.csv")
     assert left_out == {"only coarsely annotated": 20}
-    confidence = audit._confidence(views).query("test_set == 'imagenet val'").set_index("category")
+    confidence = constants.confidence_indices(views).query("test_set == 'imagenet val'").set_index("category")
     for category in ("aeroplane", "bus", "car", "chair", "tvmonitor"):
         assert confidence.loc[category, "equal"], category
     buses = views.query("category == 'bus' and subset == 'imagenet'")
-    mean = audit.mean_view(true_vectors(buses.query("split == 'train'")))
+    mean = constants.mean_view(true_vectors(buses.query("split == 'train'")))
     errors = errors_of(mean[None], buses.query("split == 'val'"))[0]
     assert metrics.accuracy(errors, 30) == pytest.approx(64, abs=0.5)
     assert metrics.median(errors) == pytest.approx(23.6, abs=0.1)
     cells = (
-        audit.audit(buses)
+        constants.audit_viewpoints(buses)
         .constants.set_index(["table", "test_set", "definition"])
         .loc["table3_pascal3d", "imagenet val"]
     )

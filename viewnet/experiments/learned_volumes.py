@@ -1,0 +1,24 @@
+"""Files of learned volumes: coloured meshes and turntables of the first test object of each run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from viewnet.estimator import turntable, volume_mesh
+from viewnet.evaluation.run import Run
+from viewnet.tables import run_renderer
+
+
+def write(runs: Sequence[Run], folder: Path) -> tuple[list[Path], list[Path]]:
+    """A mesh in `meshes/<category>/` (GLB) and a turntable (GIF) a run, which begins at the predicted viewpoint."""
+    meshes, turntables = [], []
+    for renderer in run_renderer.renderers(runs):
+        category, ids = renderer.config.category, renderer.aligned.predictions.ids.iloc[0]
+        volume = renderer.encode([0])
+        mesh = volume_mesh.surface(volume.shape[0], renderer.rotation)
+        meshes.append(volume_mesh.write(mesh, folder / "meshes" / category / f"{ids['model_id']}-{ids['view']}.glb"))
+        image, frame = renderer.test_images([0])[0], renderer.predicted_frames([0])[0]
+        images = turntable.revolve(renderer, image, volume, frame, renderer.aligned.selected[0])
+        turntables.append(turntable.save(images, folder / f"turntable_{category}.gif"))
+    return meshes, turntables
