@@ -81,7 +81,7 @@ def test_verdicts_tell_the_definition_that_was_used(monkeypatch):
     for used, made in metrics.DEFINITIONS.items():
         found = constants.scores(made(mine), views["azimuth"].to_numpy())
         monkeypatch.setattr(
-            reported_constants,
+            constants,
             "reported_scores",
             lambda *a, found=found: {"bus": {name: found[name] for name in ("acc30", "median")}},
         )
