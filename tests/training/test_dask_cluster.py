@@ -33,7 +33,7 @@ def test_schedulers_that_do_not_answer_are_named(folders):
     ):
         pass
     with pytest.raises(ViewnetError, match="no scheduler answers there"):  # noqa: SIM117
-        with dask_cluster.executor("tcp://127.0.0.1:9", patience=1):
+        with dask_cluster.executor("tcp://127.0.0.1:9", timeout=1):
             pass
 
 

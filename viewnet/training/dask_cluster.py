@@ -1,4 +1,4 @@
-"""Runs on a Dask cluster: its workers seen as a standard executor. Dask is an extra: pip install 'viewnet[cluster]'."""
+"""Workers of a Dask cluster as a standard executor. Dask is an extra: pip install 'viewnet[cluster]'."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ FILE = "scheduler-file:"
 
 
 def named() -> str:
-    """The cluster that VIEWNET_CLUSTER names, "" where there is none."""
+    """The cluster that VIEWNET_CLUSTER names, "" for none."""
     return os.environ.get(VARIABLE, "")
 
 
 @contextlib.contextmanager
-def executor(address: str | None = None, patience: float = 30) -> Iterator[Executor]:
-    """The workers of a scheduler: its address (tcp://host:8786) or `scheduler-file:PATH`, else what is `named`.
+def executor(address: str | None = None, timeout: float = 30) -> Iterator[Executor]:
+    """The workers of a scheduler: its address (tcp://host:8786) or `scheduler-file:PATH`; default: `named`.
 
-    A worker that dies costs a job its place, not the job: Dask begins it again on another, up to three times. Raises
-    ViewnetError where Dask is not installed, or no scheduler answers within `patience` seconds.
+    Dask submits the job of a worker that dies to another, up to three times. Raises ViewnetError where Dask is not
+    installed, or no scheduler answers within `timeout` seconds.
     """
     address = address or named()
     if not address:
@@ -33,15 +33,16 @@ def executor(address: str | None = None, patience: float = 30) -> Iterator[Execu
         from distributed import Client
     except ImportError as error:
         raise ViewnetError(f"cluster {address}: Dask is not installed: pip install 'viewnet[cluster]'") from error
-    where = {"address": address}
+    scheduler = {"address": address}
     if address.startswith(FILE):
-        where = {"scheduler_file": address.removeprefix(FILE)}
-        if not Path(where["scheduler_file"]).is_file():
+        file = address.removeprefix(FILE)
+        scheduler = {"scheduler_file": file}
+        if not Path(file).is_file():
             raise ViewnetError(f"cluster {address}: no such file: start the scheduler with --scheduler-file first")
     try:
-        client = Client(**where, timeout=patience)
+        client = Client(**scheduler, timeout=timeout)
     except (OSError, ValueError) as error:
         raise ViewnetError(f"cluster {address}: no scheduler answers there ({error}): is it running?") from error
     with client:
-        # A job that is asked for again is to be made again: whether it is needed is for its folder to say.
+        # Not pure: a job submitted again must run again, since only its folder knows whether it is done.
         yield client.get_executor(pure=False)
