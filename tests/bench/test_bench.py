@@ -12,7 +12,7 @@ import torch
 
 from viewnet import cli
 from viewnet.bench import contestants, measure, report, roofline, textbook
-from viewnet.model import viewnet, volume
+from viewnet.model import volume
 from viewnet.model.losses import PerceptualLoss
 from viewnet.model.viewnet import ViewNet
 from viewnet.training.step import step_loss
@@ -87,7 +87,7 @@ def test_the_textbook_step_has_the_package_s_loss_and_gradients(perceptual, monk
     def plain(shape, frames, focal, size, steps=None, sparse=False):
         return volume.render_reference(shape, frames, focal, size, steps or size)
 
-    monkeypatch.setattr(viewnet.model.volume, "render", plain)
+    monkeypatch.setattr(volume, "render", plain)
     same(gradients(lambda net: None, perceptual), 1e-4)
 
 

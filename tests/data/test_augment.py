@@ -8,12 +8,12 @@ import pytest
 import torch
 from PIL import Image
 
-from viewnet.config import DataConfig, PhotoAugmentationConfig, TrainConfig
+from viewnet.config import DataConfig, PhotoAugmentationConfig
 from viewnet.data import augment
 from viewnet.data.pairs import CROP_MARGIN
 
-PLAIN = TrainConfig()
-PHOTO = TrainConfig(photo=PhotoAugmentationConfig(box_error=0.05, tilt=5.0, occlude=0.5, exposure=1.0))
+PLAIN = PhotoAugmentationConfig()
+PHOTO = PhotoAugmentationConfig(box_error=0.05, tilt=5.0, occlude=0.5, exposure=1.0)
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -52,7 +52,7 @@ def test_backgrounds_show_where_there_is_no_object():
 
 def test_windows_of_backgrounds_differ_and_stay_images():
     ramp = (torch.linspace(0, 255, 64).to(torch.uint8)).expand(1, 3, 64, 64)
-    windows = augment.behind(ramp, 20, 32, generator(), torch.device("cpu"))
+    windows = augment.windows(ramp, 20, 32, generator(), torch.device("cpu"))
     assert windows.shape == (20, 3, 32, 32) and windows.min() >= 0 and windows.max() <= 1
     rising = windows[:, 0, 0, -1] > windows[:, 0, 0, 0]
     assert 4 <= rising.sum() <= 16  # half of them mirrored

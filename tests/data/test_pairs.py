@@ -6,7 +6,7 @@ from helpers.boxes import box_store
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from viewnet.data.pairs import Views, draw_pairs, load_views, resize, step_generator, tight_crop
+from viewnet.data.pairs import Views, load_views, resize, sample_pairs, step_generator, tight_crop
 from viewnet.errors import ViewnetError
 
 CPU = torch.device("cpu")
@@ -26,7 +26,7 @@ def views_of(counts: list[int]) -> Views:
 @given(st.lists(st.integers(2, 6), min_size=1, max_size=12), st.integers(1, 8), st.integers(1, 4), st.integers(0, 99))
 def test_a_target_shows_the_same_object_from_another_view(counts, objects, targets, step):
     views = views_of(counts)
-    appearance, target = draw_pairs(views, objects, targets, 7, step)
+    appearance, target = sample_pairs(views, objects, targets, 7, step)
     assert appearance.shape == (objects,)
     assert target.shape == (objects * targets,)
     assert torch.equal(views.objects[appearance].repeat_interleave(targets), views.objects[target])
@@ -40,13 +40,13 @@ def test_a_target_shows_the_same_object_from_another_view(counts, objects, targe
 @settings(max_examples=20)
 def test_every_object_is_visited_equally_often(total, objects, seed):
     views = views_of([3] * total)
-    visits = torch.cat([views.objects[draw_pairs(views, objects, 1, seed, step)[0]] for step in range(total)])
+    visits = torch.cat([views.objects[sample_pairs(views, objects, 1, seed, step)[0]] for step in range(total)])
     assert torch.equal(torch.bincount(visits, minlength=total), torch.full((total,), objects))
 
 
 def test_every_pair_of_views_comes_up():
     views = views_of([4])
-    pairs = {tuple(int(x) for x in torch.cat(draw_pairs(views, 1, 1, 0, step))) for step in range(200)}
+    pairs = {tuple(int(x) for x in torch.cat(sample_pairs(views, 1, 1, 0, step))) for step in range(200)}
     assert len(pairs) == 12
 
 
@@ -54,7 +54,7 @@ def test_a_draw_is_a_function_of_seed_and_step():
     views = views_of([5] * 20)
 
     def draw(seed: int, step: int) -> list[int]:
-        return torch.cat(draw_pairs(views, 8, 2, seed, step)).tolist()
+        return torch.cat(sample_pairs(views, 8, 2, seed, step)).tolist()
 
     torch.manual_seed(0)
     expected = draw(3, 10)
@@ -70,7 +70,7 @@ def test_a_draw_is_a_function_of_seed_and_step():
 
 def test_a_single_view_cannot_be_paired():
     with pytest.raises(ViewnetError, match="two views or more of every object"):
-        draw_pairs(views_of([3, 1]), 1, 1, 0, 0)
+        sample_pairs(views_of([3, 1]), 1, 1, 0, 0)
 
 
 # Crops
@@ -151,7 +151,7 @@ def test_views_of_a_split(store):
     straight = torch.from_numpy(store.images[4].copy()).permute(2, 0, 1).float() / 255
     assert (images[0, :3] - straight[:3] * straight[3:]).abs().max() <= 0.5 / 255 + 1e-6
     assert torch.equal(images[0, 3], straight[3])
-    assert torch.equal(views.seen(torch.tensor([4]), 32, CPU), images)
+    assert torch.equal(views.viewpoint_input(torch.tensor([4]), 32, CPU), images)
 
 
 def test_smaller_images_are_means_of_weighted_colours(store):
@@ -164,7 +164,7 @@ def test_smaller_images_are_means_of_weighted_colours(store):
 
 def test_crops_are_what_the_viewpoint_network_sees(store):
     views = load_views(store, "train", 32, crop=16)
-    seen = views.seen(torch.arange(9), 16, CPU)
+    seen = views.viewpoint_input(torch.arange(9), 16, CPU)
     assert seen.shape == (9, 4, 16, 16)
     assert (seen[:, 3].mean((1, 2)) > views.images(torch.arange(9), 16, CPU)[:, 3].mean((1, 2))).all()
 

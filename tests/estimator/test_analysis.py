@@ -28,7 +28,7 @@ def test_an_inspection_is_what_the_estimator_says_and_draws(overrides):
         said = estimator.predict(*given)[0]
         assert (found.viewpoint.azimuth, found.viewpoint.elevation) == (said.azimuth, said.elevation)
         assert np.array_equal(found.viewpoint.probabilities, said.probabilities)
-        drawn = analysis.novel_view(estimator, found.imagined, 70, -10)
+        drawn = analysis.novel_view(estimator, found.encoded, 70, -10)
         again = estimator.novel_view(image, 70, -10, *given[1:], size=len(drawn))[0]
         assert np.abs(drawn.astype(int) - again).max() <= 1
         assert np.array_equal(found.posed, estimator.reconstruct(*given, size=len(found.posed))[0])

@@ -91,14 +91,14 @@ def test_asked_about_a_box_the_page_says_what_the_estimator_says(page, estimator
     file = folder / "photo0.png"
     shown = page.ask(taken(page, file), None, TYPED)
     said = estimator.predict(file, boxes=BOX)[0]
-    imagined, told, _, posed, table, azimuth, elevation, view, mesh = shown
+    encoded, told, _, posed, table, azimuth, elevation, view, mesh = shown
     for part in (f">{said.azimuth:.1f}°<", f">{said.elevation:.1f}°<", f">{100 * said.confidence:.1f} %<"):
         assert part in told
     assert table.count("<tr>") == 1 + len(said.probabilities)
     assert np.array_equal(posed, estimator.reconstruct(file, boxes=BOX, size=len(posed))[0])
     assert (azimuth, elevation) == (round(said.azimuth) % 360, round(said.elevation))
-    assert np.array_equal(view, page.turn(imagined, azimuth, elevation))
-    assert not np.array_equal(view, page.turn(imagined, azimuth + 90, elevation))
+    assert np.array_equal(view, page.turn(encoded, azimuth, elevation))
+    assert not np.array_equal(view, page.turn(encoded, azimuth + 90, elevation))
     drawn = trimesh.load(mesh["value"], force="mesh")
     assert len(drawn.faces) == len(estimator.mesh(file, box=BOX).faces)
     turned, tilted, away = mesh["camera_position"]

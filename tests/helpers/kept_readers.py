@@ -109,7 +109,7 @@ def _load(folder: Path) -> object:
     model, config = load_model(folder)
     size = config.model.input_size
     with torch.no_grad():
-        found = model.viewpoint(model.see(torch.zeros(1, 4, size, size)))
+        found = model.viewpoint(model.composite(torch.zeros(1, 4, size, size)))
     assert found.vectors.shape == (1, config.model.heads, 3)
     return found
 

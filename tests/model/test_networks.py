@@ -66,15 +66,15 @@ def test_hypotheses(heads, in_plane):
     assert found.vectors.shape == (4, heads, 3)
     assert found.logits.shape == (4, heads)
     assert torch.allclose(found.vectors.norm(dim=-1), torch.ones(4, heads), atol=1e-5)
-    assert found.frames.shape == (4, heads, 3, 3)
-    assert torch.allclose(torch.linalg.det(found.frames), torch.ones(4, heads), atol=1e-4)
-    assert torch.allclose(found.frames[..., 2], found.vectors, atol=1e-5)
+    assert found.world_from_camera.shape == (4, heads, 3, 3)
+    assert torch.allclose(torch.linalg.det(found.world_from_camera), torch.ones(4, heads), atol=1e-4)
+    assert torch.allclose(found.world_from_camera[..., 2], found.vectors, atol=1e-5)
     if in_plane:
         assert torch.allclose(found.ups.norm(dim=-1), torch.ones(4, heads), atol=1e-5)
     else:
         assert found.ups is None
     index = torch.arange(4) % heads
-    assert torch.equal(found.pick(index), torch.stack([found.vectors[n, m] for n, m in enumerate(index)]))
+    assert torch.equal(found.of_heads(index), torch.stack([found.vectors[n, m] for n, m in enumerate(index)]))
 
 
 def test_elevations_stay_within_their_limits_and_azimuths_go_all_around():
@@ -202,9 +202,9 @@ def test_images_of_every_decoder(decoder):
     torch.manual_seed(0)
     model = ViewNet(small(decoder=decoder)).eval()
     images = torch.rand(2, 4, 32, 32)
-    code = model.appearance(model.see(images))
-    shape, found = model.shape(code), model.viewpoint(model.see(images))
-    drawn = model.draw(shape, code, found.frames.flatten(0, 1))
+    code = model.appearance(model.composite(images))
+    shape, found = model.generate(code), model.viewpoint(model.composite(images))
+    drawn = model.render(shape, code, found.world_from_camera.flatten(0, 1))
     assert drawn.shape == (6, 4, SMALL.render_size, SMALL.render_size)
     assert drawn.min() >= 0
     assert drawn.max() <= 1 + 1e-5
@@ -216,20 +216,20 @@ def test_images_of_every_decoder(decoder):
 def test_the_volume_keeps_to_its_range_and_starts_near_the_prior():
     torch.manual_seed(0)
     model = ViewNet(small())
-    shape = model.shape(torch.zeros(2, SMALL.appearance_size))
+    shape = model.generate(torch.zeros(2, SMALL.appearance_size))
     assert shape.min() >= 0
     assert shape.max() <= 1
     with torch.no_grad():
         model.decoder.last.weight.zero_()
         model.decoder.last.bias.zero_()
-    shape = model.shape(torch.zeros(1, SMALL.appearance_size))
+    shape = model.generate(torch.zeros(1, SMALL.appearance_size))
     assert torch.allclose(shape[0, 3], model.prior, atol=1e-6)  # Q' = 0 leaves S
     assert torch.allclose(shape[0, :3], torch.full((), 0.5))
     bare = ViewNet(small(shape_prior=False))
     with torch.no_grad():
         bare.decoder.last.weight.zero_()
         bare.decoder.last.bias.zero_()
-    shape = bare.shape(torch.zeros(1, SMALL.appearance_size))
+    shape = bare.generate(torch.zeros(1, SMALL.appearance_size))
     assert torch.equal(shape[0, 3], torch.zeros_like(model.prior))  # without S, nothing is there
     assert torch.allclose(shape[0, :3], torch.full((), 0.5))
 
@@ -242,7 +242,7 @@ def test_colours_start_from_the_object_s_own():
         model.decoder.last.bias.zero_()
     images = torch.zeros(2, 4, 32, 32)
     images[0, :, 4:8, 4:8] = torch.tensor([0.9, 0.2, 0.5, 1.0])[:, None, None]
-    _, shape = model.imagine(images)
+    _, shape = model.encode(images)
     assert torch.allclose(shape[0, :3], torch.tensor([0.9, 0.2, 0.5])[:, None, None, None].expand_as(shape[0, :3]))
     assert torch.allclose(shape[0, 3], model.prior, atol=1e-6)
     assert shape[1].isfinite().all()  # nothing visible, so no mean colour
@@ -252,7 +252,7 @@ def test_encoders_see_the_object_over_the_backdrop():
     image = torch.zeros(1, 4, 2, 2)
     image[0, :, 0, 0] = torch.tensor([0.9, 0.1, 0.2, 1.0])
     image[0, :, 0, 1] = torch.tensor([0.2, 0.2, 0.2, 0.5])
-    seen = ViewNet(small(backdrop=0.5)).see(image)
+    seen = ViewNet(small(backdrop=0.5)).composite(image)
     assert torch.allclose(seen[0, :, 0, 0], torch.tensor([0.9, 0.1, 0.2]))
     assert torch.allclose(seen[0, :, 0, 1], torch.tensor([0.45, 0.45, 0.45]))
     assert torch.allclose(seen[0, :, 1, 1], torch.tensor([0.5, 0.5, 0.5]))

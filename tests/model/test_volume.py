@@ -92,7 +92,7 @@ def test_halving_averages_every_eight_voxels(layout):
 
 
 def test_frames_that_cannot_be_shared_out():
-    with pytest.raises(ValueError, match="3 frames cannot be shared out evenly over 2 volumes"):
+    with pytest.raises(ValueError, match="3 camera frames cannot be shared out evenly over 2 volumes"):
         volume.render(torch.zeros(2, 4, 4, 4, 4), torch.eye(3).expand(3, 3, 3), FOCAL, 4)
 
 

@@ -39,10 +39,10 @@ def knowing(drawer, degrees: float):
     volume = torch.rot90(volume, -round(degrees / 90), (4, 3))
     drawer.network.focal.data.fill_(PERSPECTIVE)
 
-    def imagine(self, images, own=1.0, behind=None):
+    def encode(self, images, own_shape=1.0, background=None):
         return torch.zeros(len(images), 1), volume.expand(len(images), -1, -1, -1, -1)
 
-    drawer.network.imagine = MethodType(imagine, drawer.network)
+    drawer.network.encode = MethodType(encode, drawer.network)
     return drawer
 
 

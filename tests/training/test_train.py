@@ -1,4 +1,4 @@
-"""Training as a whole, on synthetic boxes: the same bits every time, resumed or not, and the right weights saved."""
+"""Training as a whole, on made-up boxes: the same bits every time, resumed or not, and the right weights kept."""
 
 from __future__ import annotations
 
@@ -24,12 +24,14 @@ from safetensors.torch import load_file
 
 from viewnet.config import RunConfig
 from viewnet.data.augment import crop_and_rotate, jitter
-from viewnet.data.pairs import viewed
+from viewnet.data.pairs import model_views
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.predict import candidates, load_model, predict
+from viewnet.evaluation.predict import predict
+from viewnet.model.checkpoint import load_model
 from viewnet.model.precision import autocast
 from viewnet.recipes import make_config
+from viewnet.tables.candidates import ranked_reconstructions
 from viewnet.training import train as training
 from viewnet.training.train import train
 
@@ -62,7 +64,7 @@ def same(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> bool:
 
 
 def log(folder: Path) -> list[dict[str, str]]:
-    """The rows of log.csv without their times."""
+    """The rows of log.csv but for the time they took."""
     with (folder / "log.csv").open(newline="") as file:
         return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
 
@@ -74,7 +76,7 @@ class Killed(Exception):
 def killed_after(
     store: ViewStore, folder: Path, monkeypatch, steps: int, variant: str = "viewnet", **overrides
 ) -> None:
-    """A training that dies after some steps."""
+    """A training that dies after so many steps."""
     left = iter(range(steps))
     step_loss = training.step_loss
 
@@ -88,7 +90,7 @@ def killed_after(
         trained(store, folder, variant, **overrides)
 
 
-# Reproducibility
+# The same bits
 
 
 def test_training_twice_gives_the_same_bits(store, tmp_path):
@@ -125,7 +127,7 @@ def test_a_killed_run_goes_on_as_if_nothing_had_been(store, tmp_path, monkeypatc
     killed_after(store, tmp_path / "killed", monkeypatch, 7, variant, **overrides)  # in the third epoch
     assert not (tmp_path / "killed" / "checkpoint.safetensors").exists()
     assert log(tmp_path / "killed") == log(whole)[:2]
-    torch.manual_seed(12345)  # independent of the global random state
+    torch.manual_seed(12345)  # whatever else has been going on
     resumed = trained(store, tmp_path / "killed", variant, **overrides)
     assert same(weights(resumed), weights(whole))
     assert log(resumed) == log(whole)
@@ -139,11 +141,11 @@ def test_a_finished_run_is_left_alone(store, tmp_path):
     assert (folder / "checkpoint.safetensors").stat().st_mtime_ns == written
 
 
-# Selection of weights
+# What is kept
 
 
 def scored(monkeypatch, reconstruction: list[float], accuracy: list[float]) -> list[dict[str, torch.Tensor]]:
-    """Make validations give these numbers, one after another; returns the weights at each of them."""
+    """Validations give these numbers, one after another; the weights that each of them saw."""
     seen: list[dict[str, torch.Tensor]] = []
 
     def validate(model, *_):
@@ -158,7 +160,7 @@ def scored(monkeypatch, reconstruction: list[float], accuracy: list[float]) -> l
 def test_the_best_weights_by_the_criterion_are_kept(store, tmp_path, monkeypatch, criterion, kept):
     seen = scored(monkeypatch, [0.3, 0.1, 0.2, 0.1], [10.0, 20.0, 40.0, 40.0])
     folder = trained(store, tmp_path / "run", epochs=4, select_by=criterion)
-    assert same(weights(folder), seen[kept])  # of equal ones the first
+    assert same(weights(folder), seen[kept])  # of equals the first
     with safe_open(folder / "checkpoint.safetensors", framework="pt") as file:
         metadata = file.metadata()
     assert metadata["epoch"] == str(kept + 1)
@@ -181,15 +183,15 @@ def test_choosing_without_labels_reads_none(store, tmp_path, monkeypatch):
     honest = trained(store, tmp_path / "honest", select_by="reconstruction")
 
     def mislabelled(*arguments):
-        views = viewed(*arguments)
+        views = model_views(*arguments)
         return dataclasses.replace(views, truth=0.05 * views.truth.flip(0))
 
-    monkeypatch.setattr(training, "viewed", mislabelled)
+    monkeypatch.setattr(training, "model_views", mislabelled)
     other = trained(store, tmp_path / "other", select_by="reconstruction")
     assert same(weights(honest), weights(other))
     without = [{k: v for k, v in row.items() if k != "val_accuracy"} for row in log(honest)]
     assert without == [{k: v for k, v in row.items() if k != "val_accuracy"} for row in log(other)]
-    assert log(honest) != log(other)  # accuracy is logged, and does depend on labels
+    assert log(honest) != log(other)  # accuracy is told, and does depend on labels
 
 
 # The schedule
@@ -216,7 +218,7 @@ def test_learning_rates(store, tmp_path, monkeypatch, schedule, factors):
     assert rates == pytest.approx([0.01 * factor for factor in factors])
 
 
-# Failures
+# What goes wrong
 
 
 def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_state(store, tmp_path, monkeypatch):
@@ -256,7 +258,7 @@ def test_weights_that_are_not_finite_stop_and_keep_the_last_good_state(store, tm
 
 
 def test_settings_that_do_not_go_together(store, tmp_path):
-    with pytest.raises(ViewnetError, match="batch_size 8 is no multiple of targets_per_object 3"):
+    with pytest.raises(ViewnetError, match="batch_size 8 with targets_per_object 3: expected a multiple"):
         trained(store, tmp_path / "run", targets_per_object=3)
 
 
@@ -331,14 +333,14 @@ def test_views_are_predicted_before_backgrounds_as_in_training_and_photographs_a
         Image.new("RGB", (70, 70), colour).save(tmp_path / "pictures" / f"{number}.png")
     behind = {"recipe": "photos", "backgrounds": str(tmp_path / "pictures"), "views": 4}
     folder, again = (trained(store, tmp_path / name, **behind) for name in ("one", "two"))
-    assert same(weights(folder), weights(again))  # backgrounds are a function of seed and step
-    assert math.isfinite(float(log(folder)[-1]["sightings"]))
+    assert same(weights(folder), weights(again))  # what is behind is a function of seed and step
+    assert math.isfinite(float(log(folder)[-1]["repeated_views"]))
     assert not same(weights(folder), weights(trained(store, tmp_path / "plain", recipe="photos", backgrounds=None)))
     first = predict(folder, store, ("test",))
     assert np.array_equal(first.hypotheses, predict(folder, store, ("test",)).hypotheses)
     network, _ = load_model(folder)
     assert not np.allclose(first.hypotheses, predict(network, store, ("test",)).hypotheses)  # a network alone has none
-    inputs, drawings, errors, heads = candidates(folder, store, [0, 1])
+    inputs, drawings, errors, heads = ranked_reconstructions(folder, store, [0, 1])
     assert inputs.shape[0] == drawings.shape[0] == len(errors) == len(heads) == 2
     opaque = np.array(store.images)
     opaque[..., 3] = 255
@@ -355,7 +357,7 @@ def test_a_loaded_model_is_the_one_that_was_kept(run):
 
 
 def test_candidates_are_ranked_by_what_they_draw(store, run):
-    views, drawn, errors, heads = candidates(run, store, [0, 3, 5])
+    views, drawn, errors, heads = ranked_reconstructions(run, store, [0, 3, 5])
     size = config().model.render_size
     assert views.shape == (3, size, size, 3)
     assert drawn.shape == (3, 3, size, size, 3)
@@ -391,10 +393,10 @@ def test_training_after_drawing_with_opengl_in_one_process():
     code = """
 import numpy as np, torch
 from helpers.boxes import SYMMETRIC, box_mesh
-from viewnet.render import choose_backend, render_mesh
+from viewnet.render import choose_backend, render
 if choose_backend("pyrender") != "pyrender":
     raise SystemExit(7)
-render_mesh(box_mesh(SYMMETRIC), np.zeros(1), np.zeros(1), 16, 1, "pyrender")
+render(box_mesh(SYMMETRIC), np.zeros(1), np.zeros(1), 16, 1, "pyrender")
 torch.optim.Adam([torch.zeros(1, requires_grad=True)])
 """
     here = Path(__file__).parents[1]
@@ -451,11 +453,11 @@ def test_a_tensorboard_that_is_not_installed_is_named(store, tmp_path, monkeypat
 
 
 def test_a_run_that_ended_early_and_was_killed_before_its_checkpoint_only_writes_it(store, tmp_path, monkeypatch):
-    settings = {"epochs": 9, "patience": 1, "learning_rate": 10.0}  # such steps do not improve anything
+    settings = {"epochs": 9, "patience": 1, "learning_rate": 10.0}  # nothing is gained by such steps
     whole = trained(store, tmp_path / "whole", **settings)
     assert len(log(whole)) < 9
     with monkeypatch.context() as patch, pytest.raises(Killed):
-        patch.setattr(training, "save_file", lambda *a, **k: (_ for _ in ()).throw(Killed))
+        patch.setattr("viewnet.training.history.save_file", lambda *a, **k: (_ for _ in ()).throw(Killed))
         trained(store, tmp_path / "killed", **settings)
     resumed = trained(store, tmp_path / "killed", **settings)
     assert log(resumed) == log(whole)

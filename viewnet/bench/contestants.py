@@ -29,8 +29,8 @@ from viewnet.model import volume
 from viewnet.model.kernels import volume_cpu
 from viewnet.model.viewnet import ViewNet
 from viewnet.recipes import make_config
+from viewnet.training.optimisers import make_optimisers
 from viewnet.training.step import step_loss
-from viewnet.training.train import make_optimisers
 
 FORWARD, BOTH, EXACT, STEP = (
     "renderer, forward",

@@ -112,7 +112,7 @@ def step_need(module: Any, config: ModelConfig, batch: int) -> Need:
 
     def run() -> Tensor:
         vectors, logits = net.viewpoints(seen)
-        return net.shape(seen).sum() + vectors.sum() + logits.sum()
+        return net.generate(seen).sum() + vectors.sum() + logits.sum()
 
     count = sum(weight.numel() for weight in net.parameters())
     return network_need(net, run, count, batch / 2)

@@ -125,7 +125,7 @@ class TextbookViewNet(nn.Module):
         """The weights of a viewnet.model.viewnet.ViewNet of the same configuration."""
         self.load_state_dict({name: state[name] for name in self.state_dict()})
 
-    def shape(self, images: Tensor) -> Tensor:
+    def generate(self, images: Tensor) -> Tensor:
         """Volumes (N, 4, n, n, n) of the objects in images (N, 3, S, S)."""
         values = torch.sigmoid(self.decoder(self.appearance(images)))
         return torch.cat([values[:, :3], Clamp.apply(2 * values[:, 3:] - 1 + self.prior)], 1)
@@ -172,7 +172,7 @@ def step_loss(
     """
     appearance, target, seen = batch
     size, heads = model.config.render_size, model.config.heads
-    volume = model.shape(appearance[:, :3])
+    volume = model.generate(appearance[:, :3])
     vectors, logits = model.viewpoints(seen[:, :3])
     wanted = target if target.shape[-1] == size else F.interpolate(target, (size, size), mode="area")
     drawn = render(volume, camera_frames(vectors).flatten(0, 1), model.focal, size, size).unflatten(0, (-1, heads))

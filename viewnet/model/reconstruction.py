@@ -85,9 +85,7 @@ def reconstruct(
     return Reconstruction(hypotheses, repeated, choice, rendered, target, objects)
 
 
-def best_head(
-    model: ViewNet, objects: Encoded, hypotheses: Hypotheses, target: Tensor, config: TrainConfig
-) -> Choice:
+def best_head(model: ViewNet, objects: Encoded, hypotheses: Hypotheses, target: Tensor, config: TrainConfig) -> Choice:
     """The head with the least reconstruction error: m* of equation 2."""
     rows = torch.arange(len(target), device=target.device)
     _, errors = compare(model, objects, hypotheses.vectors[:, :, None], hypotheses.ups, target, config)

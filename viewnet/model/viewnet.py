@@ -101,9 +101,7 @@ class ViewNet(nn.Module):
         """Images (N, 4, S, S) over backgrounds (N, 3, S, S), or over the backdrop: (N, 3, S, S), as encoders take them."""
         return images[:, :3] + (self.config.backdrop if background is None else background) * (1 - images[:, 3:])
 
-    def encode(
-        self, images: Tensor, own_shape: float = 1.0, background: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
+    def encode(self, images: Tensor, own_shape: float = 1.0, background: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Appearance codes (N, A) and volumes, as `generate` gives them, of the objects in images (N, 4, S, S).
 
         `own_shape` below 1 moves codes towards their mean, which they are at 0: one shape for all, in many colours.

@@ -136,7 +136,9 @@ def render(
     """
     steps = size if steps is None else steps
     if len(world_from_camera) % len(volume):
-        raise ValueError(f"{len(world_from_camera)} camera frames cannot be shared out evenly over {len(volume)} volumes")
+        raise ValueError(
+            f"{len(world_from_camera)} camera frames cannot be shared out evenly over {len(volume)} volumes"
+        )
     fused = _fused(volume.device)
     if fused is not None:
         return fused.render(volume.float(), world_from_camera.float(), focal.float(), size, steps, sparse)

@@ -57,6 +57,7 @@ class History:
 
 def resume(model: ViewNet, optimisers: list[Optimizer], folder: Path) -> History:
     """How far the training in `folder` is; its state goes to the model and the optimisers."""
+
     def saved() -> dict[str, Any] | None:
         path = folder / STATE
         return torch.load(path, map_location="cpu", weights_only=True) if path.exists() else None
@@ -77,7 +78,7 @@ def write(model: ViewNet, optimisers: list[Optimizer], history: History, folder:
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
         writer.writerows(history.log)
-    state = {"model": model.state_dict(), "optimisers": [each.state_dict() for each in optimisers]}
+    state: dict[str, Any] = {"model": model.state_dict(), "optimisers": [each.state_dict() for each in optimisers]}
     state |= {"log": history.log, "best": history.best, "epoch": history.epoch, "seconds": history.seconds}
     with replacing(folder / STATE) as temporary:
         torch.save(state, temporary)

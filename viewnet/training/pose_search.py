@@ -92,7 +92,7 @@ def compare_heads(
     best = hypotheses.vectors
     if config.comparison.neighbours:
         candidates = neighbours(best, config.comparison.neighbours)
-        coarse, small = _half(model, objects, target)
+        coarse, small = half_resolution(model, objects, target)
         best, errors = compare(model, coarse, candidates, hypotheses.ups, small, config)
         if coarse is objects or best.shape[1] == 1:
             return best, errors
@@ -107,7 +107,7 @@ def compare_grid(
     Within a sector half the resolution is enough. Sectors are compared at the full one: at half of it the fin that tells
     an aeroplane's tail from its nose is gone, and a group of aeroplanes that is laid wrong then stays so.
     """
-    coarse, small = _half(model, objects, target)
+    coarse, small = half_resolution(model, objects, target)
     if coarse is objects or grid.shape[1] <= SECTORS:
         return grid, compare(model, objects, grid[:, :, None], None, target, config)[1]
     whole = torch.cat([grid, grid[:, : -grid.shape[1] % SECTORS]], 1)  # T a multiple of SECTORS
@@ -116,7 +116,7 @@ def compare_grid(
     return compare(model, objects, best[:, :, None], None, target, config)
 
 
-def _half(model: ViewNet, objects: Encoded, target: Tensor) -> tuple[Encoded, Tensor]:
+def half_resolution(model: ViewNet, objects: Encoded, target: Tensor) -> tuple[Encoded, Tensor]:
     """Volumes and targets at half the resolution; themselves where that is too low, or the decoder has one only."""
     if target.shape[-1] <= 16 or model.config.decoder == "hologan":
         return objects, target

@@ -36,7 +36,6 @@ from viewnet.training.step import step_loss
 from viewnet.training.validation import validate
 
 
-
 def train(
     config: RunConfig, views: ViewStore, folder: Path, *, threads: int | None = None, progress: bool = True
 ) -> None:
@@ -173,6 +172,4 @@ def _check_weights(run: _Training, step: int, folder: Path) -> None:
     broken = [name for name, value in run.model.state_dict().items() if not value.isfinite().all()]
     if broken:
         names = ", ".join(broken[:3])
-        raise ViewnetError(
-            f"{folder}: the weights are not finite after step {step} ({names}): lower the learning rate"
-        )
+        raise ViewnetError(f"{folder}: the weights are not finite after step {step} ({names}): lower the learning rate")

@@ -13,7 +13,7 @@ from viewnet.estimator.inputs import Given, ImageLike
 from viewnet.estimator.viewpoints import Viewpoint
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
-from viewnet.model.rendering import Imagined
+from viewnet.model.reconstruction import Encoded
 
 SIZE = 256
 """Pixels along a side of what is drawn for people, about."""
@@ -26,14 +26,14 @@ class Inspection:
     viewpoint   as ViewpointEstimator.predict has it
     seen        (S, S, 3) uint8, the image as the network sees it
     posed       (D, D, 3) uint8, its reconstruction from the predicted viewpoint
-    imagined    what the object became, for `novel_view`
+    encoded    what the object became, for `novel_view`
     notes       what speaks against trusting the answer, a sentence each
     """
 
     viewpoint: Viewpoint
     seen: np.ndarray
     posed: np.ndarray
-    imagined: Imagined
+    encoded: Encoded
     notes: tuple[str, ...]
 
 
@@ -44,21 +44,21 @@ def inspect(estimator: ViewpointEstimator, image: ImageLike, mask: Any = None, b
     shown = preprocess.shown([view], estimator.framing, estimator.device)
     known = ([image], None if mask is None else [mask], None if box is None else [box])
     with torch.no_grad():
-        imagined = Imagined(*estimator.network.imagine(shown.object, behind=shown.behind))
+        encoded = Encoded(*estimator.network.encode(shown.object, background=shown.behind))
     return Inspection(
         estimator.predict(*known)[0],
-        rendering.shown(shown.images)[0],
+        rendering.to_uint8(shown.images)[0],
         estimator.reconstruct(*known, size=_size(estimator))[0],
-        imagined,
+        encoded,
         tuple(_notes(estimator, given, view.cutout, mask is not None)),
     )
 
 
-def novel_view(estimator: ViewpointEstimator, imagined: Imagined, azimuth: float, elevation: float) -> np.ndarray:
-    """(S, S, 3) uint8: as ViewpointEstimator.novel_view, of an object that has been imagined already."""
+def novel_view(estimator: ViewpointEstimator, encoded: Encoded, azimuth: float, elevation: float) -> np.ndarray:
+    """(S, S, 3) uint8: as ViewpointEstimator.novel_view, of an object that has been encoded already."""
     angles = (torch.tensor([value], dtype=torch.float64) for value in (azimuth, elevation))
-    frames = estimator.own(look_at(view_vector(*angles)))
-    found: np.ndarray = estimator.painted(estimator.draw(imagined, frames, _size(estimator)))[0]
+    frames = estimator.in_own_frame(look_at(view_vector(*angles)))
+    found: np.ndarray = estimator.displayed(estimator.render(encoded, frames, _size(estimator)))[0]
     return found
 
 
