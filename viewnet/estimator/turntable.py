@@ -13,7 +13,8 @@ from torch import Tensor
 
 from viewnet import geometry
 from viewnet.errors import ViewnetError
-from viewnet.model.rendering import Imagined, Painter
+from viewnet.model.reconstruction import Encoded
+from viewnet.model.rendering import ObjectRenderer
 from viewnet.runtime.files import replacing
 
 MARK = (213, 94, 0)  # of the predicted viewpoint
@@ -24,16 +25,16 @@ SUFFIXES = (".gif", ".mp4")
 
 
 def revolve(
-    painter: Painter,
+    painter: ObjectRenderer,
     image: np.ndarray,
-    imagined: Imagined,
+    encoded: Encoded,
     answer: Tensor,
     told: np.ndarray,
     steps: int = 48,
     hold: int = 12,
     size: int = 192,
 ) -> list[np.ndarray]:
-    """Frames (H, W, 3) uint8: a `image` (S, S, 3) uint8 on the left, the one object `imagined` turning on the right.
+    """Frames (H, W, 3) uint8: a `image` (S, S, 3) uint8 on the left, the one object `encoded` turning on the right.
 
     The first `hold` frames stand at the predicted viewpoint, framed and named: the camera frame `answer` (3, 3) in the
     network's own frame, and the view vector `told` (3,) that is said of it. Then `steps` frames go once round at its
@@ -49,7 +50,7 @@ def revolve(
     turned = start + torch.arange(steps) * (360 / steps)
     frames = geometry.look_at(geometry.view_vector(turned, elevation.expand(steps)))
     frames[0] = answer
-    drawn = painter.painted(painter.draw(imagined, frames, 2 * painter.network.config.render_size))
+    drawn = painter.displayed(painter.render(encoded, frames, 2 * painter.network.config.render_size))
     left = _scaled(image, size)
     azimuth, height = (float(a) for a in geometry.azimuth_elevation(torch.from_numpy(np.array(told))))
     found = []

@@ -35,7 +35,8 @@ from viewnet.estimator.preprocess import Framing, Shown
 from viewnet.estimator.pretrained import Pretrained
 from viewnet.estimator.viewpoints import Viewpoints
 from viewnet.geometry import look_at, view_vector
-from viewnet.model.rendering import Imagined, Painter
+from viewnet.model.reconstruction import Encoded
+from viewnet.model.rendering import ObjectRenderer
 from viewnet.model.viewnet import Hypotheses
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ BATCH = 256
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class ViewpointEstimator(Pretrained, Painter):
+class ViewpointEstimator(Pretrained, ObjectRenderer):
     """A trained network, ready for images from anywhere.
 
     Answers are in the annotated frame where the network's own was aligned to it on annotated validation views, as a
@@ -135,7 +136,7 @@ class ViewpointEstimator(Pretrained, Painter):
             raise ViewnetError(
                 "volume: the HoloGAN decoder has no volume of colours and occupancy: take another variant"
             )
-        return self._imagine(self._one(image, mask, box)).shape[0].cpu()
+        return self._encode(self._one(image, mask, box)).volume[0].cpu()
 
     def mesh(self, image: ImageLike, mask: Any = None, box: Any = None, level: float = 0.5) -> trimesh.Trimesh:
         """The surface of `volume` where occupancy passes `level`, in the frame of the answers.
@@ -155,9 +156,9 @@ class ViewpointEstimator(Pretrained, Painter):
         """
         drawn = []
         for shown in self._shown(images, masks, boxes):
-            found = self.draw(self._imagine(shown), self._answers(shown), size)
+            found = self.render(self._encode(shown), self._answers(shown), size)
             cut = self.framing.crop != "none" and not shown.cutout.any()
-            drawn.append(self.painted(tight_crop(found, found.shape[-1], margin=0.0) if cut else found))
+            drawn.append(self.displayed(tight_crop(found, found.shape[-1], margin=0.0) if cut else found))
         return np.concatenate(drawn)
 
     def novel_view(
@@ -181,10 +182,10 @@ class ViewpointEstimator(Pretrained, Painter):
             if given.shape not in ((), (1,), (count,)) or not np.isfinite(given).all():
                 raise ViewnetError(f"{name} {values!r}: expected degrees, one number or {count}")
             angles.append(torch.from_numpy(np.broadcast_to(given, (count,)).copy()))
-        frames, drawn, done = self.own(look_at(view_vector(*angles))), [], 0
+        frames, drawn, done = self.in_own_frame(look_at(view_vector(*angles))), [], 0
         for shown in self._shown(images, masks, boxes):
             part = frames[done : done + len(shown.seen)]
-            drawn.append(self.painted(self.draw(self._imagine(shown), part, size)))
+            drawn.append(self.displayed(self.render(self._encode(shown), part, size)))
             done += len(part)
         return np.concatenate(drawn)
 
@@ -210,10 +211,10 @@ class ViewpointEstimator(Pretrained, Painter):
         if path is not None:
             turntable.check(Path(path))
         shown = self._one(image, mask, box)
-        found, answer = self._look(self.network.see(shown.seen)), self._answers(shown)[0]
+        found, answer = self._look(self.network.composite(shown.seen)), self._answers(shown)[0]
         told = self._told(*(_array(values) for values in (found.vectors, found.logits, found.ups)))
-        given = rendering.shown(shown.images)[0]
-        frames = turntable.revolve(self, given, self._imagine(shown), answer, told.vector[0], steps, hold, size)
+        given = rendering.to_uint8(shown.images)[0]
+        frames = turntable.revolve(self, given, self._encode(shown), answer, told.vector[0], steps, hold, size)
         if path is not None:
             turntable.save(frames, Path(path), rate)
         return frames
@@ -264,12 +265,12 @@ class ViewpointEstimator(Pretrained, Painter):
 
     def _answers(self, shown: Shown) -> Tensor:
         """(N, 3, 3) own camera frames of the viewpoints that are selected."""
-        found = self._look(self.network.see(shown.seen))
-        return found.frames[torch.arange(len(found.logits)), found.logits.argmax(1).cpu()].cpu()
+        found = self._look(self.network.composite(shown.seen))
+        return found.world_from_camera[torch.arange(len(found.logits)), found.logits.argmax(1).cpu()].cpu()
 
     @torch.no_grad()
-    def _imagine(self, shown: Shown) -> Imagined:
-        return Imagined(*self.network.imagine(shown.object, behind=shown.behind))
+    def _encode(self, shown: Shown) -> Encoded:
+        return Encoded(*self.network.encode(shown.object, background=shown.behind))
 
     def _told(self, vectors: np.ndarray, logits: np.ndarray, ups: np.ndarray | None) -> Viewpoints:
         """Own hypotheses (N, M, 3) in the frame of the answers."""
@@ -284,7 +285,7 @@ class ViewpointEstimator(Pretrained, Painter):
         """What the encoder takes of the images (n, 3, S, S), batch by batch."""
         if masks is None and boxes is None and (ready := preprocess.ready(images, self.framing)) is not None:
             return preprocess.ready_batches(ready, self.framing, self.device, batch_size)
-        return (self.network.see(shown.seen) for shown in self._shown(images, masks, boxes, batch_size))
+        return (self.network.composite(shown.seen) for shown in self._shown(images, masks, boxes, batch_size))
 
     def _shown(self, images: ImagesLike, masks: Any, boxes: Any, batch_size: int = BATCH) -> Iterator[Shown]:
         """The images as the networks see them, batch by batch."""

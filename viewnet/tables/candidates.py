@@ -3,26 +3,67 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
+import torch
 from matplotlib.figure import Figure
 
+from viewnet.data import augment
+from viewnet.data.pairs import model_views, resize
+from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
-from viewnet.evaluation.predict import candidates
 from viewnet.evaluation.run import Run
+from viewnet.model.checkpoint import load_model
+from viewnet.model.reconstruction import reconstruct
+from viewnet.model.rendering import to_uint8
 from viewnet.tables.plots import STYLE
 from viewnet.tables.run_renderer import Stores, own_views
 
 
+@torch.no_grad()
+def ranked_reconstructions(
+    folder: Path, store: ViewStore, rows: list[int], split: str = "test"
+) -> tuple[np.ndarray, ...]:
+    """Some views of a split, reconstructed by each head and ranked by reconstruction error (figure 3 d).
+
+    Returns the views themselves (N, H, W, 3) uint8, the reconstructions (N, M, H, W, 3) uint8, their errors (N, M)
+    ascending and the heads' numbers (N, M). The appearance comes from the next view of the same object, the background
+    is white. Raises ViewnetError as viewnet.model.checkpoint.load_model does.
+    """
+    network, config = load_model(folder)
+    device, size = network.focal.device, network.config.render_size
+    small = network.config.input_size
+    views = model_views(store, split, max(size, small), network.config)
+    index = torch.tensor(rows)
+    others = views.next_views(index)
+    images, background = views.viewpoint_input(index, small, device), None
+    backgrounds = augment.load(config.data, small, device)
+    if backgrounds is not None:
+        generator = torch.Generator().manual_seed(0)
+        images = augment.photograph(images, backgrounds, config.train.photo, generator)
+        background = augment.windows(backgrounds, len(others), small, generator, device)
+    target = views.images(index, small, device)
+    target = target if size == small else resize(target, size)
+    appearance = views.images(others, small, device)
+    found = reconstruct(network, appearance, target, images, config.train, background=background)
+    cameras = found.hypotheses.world_from_camera.flatten(0, 1)  # (N M, 3, 3)
+    rendered = to_uint8(network.render(found.objects.volume, found.objects.code, cameras))
+    errors, heads = found.choice.errors.sort(1)
+    by_head = rendered.reshape(len(rows), -1, *rendered.shape[1:])  # (N, M, H, W, 3)
+    ranked = by_head[np.arange(len(rows))[:, None], heads.cpu().numpy()]
+    return to_uint8(views.images(index, size, device)), ranked, errors.cpu().numpy(), heads.cpu().numpy()
+
+
 def candidate_figure(
-    runs: Sequence[Run], stores: Stores = own_views, render: Callable[..., Any] = candidates, count: int = 1
+    runs: Sequence[Run], stores: Stores = own_views, render: Callable[..., Any] = ranked_reconstructions, count: int = 1
 ) -> Figure:
     """Figure 3 (d) of trained runs of the same number of heads, `count` test images of each, evenly spaced.
 
-    `stores` gives the views of a run, `render` what `candidates` returns. Raises ViewnetError without runs, for
+    `stores` gives the views of a run, `render` what `ranked_reconstructions` returns. Raises ViewnetError without runs, for
     untrained ones and for images of different sizes.
     """
     parts, labels = [], []

@@ -23,7 +23,7 @@ from viewnet.estimator.demo import analysis, compass_svg
 from viewnet.estimator.demo.analysis import Inspection
 from viewnet.estimator.demo.box_picker import Chosen, box_of, box_text, read
 from viewnet.estimator.demo.examples import Example
-from viewnet.model.rendering import Imagined
+from viewnet.model.reconstruction import Encoded
 
 KEPT = 3600
 """Seconds for which files that visitors sent, and what was made of them, are kept."""
@@ -69,7 +69,7 @@ class Page:
         self.folder = tempfile.TemporaryDirectory(prefix="viewnet-demo-")  # of the examples' files, as long as the page
         title = f"From where is this {estimator.config.category} seen?"
         with gr.Blocks(title=title, analytics_enabled=False, delete_cache=(KEPT, KEPT)) as self.blocks:
-            self.chosen, self.imagined = (gr.State(None, time_to_live=KEPT) for _ in range(2))
+            self.chosen, self.encoded = (gr.State(None, time_to_live=KEPT) for _ in range(2))
             gr.Markdown(f"# {title}")
             with gr.Row():
                 with gr.Column(scale=5, min_width=320):
@@ -143,7 +143,7 @@ class Page:
 
     def _connect(self) -> None:
         question = [self.chosen, self.image, self.box]
-        answer = [self.imagined, self.answer, self.seen, self.posed, self.table]
+        answer = [self.encoded, self.answer, self.seen, self.posed, self.table]
         answer += [self.azimuth, self.elevation, self.view, self.mesh]
         quiet: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
         alone: dict[str, Any] = {"concurrency_id": NETWORK, "concurrency_limit": 1, "api_visibility": "private"}
@@ -157,7 +157,7 @@ class Page:
         self.unbox.click(self.forget_box, self.chosen, question, **quiet)
         self.find.click(*asking, **raw)
         for slider in (self.azimuth, self.elevation):
-            given = [self.imagined, self.azimuth, self.elevation]
+            given = [self.encoded, self.azimuth, self.elevation]
             slider.input(self.turn, given, self.view, trigger_mode="always_last", show_progress="hidden", **alone)
         if self.examples:
             tried = self.samples.select(self.try_example, None, [*question, self.mask], **quiet)
@@ -223,9 +223,9 @@ class Page:
         azimuth, elevation = round(one.azimuth) % 360, round(one.elevation)
         told = answer(found, notes)
         shown = gr.update(value=model, camera_position=_camera(azimuth, elevation, reach))
-        view = self.turn(found.imagined, azimuth, elevation)
+        view = self.turn(found.encoded, azimuth, elevation)
         return [
-            found.imagined,
+            found.encoded,
             told,
             _enlarged(found.seen),
             found.posed,
@@ -236,9 +236,9 @@ class Page:
             shown,
         ]
 
-    def turn(self, imagined: Imagined | None, azimuth: float, elevation: float) -> Any:
+    def turn(self, encoded: Encoded | None, azimuth: float, elevation: float) -> Any:
         """The object from a viewpoint of the visitor's."""
-        return gr.skip() if imagined is None else analysis.novel_view(self.estimator, imagined, azimuth, elevation)
+        return gr.skip() if encoded is None else analysis.novel_view(self.estimator, encoded, azimuth, elevation)
 
 
 def _file_of(sent: dict[str, Any] | None) -> tuple[Path, str] | None:
