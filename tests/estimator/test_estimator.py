@@ -251,14 +251,14 @@ def test_without_alignment_the_frame_is_the_network_s(images):
     with torch.no_grad():
         seen = torch.tensor(images).movedim(-1, 1).float() / 255
         seen[:, :3] *= seen[:, 3:]
-        found = estimator.network.viewpoint(estimator.network.see(seen))
+        found = estimator.network.viewpoint(estimator.network.composite(seen))
     assert np.allclose(said.hypotheses, found.vectors, atol=1e-2)
 
 
 def test_volumes_and_meshes_are_those_of_the_run(store, images):
     renderer = untrained_renderer(store)
     estimator = estimator_of(renderer)
-    volume = renderer.encode([4]).shape[0]
+    volume = renderer.encode([4]).volume[0]
     assert torch.allclose(estimator.volume(images[4]), volume, atol=1e-4)
     expected = volume_mesh.surface(volume, renderer.rotation, 0.3)
     mesh = estimator.mesh(images[4], level=0.3)
@@ -274,7 +274,7 @@ def test_volumes_and_meshes_are_those_of_the_run(store, images):
 def test_reconstructions_are_those_of_the_run(store, images):
     renderer = untrained_renderer(store)
     found = estimator_of(renderer).reconstruct(images, size=24)
-    expected = renderer.painted(renderer.reconstruct(list(range(9)), 24))
+    expected = renderer.displayed(renderer.reconstruct(list(range(9)), 24))
     assert np.abs(found.astype(int) - expected).max() <= 1
 
 
@@ -290,7 +290,7 @@ def test_appearance_is_the_object_s_alone_before_what_is_there():
     mask[10:20, 20:30] = False
     (shown,) = batches(photograph(), mask, None, estimator.framing, estimator.device, 1)
     assert torch.allclose(shown.object[:, 3].mean(), torch.tensor(0.95), atol=0.01)
-    assert torch.allclose(estimator.network.see(shown.object, shown.behind), shown.seen[:, :3], atol=0.005)
+    assert torch.allclose(estimator.network.composite(shown.object, shown.behind), shown.seen[:, :3], atol=0.005)
 
 
 def test_the_view_from_the_predicted_viewpoint_is_the_reconstruction(store, images):

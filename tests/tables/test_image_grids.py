@@ -30,7 +30,7 @@ def test_reconstructions_stand_beside_their_image(runs, store):
     assert [axes.get_title() for axes in figure.axes[:3]] == ["car", "ViewNet", "ViewNet +\ncycle"]
     drawer = run_renderer.RunRenderer.of(runs[1].folder, store)
     assert np.array_equal(shown[1][0], drawer.test_images([6])[0])
-    assert np.array_equal(shown[1][2], rendering.shown(drawer.reconstruct([6]))[0])
+    assert np.array_equal(shown[1][2], rendering.to_uint8(drawer.reconstruct([6]))[0])
     assert inside(figure)
 
 
@@ -84,4 +84,4 @@ def test_figures_are_files(runs, store, tmp_path):
 def test_untrained_drawer_is_what_a_run_gives(store, tmp_path):
     """The two ways in which tests get a renderer agree."""
     one, other = run_renderer.RunRenderer.of(untrained_run(tmp_path / "run").folder, store), untrained_renderer(store)
-    assert np.allclose(rendering.shown(one.reconstruct([0])), rendering.shown(other.reconstruct([0])), atol=2)
+    assert np.allclose(rendering.to_uint8(one.reconstruct([0])), rendering.to_uint8(other.reconstruct([0])), atol=2)

@@ -97,7 +97,7 @@ def test_what_a_variant_does_not_draw_is_not_scored(store):
 def test_consistency_is_how_well_the_drawing_tells_its_viewpoint(store, reads, median):
     drawer = untrained_renderer(store)
 
-    def draw(self, shape, code, frames, size=None):
+    def render(self, volumes, code, frames, size=None):
         """Uniform images whose colour is the view vector."""
         colours = torch.cat([frames[:, :, 2] / 2 + 0.5, torch.ones(len(frames), 1)], 1)
         return colours[:, :, None, None].expand(-1, -1, 16, 16)
@@ -108,7 +108,7 @@ def test_consistency_is_how_well_the_drawing_tells_its_viewpoint(store, reads, m
         # The selected head is used; the other one would be wrong.
         return Hypotheses(torch.stack([wrong, said], 1), torch.tensor([[0.0, 1.0]]).expand(len(images), 2))
 
-    drawer.network.draw = MethodType(draw, drawer.network)
+    drawer.network.render = MethodType(render, drawer.network)
     drawer.network.viewpoint.forward = viewpoint
     errors = novel_view_scores.consistency(drawer)
     assert len(errors) == len(drawer)

@@ -45,7 +45,7 @@ def test_a_run_is_aligned_as_in_the_tables(store, tmp_path):
 def test_frames_are_taken_back_into_the_own_frame(store):
     drawer = untrained_renderer(store, turned(90))
     azimuth, elevation = torch.tensor([120.0]), torch.tensor([20.0])
-    own = drawer.own(look_at(view_vector(azimuth, elevation)))
+    own = drawer.in_own_frame(look_at(view_vector(azimuth, elevation)))
     assert torch.allclose(own, look_at(view_vector(azimuth - 90, elevation)), atol=1e-6)
 
 
@@ -64,20 +64,20 @@ def test_turn_is_what_own_azimuths_lack(store):
 def test_answers_are_the_selected_frames(store):
     drawer = untrained_renderer(store)
     rows = [4, 1]
-    found = drawer.network.viewpoint(drawer.network.see(drawer.images(rows, 32)))
-    frames = found.frames[torch.arange(2), found.logits.argmax(1)]
+    found = drawer.network.viewpoint(drawer.network.composite(drawer.images(rows, 32)))
+    frames = found.world_from_camera[torch.arange(2), found.logits.argmax(1)]
     assert torch.allclose(drawer.predicted_frames(rows), frames, atol=1e-4)
 
 
 def test_larger_drawings_show_the_same(store):
     drawer = untrained_renderer(store)
-    imagined, frames = drawer.encode([0, 3]), drawer.predicted_frames([0, 3])
-    small, large = (drawer.draw(imagined, frames, size) for size in (None, 64))
+    encoded, frames = drawer.encode([0, 3]), drawer.predicted_frames([0, 3])
+    small, large = (drawer.render(encoded, frames, size) for size in (None, 64))
     assert large.shape == (2, 4, 64, 64)
     pair = torch.stack([torch.nn.functional.avg_pool2d(large, 4).flatten(), small.flatten()])
     assert torch.corrcoef(pair)[0, 1] > 0.95
     hologan = untrained_renderer(store, variant="hologan_decoder")
-    assert hologan.draw(hologan.encode([0]), frames[:1], 64).shape == (1, 4, 16, 16)
+    assert hologan.render(hologan.encode([0]), frames[:1], 64).shape == (1, 4, 16, 16)
 
 
 def test_photographs_are_drawn_cut_to_their_object(tmp_path):
@@ -92,8 +92,8 @@ def test_photographs_are_drawn_cut_to_their_object(tmp_path):
 
 def test_shown_is_before_a_wall():
     image = torch.tensor([0.2, 0.0, 0.6, 0.4])[None, :, None, None]
-    assert rendering.shown(image).tolist() == [[[[204, 153, 255]]]]
-    assert rendering.shown(image, 0.0).tolist() == [[[[51, 0, 153]]]]
+    assert rendering.to_uint8(image).tolist() == [[[[204, 153, 255]]]]
+    assert rendering.to_uint8(image, 0.0).tolist() == [[[[51, 0, 153]]]]
 
 
 def test_runs_that_render_nothing_are_refused(store, tmp_path):

@@ -66,7 +66,7 @@ def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
     lines, captions, labels = [], [], []
     for group in groups:
         rows = group.rows[:count]
-        pairs = zip(renderer.test_images(rows), renderer.painted(renderer.reconstruct(rows)), strict=True)
+        pairs = zip(renderer.test_images(rows), renderer.displayed(renderer.reconstruct(rows)), strict=True)
         line: list[np.ndarray | None] = [image for pair in pairs for image in pair]
         caption = [
             f"{kind}\n{round(azimuth[row]) % 360}°, {round(elevation[row])}°"

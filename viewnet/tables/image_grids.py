@@ -46,7 +46,7 @@ def reconstructions(runs: Sequence[Run], stores: Stores = own_views, count: int 
             if renderer.store.identity != group[0].store.identity:
                 one, other = run_name(group[0].config), run_name(renderer.config)
                 raise ViewnetError(f"{one} and {other} have other views: they cannot be shown the same images")
-            columns.append(renderer.painted(renderer.reconstruct(rows)))
+            columns.append(renderer.displayed(renderer.reconstruct(rows)))
             titles.append(_label(renderer, group))
     lines = [[column[i] if i < len(column) else None for column in columns] for i in range(count)]
     return image_grid(lines, columns=titles, gaps=gaps[1:])
@@ -76,7 +76,7 @@ def around(
                 raise ViewnetError(f"object {object_number}: the test split has {len(first)}: choose one from 0 on")
             row = int(first[len(first) // 2 if object_number is None else object_number])
             frames = renderer.level(angles, torch.full_like(angles, elevation))
-            rendered = renderer.painted(renderer.draw(renderer.encode([row]), frames))
+            rendered = renderer.displayed(renderer.render(renderer.encode([row]), frames))
             lines.append([renderer.test_images([row])[0], *rendered])
             labels.append(_label(renderer, all_renderers) + (f"\n{renderer.config.category}" if several else ""))
     titles = ["appearance", *(f"{azimuth:g}°" for azimuth in azimuths)]
@@ -101,7 +101,7 @@ def volumes(
         frames = look_at(view_vector(*(torch.tensor([angle]) for angle in viewpoint))).expand(len(rows), 3, 3)
         size = 2 * renderer.network.config.render_size
         images = renderer.test_images(rows)
-        rendered = renderer.painted(renderer.draw(renderer.encode(rows), renderer.own(frames), size))
+        rendered = renderer.displayed(renderer.render(renderer.encode(rows), renderer.in_own_frame(frames), size))
         for start in range(0, len(rows), columns):
             for part in (images, rendered):
                 line = list(part[start : start + columns])

@@ -62,11 +62,11 @@ def fidelity(renderer: RunRenderer, copy: bool = False) -> pd.DataFrame:
         raise ViewnetError(f"{renderer.store.folder}: photographs have no mask: score novel views on rendered ones")
     if int(views.count.min()) < 2:
         raise ViewnetError(f"{renderer.store.folder}: an object has a single view: render two or more a model")
-    frames = renderer.own(look_at(torch.from_numpy(true_vectors(ids))))
+    frames = renderer.in_own_frame(look_at(torch.from_numpy(true_vectors(ids))))
     parts = []
     for rows in _batches(len(renderer)):
         other = renderer.partners(rows)
-        rendered = renderer.images(other) if copy else renderer.draw(renderer.encode(other), frames[rows])
+        rendered = renderer.images(other) if copy else renderer.render(renderer.encode(other), frames[rows])
         parts.append(compare(rendered, renderer.images(rows)))
     scores = pd.concat([ids[["model_id", "view"]], pd.concat(parts, ignore_index=True)], axis=1)
     if not copy and renderer.hologan:
@@ -108,10 +108,10 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None, seed: i
     truth = view_vector(angles[:, 0], angles[:, 1])
     vectors, up_vectors = [], []
     for rows in _batches(len(renderer)):
-        rendered = renderer.draw(renderer.encode(rows), look_at(truth[rows]))
+        rendered = renderer.render(renderer.encode(rows), look_at(truth[rows]))
         hypotheses = reader.network.viewpoint(_as_input(rendered, renderer, reader))
         heads = hypotheses.logits.argmax(1)
-        vectors.append(hypotheses.pick(heads).double().cpu().numpy())
+        vectors.append(hypotheses.of_heads(heads).double().cpu().numpy())
         if hypotheses.ups is not None:
             up_vectors.append(hypotheses.ups[torch.arange(len(rows)), heads].double().cpu().numpy())
     predicted, true = np.concatenate(vectors), truth.numpy()
@@ -135,7 +135,7 @@ def _as_input(rendered: Tensor, renderer: RunRenderer, reader: RunRenderer) -> T
     images = F.interpolate(rendered, (model.input_size, model.input_size), mode="bilinear")
     if model.crop != "none":
         images = tight_crop(images, model.input_size, model.crop == "stretched")
-    return reader.network.see(images)
+    return reader.network.composite(images)
 
 
 def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -> pd.DataFrame:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from viewnet.config import RunConfig
 from viewnet.data import augment
-from viewnet.data.pairs import Views, tight_crop, viewed
+from viewnet.data.pairs import Views, model_views, tight_crop
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.alignment import Procrustes
@@ -23,7 +23,8 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
 from viewnet.model.checkpoint import load_model
-from viewnet.model.rendering import Imagined, Painter, shown
+from viewnet.model.reconstruction import Encoded
+from viewnet.model.rendering import ObjectRenderer, to_uint8
 from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import read_json
 
@@ -32,7 +33,7 @@ SPLIT = "test"
 
 
 @dataclass(frozen=True)
-class RunRenderer(Painter):
+class RunRenderer(ObjectRenderer):
     """A trained network with the test views of a store, and the rotation from its own frame to the annotated one.
 
     Rows number the test views in the store's order, which is that of `aligned.predictions`.
@@ -81,7 +82,7 @@ class RunRenderer(Painter):
     def views(self) -> Views:
         """The test views, at the larger of the network's input and output sizes."""
         model = self.network.config
-        return viewed(self.store, SPLIT, max(model.input_size, model.render_size), model)
+        return model_views(self.store, SPLIT, max(model.input_size, model.render_size), model)
 
     @cached_property
     def _backgrounds(self) -> Tensor | None:
@@ -96,21 +97,21 @@ class RunRenderer(Painter):
 
     def test_images(self, rows: Sequence[int]) -> np.ndarray:
         """Test views (N, S, S, 3) uint8 on white, of the network's input size."""
-        return shown(self.images(rows, self.network.config.input_size))
+        return to_uint8(self.images(rows, self.network.config.input_size))
 
     def partners(self, rows: Sequence[int]) -> list[int]:
         """The next view of each view's object, or the view itself where there is no other."""
-        partners: list[int] = self.views.partners(torch.as_tensor(rows)).tolist()
+        partners: list[int] = self.views.next_views(torch.as_tensor(rows)).tolist()
         return partners
 
     @torch.no_grad()
-    def encode(self, rows: Sequence[int]) -> Imagined:
+    def encode(self, rows: Sequence[int]) -> Encoded:
         """The objects in test views; on fixed backgrounds where the run was trained with backgrounds."""
-        size, behind = self.network.config.input_size, None
+        size, background = self.network.config.input_size, None
         if self._backgrounds is not None:
             generator = torch.Generator().manual_seed(0)
-            behind = augment.behind(self._backgrounds, len(rows), size, generator, self.device)
-        return Imagined(*self.network.imagine(self.images(rows, size), behind=behind))
+            background = augment.windows(self._backgrounds, len(rows), size, generator, self.device)
+        return Encoded(*self.network.encode(self.images(rows, size), background=background))
 
     def level(self, azimuth: Tensor, elevation: Tensor) -> Tensor:
         """Own camera frames (..., 3, 3), held level, of annotated azimuths (...) and own elevations (...), degrees."""
@@ -127,7 +128,7 @@ class RunRenderer(Painter):
 
         Photographs are cropped to their object, and so are their reconstructions.
         """
-        rendered = self.draw(self.encode(rows), self.predicted_frames(rows), size)
+        rendered = self.render(self.encode(rows), self.predicted_frames(rows), size)
         return tight_crop(rendered, rendered.shape[-1], margin=0.0) if self.views.opaque else rendered
 
 
