@@ -16,7 +16,7 @@ def write(runs: Sequence[Run], folder: Path) -> tuple[list[Path], list[Path]]:
     for renderer in run_renderer.renderers(runs):
         category, ids = renderer.config.category, renderer.aligned.predictions.ids.iloc[0]
         volume = renderer.encode([0])
-        mesh = volume_mesh.surface(volume.shape[0], renderer.rotation)
+        mesh = volume_mesh.surface(volume.volume[0], renderer.rotation)
         meshes.append(volume_mesh.write(mesh, folder / "meshes" / category / f"{ids['model_id']}-{ids['view']}.glb"))
         image, frame = renderer.test_images([0])[0], renderer.predicted_frames([0])[0]
         images = turntable.revolve(renderer, image, volume, frame, renderer.aligned.selected[0])
