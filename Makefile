@@ -77,5 +77,5 @@ lock: ## pin every dependency anew in environment.lock
 	  --python-version 3.11 --generate-hashes --quiet $(UPGRADE) --output-file environment.lock
 
 clean: ## remove the virtual environment and caches; data and runs stay
-	rm -rf "$(VENV)" build .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf "$(VENV)" build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis *.egg-info
 	find viewnet tests notebooks -name __pycache__ -type d -prune -exec rm -rf {} +

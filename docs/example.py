@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-from viewnet.estimator.viewpoint_estimator import ViewpointEstimator
+from viewnet.estimator import ViewpointEstimator
 
 FOLDER = Path(__file__).resolve().parent
 BOX = (129, 108, 341, 200)
