@@ -13,7 +13,6 @@ import pytest
 from helpers.documents import PUBLIC, dotted
 
 SHOWN = {
-    "viewnet.recipes",
     "viewnet.data.catalogue",
     "viewnet.estimator.viewpoint_estimator",
     "viewnet.estimator.viewpoints",
@@ -22,11 +21,11 @@ SHOWN = {
     "viewnet.evaluation.metrics",
     "viewnet.evaluation.predictions",
     "viewnet.evaluation.submitted_predictions",
+    "viewnet.experiments",
     "viewnet.experiments.own_method",
-    "viewnet.experiments.request",
     "viewnet.geometry",
     "viewnet.model.volume",
-    "viewnet.training.run_store",
+    "viewnet.recipes",
 }
 """Modules that a user's own code calls: they have examples."""
 Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef

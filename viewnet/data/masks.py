@@ -241,7 +241,10 @@ def _deeplab(category: str, path: Path, device: torch.device) -> Segmenter:
 
 
 def load_weights(network: nn.Module, path: Path, full: str) -> None:
-    """Give a network the weights of a file; what it has no place for, such as layers for training, is not used."""
+    """Give a network the weights of a file; what it has no place for, such as layers for training, is not used.
+
+    Raises ViewnetError for a file that does not hold them.
+    """
     try:
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
