@@ -107,7 +107,7 @@ def main() -> None:
     parser.add_argument("--times", type=int, default=9)
     parser.add_argument("-o", "--output", type=Path, default=paths.tables() / "benchmarks")
     options = parser.parse_args()
-    rows = cold(options.model, options.picture, options.box, options.times) + batched(options.model, options.times)
+    rows = cold(options.model, options.image, options.box, options.times) + batched(options.model, options.times)
     found = pd.DataFrame(rows).round(2)
     print(found.to_string(index=False))
     options.output.mkdir(parents=True, exist_ok=True)

@@ -29,7 +29,8 @@ def test_the_textbook_renderer_is_the_definition(occupancy):
     weights = torch.randn(6, 4, 9, 9, generator=torch.Generator().manual_seed(0))
     images, gradients = [], []
     for draw in (textbook.render, volume.render_reference):
-        leaves = [x.detach().double().requires_grad_() for x in (shape, contestants.frames(6), torch.tensor(0.3))]
+        inputs = (shape, contestants.camera_frames(6), torch.tensor(0.3))
+        leaves = [x.detach().double().requires_grad_() for x in inputs]
         images.append(draw(*leaves, 9, 13))
         gradients.append(torch.autograd.grad((images[-1] * weights).sum(), leaves))
     assert torch.allclose(*images, atol=1e-10)
@@ -207,8 +208,8 @@ def test_the_time_to_an_accuracy_is_the_seeds_median(monkeypatch):
         found = accuracy.get((config.category, config.seed), [0, 0])
         return pd.DataFrame({"seconds": [10.0, 20.0], "val_accuracy": found})
 
-    monkeypatch.setattr(measure, "_trained", trained)
+    monkeypatch.setattr(measure, "training_log", trained)
     settings = measure.Settings(accuracy=3, quick=True)
-    rows = measure._accuracy(settings, torch.device("cpu"), False)
+    rows = measure.time_to_accuracy(settings, torch.device("cpu"), False)
     times = [(row["viewnet_s"], row["viewnet_low"], row["viewnet_high"]) for row in rows]
     assert times == [(10.0, 10.0, 20.0), (None, None, None), (None, None, None)]  # one of three is not enough

@@ -1,4 +1,4 @@
-"""The two contestants of `viewnet bench`: the package, and the textbook version of the same work, timed in turn.
+"""The two contestants of `viewnet bench`, the package and the textbook version: their work, its time and its memory.
 
 A contestant is a function without arguments that does the work once. Both get the same volumes, weights, images and
 viewpoints; the textbook version is viewnet.bench.textbook.
@@ -14,14 +14,16 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from viewnet.bench import textbook
+from viewnet.bench.roofline import synchronise
 from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.geometry import look_at, view_vector
@@ -39,21 +41,21 @@ FORWARD, BOTH, EXACT, STEP = (
     "training step",
 )
 VIEWS = 3
-"""Images drawn of each volume: one for each head of the paper's viewpoint network."""
+"""Images rendered of each volume: one for each head of the paper's viewpoint network."""
 FOCAL = 0.4
 
 
 @dataclass(frozen=True)
 class Work:
-    """What both contestants do.
+    """The work of both contestants.
 
-    kind        FORWARD; BOTH, as training does it (viewnet.model.volume.render's `sparse`); EXACT, without that; STEP
+    kind        FORWARD; BOTH, as training does it (`sparse` of viewnet.model.volume.render); EXACT, without that; STEP
     occupancy   object: a car-like blob that fills a quarter of the cube, empty elsewhere;
-                dense: every voxel holds a little, and a fifth of the light passes through all of them;
-                initial (STEP only): what networks that have learned nothing say, the Gaussian S included
+                dense: every voxel is a little occupied, and a fifth of the light passes through all of them;
+                initial (STEP only): the output of untrained networks, the Gaussian prior S included
     size        voxels along a side, and pixels of the image
-    batch       volumes a call; target images a call in a STEP
-    profile     STEP only: whose networks
+    batch       volumes per call; target images per call in a STEP
+    profile     STEP only: the profile of the networks
     memory      whether its memory is measured as well
     """
 
@@ -66,118 +68,97 @@ class Work:
 
     @property
     def images(self) -> int:
-        """Images a call."""
+        """Images per call."""
         return self.batch if self.kind == STEP else VIEWS * self.batch
 
 
-# ---- what is drawn
-
-
 def superellipsoid(size: int) -> Tensor:
-    """How far voxels (n, n, n) lie out: 0 in the middle, 1 on the surface of a rounded box along x."""
+    """The distance of voxels (n, n, n) from the centre: 0 in the middle, 1 on the surface of a rounded box along x."""
     axis = (torch.arange(size) * 2 + 1) / size - 1
     z, y, x = torch.meshgrid(axis / 0.57, axis / 0.57, axis / 0.95, indexing="ij")
     return (x**4 + y**4 + z**4) ** 0.25
 
 
 def logits(occupancy: str, size: int, count: int) -> Tensor:
-    """Volumes as viewnet.model.volume.squash takes them, (count, n, n, n, 1, 1, 1, 4), in colours of their own."""
+    """Inputs of viewnet.model.volume.squash, (count, n, n, n, 1, 1, 1, 4), in different colours."""
     generator = torch.Generator().manual_seed(size)
     blocks = torch.randn(count, size, size, size, 1, 1, 1, 4, generator=generator)
     if occupancy == "object":
         blocks[..., 3] = (4 * (1 - superellipsoid(size)))[..., None, None, None]
-    else:  # optical depth 1.5 along an axis; sigmoids give back Q by 2 sigmoid - 1
+    else:  # optical depth 1.5 along an axis; atanh undoes 2 sigmoid - 1
         little = (1.5 / size) * (0.5 + torch.rand(blocks.shape[:-1], generator=generator))
         blocks[..., 3] = 2 * torch.atanh(little.clamp(max=0.9))
     return blocks
 
 
-def frames(count: int) -> Tensor:
+def camera_frames(count: int) -> Tensor:
     """Camera frames (count, 3, 3) all around, elevations from -20 to 40 degrees."""
-    generator = torch.Generator().manual_seed(count)
-    azimuth, elevation = torch.rand(2, count, generator=generator)
+    azimuth, elevation = torch.rand(2, count, generator=torch.Generator().manual_seed(count))
     return look_at(view_vector(360 * azimuth, 60 * elevation - 20))
 
 
 def images(count: int, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Three images (count, 4, size, size) each of blobs in different colours, as training gets them."""
+    """Three images (count, 4, size, size) each of blobs in different colours: appearance, target, viewpoint input."""
     shapes = volume.squash(logits("object", 16, count), None, None)
     with torch.no_grad():
-        drawn = volume.render_reference(shapes, frames(3 * count), torch.tensor(FOCAL), size, 16)
-    appearance, target, seen = drawn.unflatten(0, (count, 3)).unbind(1)
-    return appearance, target, seen
+        rendered = volume.render_reference(shapes, camera_frames(3 * count), torch.tensor(FOCAL), size, 16)
+    appearance, target, inputs = rendered.unflatten(0, (count, 3)).unbind(1)
+    return appearance, target, inputs
 
 
 def step_config(profile: str) -> RunConfig:
-    """The recipe `paper` at the size of a profile, and without random numbers.
+    """The recipe `paper` at the size of a profile, without random numbers.
 
     Pixels are compared instead of VGG16's features, whose weights are not everywhere, and nothing is augmented.
     """
-    return make_config(
-        profile=profile,
-        recipe="paper",
-        perceptual="none",
-        pixel_weight=1.0,
-        augment=False,
-        targets_per_object=1,
-    )
-
-
-# ---- one call
+    changes: dict[str, Any] = {"perceptual": "none", "pixel_weight": 1.0, "augment": False, "targets_per_object": 1}
+    return make_config(profile=profile, recipe="paper", **changes)
 
 
 def prepare(work: Work, contestant: str, device: torch.device) -> Callable[[], None]:
-    """Sets up a contestant; its function does `work` once."""
-    if work.kind == STEP:
-        return _step(work, contestant, device)
-    return _renderer(work, contestant, device)
+    """The function that does `work` once, by the "textbook" version or by "viewnet"."""
+    return (_step if work.kind == STEP else _renderer)(work, contestant == "textbook", device)
 
 
-def _renderer(work: Work, contestant: str, device: torch.device) -> Callable[[], None]:
+def _renderer(work: Work, by_textbook: bool, device: torch.device) -> Callable[[], None]:
     shape = volume.squash(logits(work.occupancy, work.size, work.batch).to(device), None, None)
-    cameras, focal = frames(work.images).to(device), torch.tensor(FOCAL, device=device)
+    cameras, focal = camera_frames(work.images).to(device), torch.tensor(FOCAL, device=device)
     size = work.size
     weights = torch.randn(work.images, 4, size, size, generator=torch.Generator(device).manual_seed(0), device=device)
-    if contestant == "textbook":
-        module, shape = textbook, shape.contiguous()
-
-        def draw(voxels: Tensor, cameras: Tensor, focal: Tensor) -> Tensor:
-            return module.render(voxels, cameras, focal, size, size)
-    else:
-
-        def draw(voxels: Tensor, cameras: Tensor, focal: Tensor) -> Tensor:
-            return volume.render(voxels, cameras, focal, size, sparse=work.kind != EXACT)
+    if by_textbook:
+        shape = shape.contiguous()
 
     def call() -> None:
-        # Leaves of their own each time: what is remembered of the volume drawn last helps no second call.
-        leaves = [x.detach().requires_grad_(work.kind != FORWARD) for x in (shape, cameras, focal)]
-        image = draw(*leaves)
+        # New leaves each time, so that nothing cached of the last volume helps.
+        leaves = (x.detach().requires_grad_(work.kind != FORWARD) for x in (shape, cameras, focal))
+        inputs = next(leaves), next(leaves), next(leaves), size
+        image = textbook.render(*inputs, size) if by_textbook else volume.render(*inputs, sparse=work.kind != EXACT)
         if work.kind != FORWARD:
             image.backward(weights)
 
     return call
 
 
-def _step(work: Work, contestant: str, device: torch.device) -> Callable[[], None]:
+def _step(work: Work, by_textbook: bool, device: torch.device) -> Callable[[], None]:
     config = step_config(work.profile)
     settings = config.train
     torch.manual_seed(0)
     model = ViewNet(config.model)
-    appearance, target, seen = (part.to(device) for part in images(work.batch, config.model.input_size))
-    batch = appearance, target, seen
+    appearance, target, inputs = (part.to(device) for part in images(work.batch, config.model.input_size))
+    batch = appearance, target, inputs
     if work.occupancy == "object":
-        # In the place of S, so that untrained networks have volumes like trained ones'.
+        # In the place of S, so that the volumes of untrained networks are like those of trained ones.
         model.prior = torch.tanh(2 * (1 - superellipsoid(config.model.volume_size)))
-    if contestant == "textbook":
-        module = textbook
-        net = module.TextbookViewNet(config.model)
+    if by_textbook:
+        net = textbook.TextbookViewNet(config.model)
         net.load(model.state_dict())
         net.prior = model.prior
         net.to(device)
-        adam = torch.optim.Adam(net.parameters(), lr=settings.optimiser.learning_rate, betas=settings.optimiser.betas)
+        optimiser = settings.optimiser
+        adam = torch.optim.Adam(net.parameters(), lr=optimiser.learning_rate, betas=optimiser.betas)
 
         def call() -> None:
-            loss = module.step_loss(net, batch, settings)
+            loss = textbook.step_loss(net, batch, settings)
             adam.zero_grad()
             loss.backward()
             adam.step()
@@ -195,66 +176,52 @@ def _step(work: Work, contestant: str, device: torch.device) -> Callable[[], Non
     return call
 
 
-# ---- time
-
-
 def seconds(call: Callable[[], None], device: torch.device, times: int = 1) -> float:
-    """How long a call takes, the mean of `times` in a row."""
-    _synchronise(device)
-    begun = time.perf_counter()
+    """Seconds per call, the mean of `times` in a row."""
+    synchronise(device)
+    start = time.perf_counter()
     for _ in range(times):
         call()
-    _synchronise(device)
-    return (time.perf_counter() - begun) / times
+    synchronise(device)
+    return (time.perf_counter() - start) / times
 
 
 def in_turn(
     calls: dict[str, Callable[[], None]], repeat: int, device: torch.device, least: float
 ) -> dict[str, list[float]]:
-    """Seconds a call, `repeat` measurements of each contestant, A B B A A B ..., each of `least` seconds or more.
+    """Seconds per call, `repeat` measurements of each contestant, A B B A A B ..., each of `least` seconds or more.
 
-    Alternating, so that what else the machine does meets both. Every contestant has an untimed call first.
+    Alternating, so that other load on the machine affects both. Every contestant has an untimed call first.
     """
     times = {}
     for name, call in calls.items():
-        taken = seconds(call, device)
-        if taken < least:  # the first call is no measure of the others
-            taken = seconds(call, device)
-        times[name] = max(1, math.ceil(least / taken))
-    found: dict[str, list[float]] = {name: [] for name in calls}
+        first = seconds(call, device)
+        if first < least:  # the first call includes compilation and caches
+            first = seconds(call, device)
+        times[name] = max(1, math.ceil(least / first))
+    results: dict[str, list[float]] = {name: [] for name in calls}
     order = list(calls)
     for _ in range(repeat):
         for name in order:
-            found[name].append(seconds(calls[name], device, times[name]))
+            results[name].append(seconds(calls[name], device, times[name]))
         order.reverse()
-    return found
-
-
-def _synchronise(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)
-
-
-# ---- memory
+    return results
 
 
 def peak_memory(work: Work, contestant: str, device: torch.device, threads: int) -> int | None:
-    """The most bytes that two calls hold at once beside what was there before, in a process of its own.
+    """Peak bytes of two calls above the level before them, measured in a process of its own.
 
-    On a GPU what PyTorch allocates there, else resident memory. None where the system does not tell. Raises
-    ViewnetError where that process fails or is ended.
+    On a GPU the memory that PyTorch allocates there, else resident memory. None on systems that do not report it.
+    Raises ViewnetError where that process fails or is ended.
     """
-    from multiprocessing import get_context
-
     context = get_context("spawn")
-    ours, theirs = context.Pipe(duplex=False)
-    process: SpawnProcess = context.Process(
-        target=_remember, args=(theirs, work, contestant, str(device), threads), daemon=True
-    )
+    receiver, sender = context.Pipe(duplex=False)
+    arguments = (sender, work, contestant, str(device), threads)
+    process = context.Process(target=_send_peak_memory, args=arguments, daemon=True)
     process.start()
-    theirs.close()
+    sender.close()
     try:
-        answer = ours.recv()
+        answer = receiver.recv()
     except EOFError:
         process.join()
         raise ViewnetError(
@@ -267,33 +234,29 @@ def peak_memory(work: Work, contestant: str, device: torch.device, threads: int)
     return answer
 
 
-def _remember(answer: Connection, work: Work, contestant: str, where: str, threads: int) -> None:
-    """The measuring process."""
+def _send_peak_memory(sender: Connection, work: Work, contestant: str, device_name: str, threads: int) -> None:
+    """The body of the measuring process: sends bytes, None or the text of an error."""
     try:
-        device = torch.device(where)
+        device = torch.device(device_name)
         torch.set_num_threads(threads)
         volume_cpu.warm_up()
         call = prepare(work, contestant, device)
         gc.collect()
-        if device.type == "cuda":
-            before = torch.cuda.memory_allocated(device)
+        gpu = device.type == "cuda"
+        if gpu:
             torch.cuda.reset_peak_memory_stats(device)
-            call()
-            call()
-            torch.cuda.synchronize(device)
-            answer.send(torch.cuda.max_memory_allocated(device) - before)
-            return
-        level = _settled()
+        before = torch.cuda.memory_allocated(device) if gpu else _reset_peak()
         call()
         call()
-        peak = _status("VmHWM")
-        answer.send(None if level is None or peak is None else max(0, peak - level))
+        synchronise(device)
+        peak = torch.cuda.max_memory_allocated(device) if gpu else _status("VmHWM")
+        sender.send(None if before is None or peak is None else max(0, peak - before))
     except Exception as error:
-        answer.send(f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}")
+        sender.send(f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}")
 
 
-def _settled() -> int | None:
-    """Resident bytes once what set-up freed is given back and its high-water mark is forgotten; None if not told."""
+def _reset_peak() -> int | None:
+    """Resident bytes once freed memory is given back and the peak is reset; None where the system cannot."""
     if sys.platform != "linux":
         return None
     with contextlib.suppress(AttributeError, OSError):  # another C library gives back by itself, or never
@@ -306,7 +269,8 @@ def _settled() -> int | None:
 
 
 def _status(name: str) -> int | None:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(f"{name}:"):
-            return 1024 * int(line.split()[1])
-    return None
+    """Bytes of an entry of /proc/self/status."""
+    if sys.platform != "linux":
+        return None
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next((1024 * int(line.split()[1]) for line in lines if line.startswith(f"{name}:")), None)

@@ -1,7 +1,7 @@
 """`viewnet bench`: renderer and training step against the textbook version of the same work, in one run.
 
-The two do the work in turn on one machine, so that only their ratio is claimed; `benchmarks/README.md` says what is
-compared and how to read it.
+The two take turns on one machine, so that only their ratio is claimed; `benchmarks/README.md` says what is compared and
+how to read it.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import datetime
 import math
 import statistics
 import tempfile
-from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ import torch
 
 from viewnet.bench import contestants, textbook
 from viewnet.bench.contestants import BOTH, EXACT, FORWARD, STEP, VIEWS, Work
-from viewnet.bench.roofline import Need, Rates, drawing_need, lit_samples, step_need
+from viewnet.bench.roofline import Need, Rates, lit_samples, render_need, step_need
 from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.model import volume
@@ -32,9 +31,10 @@ from viewnet.runtime.progress import bar
 from viewnet.tables.benchmark import CONTESTANTS
 
 SCHEMA = 1
-SIZES = (32, 64, 128)
-QUICK_SIZES = (8, 16)
+SIZES, QUICK_SIZES = (32, 64, 128), (8, 16)
 BATCH, BATCH_GPU, BATCH_QUICK = 16, 64, 4
+OCCUPANCIES = ("object", "initial")
+"""Of training steps, see Work."""
 GOALS = (("car", 80), ("car", 90), ("aeroplane", 80))
 """Category of built-in models, and accuracy on validation views in per cent."""
 COLUMNS = (
@@ -45,21 +45,21 @@ COLUMNS = (
     "growth_expected", "textbook_growth", "viewnet_growth", "textbook_memory_growth", "viewnet_memory_growth",
     "floor_s", "textbook_over_floor", "viewnet_over_floor",
 )  # fmt: skip
-"""Of a row. Seconds are of one call, the median with the least and the most; empty where nothing was measured."""
+"""The columns of a row. Seconds are per call: median, least and most; None where nothing was measured."""
 
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is measured. Raises ViewnetError for what cannot be.
+    """The settings of a measurement. Raises ViewnetError for a value out of range.
 
     sizes       voxels along a side, and pixels of the image, of the renderer's rows
-    batch       target images of a training step; the renderer's rows draw a quarter as many volumes, two at least
+    batch       target images of a training step; the renderer's rows have a quarter as many volumes, two at least
     repeat      measurements of each contestant
     quick       everything small: a check that it works, and no measurement
-    threads     of the processor
-    accuracy    seeds from which the recipe `matting` is trained on built-in models, for the time it takes to learn
+    threads     CPU threads
+    accuracy    seeds from which the recipe `matting` is trained on built-in models, for the time to an accuracy
     """
 
     sizes: tuple[int, ...] = SIZES
@@ -84,77 +84,65 @@ class Settings:
 
     @classmethod
     def default(cls, **given: Any) -> Settings:
-        """With what is None, or not given, by the machine."""
+        """With the machine's defaults for values that are None or not given."""
         quick = given.get("quick", False)
-        gpu = torch.cuda.is_available()
-        usual: dict[str, Any] = {
+        defaults: dict[str, Any] = {
             "sizes": QUICK_SIZES if quick else SIZES,
-            "batch": BATCH_QUICK if quick else BATCH_GPU if gpu else BATCH,
+            "batch": BATCH_QUICK if quick else BATCH_GPU if torch.cuda.is_available() else BATCH,
             "repeat": 2 if quick else 5,
             "threads": cores(),
         }
-        return cls(**usual | {name: value for name, value in given.items() if value is not None})
+        return cls(**defaults | {name: value for name, value in given.items() if value is not None})
 
     @property
     def volumes(self) -> int:
-        """How many volumes the renderer's rows draw."""
+        """Volumes in the renderer's rows."""
         return max(2, self.batch // 4)
 
     def works(self) -> list[Work]:
         """In the order of the table."""
-        volumes = self.volumes
-        found = [Work(FORWARD, "object", size, volumes) for size in self.sizes]
-        found += [Work(BOTH, "object", size, volumes, memory=not self.quick) for size in self.sizes]
-        found += [Work(kind, "dense", size, volumes) for kind in (FORWARD, BOTH) for size in self.sizes]
-        found += [Work(EXACT, "object", size, volumes) for size in self.sizes]
+        works = []
+        for kinds, occupancy in (((FORWARD, BOTH), "object"), ((FORWARD, BOTH), "dense"), ((EXACT,), "object")):
+            for kind in kinds:
+                memory = kind == BOTH and occupancy == "object" and not self.quick
+                works += [Work(kind, occupancy, size, self.volumes, memory=memory) for size in self.sizes]
         for profile in ("smoke",) if self.quick else ("tiny", "paper"):
             size = contestants.step_config(profile).model.volume_size
-            found += [Work(STEP, kind, size, self.batch, profile, memory=kind == "object") for kind in OCCUPANCIES]
-        return found
-
-
-OCCUPANCIES = ("object", "initial")
+            works += [Work(STEP, kind, size, self.batch, profile, memory=kind == "object") for kind in OCCUPANCIES]
+        return works
 
 
 def measure(settings: Settings, progress: bool = True) -> dict[str, Any]:
-    """Everything, as `bench.json` has it: settings, machine, and rows as COLUMNS."""
+    """Everything, as `bench.json` has it: settings, machine, and rows with the columns COLUMNS."""
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    before, started = torch.get_num_threads(), datetime.datetime.now(datetime.UTC)
+    threads_before, started = torch.get_num_threads(), datetime.datetime.now(datetime.UTC)
     torch.set_num_threads(settings.threads)
     works = settings.works()
-    shown = bar(progress, total=len(works) + 1 + bool(settings.accuracy), unit="row")
+    steps = bar(progress, total=len(works) + 1 + bool(settings.accuracy), unit="row")
     try:
         volume_cpu.warm_up()
         rates = Rates.measure(device, settings.quick)
-        shown.update()
+        steps.update()
         rows = []
         for work in works:
-            shown.set_description(f"{work.kind}, {work.occupancy}, {work.size}")
+            steps.set_description(f"{work.kind}, {work.occupancy}, {work.size}")
             rows.append(_row(work, settings, rates, device))
-            shown.update()
-        if device.type == "cpu":
-            rows += [_named(work.kind, work.occupancy, work.size, "cuda", work.profile) for work in _on_gpu(works)]
+            steps.update()
+        if device.type == "cpu":  # a GPU's rows, named and empty
+            rows += [_empty(w.kind, w.occupancy, w.size, "cuda", w.profile) for w in works if w.memory]
         if settings.accuracy:
-            shown.set_description("training to accuracy")
-        rows += _accuracy(settings, device, progress)
-        shown.update(bool(settings.accuracy))
+            steps.set_description("training to accuracy")
+        rows += time_to_accuracy(settings, device, progress)
+        steps.update(bool(settings.accuracy))
     finally:
-        shown.close()
-        torch.set_num_threads(before)
+        steps.close()
+        torch.set_num_threads(threads_before)
+    about = {name: value for name, value in asdict(settings).items() if name != "accuracy"}
+    about |= {"sizes": list(settings.sizes), "volumes": settings.volumes, "views": VIEWS}
     return {
         "schema": SCHEMA,
         "started": started.isoformat(timespec="seconds"),
-        "settings": {
-            "sizes": list(settings.sizes),
-            "batch": settings.batch,
-            "volumes": settings.volumes,
-            "views": VIEWS,
-            "repeat": settings.repeat,
-            "quick": settings.quick,
-            "threads": settings.threads,
-            "device": device.type,
-            "perceptual": "none",
-        },
+        "settings": about | {"device": device.type, "perceptual": "none"},
         "hardware": provenance.hardware(settings.threads),
         "rates": {
             "float32_multiply_adds_per_s": rates.float32,
@@ -167,28 +155,23 @@ def measure(settings: Settings, progress: bool = True) -> dict[str, Any]:
     }
 
 
-def _on_gpu(works: Iterable[Work]) -> list[Work]:
-    """What would be measured first on a GPU: told to be missing where there is none."""
-    return [work for work in works if work.memory]
-
-
-def _named(kind: str, occupancy: str, size: int | None, device: str, profile: str = "") -> Row:
+def _empty(kind: str, occupancy: str, size: int | None, device: str, profile: str = "") -> Row:
     """A row with nothing measured yet."""
-    named = {"work": f"{kind}, {profile}" if profile else kind, "volume": occupancy, "size": size, "device": device}
-    return dict.fromkeys(COLUMNS) | named
+    name = f"{kind}, {profile}" if profile else kind
+    return dict.fromkeys(COLUMNS) | {"work": name, "volume": occupancy, "size": size, "device": device}
 
 
 def _row(work: Work, settings: Settings, rates: Rates, device: torch.device) -> Row:
-    row = _named(work.kind, work.occupancy, work.size, device.type, work.profile)
+    row = _empty(work.kind, work.occupancy, work.size, device.type, work.profile)
     calls = {name: contestants.prepare(work, name, device) for name in CONTESTANTS}
-    found = contestants.in_turn(calls, settings.repeat, device, 0.0 if settings.quick else 0.2)
+    times = contestants.in_turn(calls, settings.repeat, device, 0.0 if settings.quick else 0.2)
     del calls
-    for name, times in found.items():
-        row |= dict(zip((f"{name}_s", f"{name}_low", f"{name}_high"), _spread(times), strict=True))
+    for name in CONTESTANTS:
+        row |= _spread(name, "_s", times[name])
         row[f"{name}_images_per_s"] = work.images / row[f"{name}_s"]
     # Measurements of one round are neighbours in time: what slows one down is likely to slow the other.
-    pairs = [slow / fast for slow, fast in zip(found["textbook"], found["viewnet"], strict=True)]
-    row |= dict(zip(("speedup", "speedup_low", "speedup_high"), _spread(pairs), strict=True))
+    pairs = [slow / fast for slow, fast in zip(times["textbook"], times["viewnet"], strict=True)]
+    row |= _spread("speedup", "", pairs)
     if work.memory:
         for name in CONTESTANTS:
             row[f"{name}_bytes"] = contestants.peak_memory(work, name, device, settings.threads)
@@ -199,30 +182,28 @@ def _row(work: Work, settings: Settings, rates: Rates, device: torch.device) -> 
 
 
 def need(work: Work, device: torch.device) -> Need:
-    """What a work cannot do without: layers, and ray samples where there is something that light reaches.
+    """The least amount of a work: layers, and ray samples that are not empty and that light reaches.
 
-    A training step draws each head's image forward and the best one's backward.
+    A training step renders each head's image forward and the best one's backward.
     """
-    module, size = textbook, work.size
+    size = work.size
     occupancy = "dense" if work.occupancy == "initial" else work.occupancy
-    shape = volume.squash(contestants.logits(occupancy, size, 1).to(device), None, None)
-    cameras = contestants.frames(VIEWS).to(device)
+    shape = volume.squash(contestants.logits(occupancy, size, 1).to(device), None, None).expand(VIEWS, -1, -1, -1, -1)
+    cameras, focal = contestants.camera_frames(VIEWS).to(device), torch.tensor(contestants.FOCAL, device=device)
     with torch.no_grad():
-        shapes = shape.expand(VIEWS, -1, -1, -1, -1)
-        rotated = module.rotate(shapes, cameras, torch.tensor(contestants.FOCAL, device=device), size, size)
-    samples = lit_samples(rotated) / VIEWS
+        samples = lit_samples(textbook.rotate(shape, cameras, focal, size, size)) / VIEWS
+
+    def rendering(images: int, backward: bool) -> Need:
+        return render_need(samples * images, work.batch * size**3, images * size**2, backward)
+
     if work.kind != STEP:
-        backward = work.kind != FORWARD
-        return drawing_need(samples * work.images, work.batch * size**3, work.images * size**2, backward)
+        return rendering(work.images, work.kind != FORWARD)
     config = contestants.step_config(work.profile).model
-    heads = config.heads * work.batch
-    drawing = drawing_need(samples * heads, work.batch * size**3, heads * size**2, False)
-    again = drawing_need(samples * work.batch, work.batch * size**3, work.batch * size**2, True)
-    return step_need(module, config, work.batch) + drawing + again
+    return step_need(config, work.batch) + rendering(config.heads * work.batch, False) + rendering(work.batch, True)
 
 
 def _with_growth(rows: list[Row]) -> list[Row]:
-    """Rows of the renderer with how much more each is than the one before it, of the next smaller size."""
+    """Rows with their growth over the row of the next smaller size."""
     before: dict[tuple[str, str, str], Row] = {}
     for row in rows:
         key = (row["work"], row["volume"], row["device"])
@@ -236,22 +217,24 @@ def _with_growth(rows: list[Row]) -> list[Row]:
     return rows
 
 
-def _accuracy(settings: Settings, device: torch.device, progress: bool) -> list[Row]:
-    """A row for each of GOALS: seconds of training, validation after every epoch included; the textbook has none.
+def time_to_accuracy(settings: Settings, device: torch.device, progress: bool) -> list[Row]:
+    """A row for each of GOALS: seconds of the package's training, validation after every epoch included.
 
-    The median over the seeds, where more than half of them came so far, and the least and the most of those that did.
+    The median over the seeds, where more than half of them reached the accuracy, and least and most of those that did.
     """
-    rows = [_named(f"time to {level} % of validation views", category, None, device.type) for category, level in GOALS]
-    if not settings.accuracy:
-        return rows
     profile = "smoke" if settings.quick else "tiny"
     logs: dict[str, list[pd.DataFrame]] = {}
-    for (category, level), row in zip(GOALS, rows, strict=True):
+    rows = []
+    for category, level in GOALS:
+        row = _empty(f"time to {level} % of validation views", category, None, device.type)
+        rows.append(row)
         configs = [
             make_config("viewnet", category, profile, "matting", s, validate_every=1) for s in range(settings.accuracy)
         ]
+        if not configs:
+            continue
         if category not in logs:
-            logs[category] = [_trained(config, settings.threads, progress) for config in configs]
+            logs[category] = [training_log(config, settings.threads, progress) for config in configs]
         times = [seconds for log in logs[category] if (seconds := first_reached(log, level)) is not None]
         row["size"] = configs[0].model.volume_size
         if 2 * len(times) > len(configs):
@@ -260,8 +243,8 @@ def _accuracy(settings: Settings, device: torch.device, progress: bool) -> list[
     return rows
 
 
-def _trained(config: RunConfig, threads: int, progress: bool) -> pd.DataFrame:
-    """The log of a training that is not kept."""
+def training_log(config: RunConfig, threads: int, progress: bool) -> pd.DataFrame:
+    """The log of a training that is thrown away."""
     from viewnet.data.build import view_store
     from viewnet.training.train import train
 
@@ -272,13 +255,13 @@ def _trained(config: RunConfig, threads: int, progress: bool) -> pd.DataFrame:
 
 
 def first_reached(log: pd.DataFrame, level: float) -> float | None:
-    """Seconds of a training's log when validation accuracy was first `level` percent or more, or None."""
+    """Seconds of a training's log when validation accuracy was first `level` per cent or more, or None."""
     reached = log.loc[log["val_accuracy"] >= level, "seconds"]
     return float(reached.iloc[0]) if len(reached) else None
 
 
-def _spread(values: list[float]) -> tuple[float, float, float]:
-    return statistics.median(values), min(values), max(values)
+def _spread(name: str, unit: str, values: list[float]) -> Row:
+    return {f"{name}{unit}": statistics.median(values), f"{name}_low": min(values), f"{name}_high": max(values)}
 
 
 def _ratio(above: float | None, below: float | None) -> float | None:

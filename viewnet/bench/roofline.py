@@ -1,28 +1,29 @@
-"""What a machine could do at best: arithmetic counted from shapes, over measured rates of multiplying and copying."""
+"""The least time a machine needs: arithmetic counted from shapes, over measured rates of multiplying and copying."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
+from viewnet.bench.textbook import TextbookViewNet
 from viewnet.config import ModelConfig
 
 SAMPLE = 36
 """Multiply-adds at a point of a ray: eight corners of four values, and four sums. Backward takes twice as many."""
 OPAQUE = 1e-5
-"""With less light left a ray has stopped."""
-TAKEN = (nn.modules.conv._ConvNd, nn.Linear)
+"""A ray ends when less light than this is left."""
+COUNTED = (nn.modules.conv._ConvNd, nn.Linear)
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Multiply-adds a second in float32 and in bfloat16 matrix products, bytes a second read and written in copying."""
+    """Multiply-adds per second in float32 and bfloat16 matrix products; bytes per second read and written by copies."""
 
     float32: float
     bfloat16: float
@@ -30,7 +31,7 @@ class Rates:
 
     @classmethod
     def measure(cls, device: torch.device, quick: bool = False) -> Rates:
-        """The best of some tries. bfloat16 is far slower than float32 where processors do not have it."""
+        """The best of several tries. bfloat16 is far slower than float32 on CPUs without it."""
         side = 256 if quick else 8192 if device.type == "cuda" else 2048
         full, half = (_product(side, kind, device) for kind in (torch.float32, torch.bfloat16))
         source = torch.ones((4 if quick else 64) * 2**20, device=device)
@@ -45,20 +46,27 @@ def _product(side: int, kind: torch.dtype, device: torch.device) -> float:
 
 
 def _best(call: Callable[[], Any], device: torch.device, tries: int = 5) -> float:
-    """The least seconds of some calls."""
-    found = []
-    for _ in range(tries + 1):
-        begun = time.perf_counter()
+    """The least seconds of several calls, after one that is not timed."""
+    call()
+    times = []
+    for _ in range(tries):
+        synchronise(device)
+        start = time.perf_counter()
         call()
-        if device.type == "cuda":
-            torch.cuda.synchronize(device)
-        found.append(time.perf_counter() - begun)
-    return min(found[1:])
+        synchronise(device)
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def synchronise(device: torch.device) -> None:
+    """Wait for a GPU to finish."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
 
 
 @dataclass(frozen=True)
 class Need:
-    """What cannot be done without: multiply-adds of layers and of ray samples, numbers moved from and to memory."""
+    """The least amount of work: multiply-adds of layers and of ray samples, numbers moved from and to memory."""
 
     products: float = 0.0
     samples: float = 0.0
@@ -66,12 +74,7 @@ class Need:
     values: float = 0.0  # in float32
 
     def __add__(self, other: Need) -> Need:
-        return Need(
-            self.products + other.products,
-            self.samples + other.samples,
-            self.layer_values + other.layer_values,
-            self.values + other.values,
-        )
+        return Need(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     def seconds(self, rates: Rates) -> float:
         """At a machine's rates, layers in the faster precision: arithmetic or memory, whichever takes longer."""
@@ -96,7 +99,7 @@ def network_need(networks: nn.Module, run: Callable[[], Tensor], parameters: int
         nonlocal moved
         moved += inputs[0].numel() + output.numel()
 
-    hooks = [module.register_forward_hook(count) for module in networks.modules() if isinstance(module, TAKEN)]
+    hooks = [module.register_forward_hook(count) for module in networks.modules() if isinstance(module, COUNTED)]
     with FlopCounterMode(display=False) as counter:
         run().backward()
     for hook in hooks:
@@ -104,29 +107,28 @@ def network_need(networks: nn.Module, run: Callable[[], Tensor], parameters: int
     return Need(scale * counter.get_total_flops() / 2, 0.0, 3 * scale * moved, 8.0 * parameters)
 
 
-def step_need(module: Any, config: ModelConfig, batch: int) -> Need:
-    """The networks' part of a training step with `batch` targets; `module` is benchmarks/textbook.py."""
+def step_need(config: ModelConfig, batch: int) -> Need:
+    """The networks' part of a training step with `batch` targets."""
     with torch.device("meta"):
-        net = module.TextbookViewNet(config)
-        seen = torch.zeros(2, 3, config.input_size, config.input_size)
+        net = TextbookViewNet(config)
+        images = torch.zeros(2, 3, config.input_size, config.input_size)
 
     def run() -> Tensor:
-        vectors, logits = net.viewpoints(seen)
-        return net.generate(seen).sum() + vectors.sum() + logits.sum()
+        vectors, logits = net.viewpoints(images)
+        return net.generate(images).sum() + vectors.sum() + logits.sum()
 
-    count = sum(weight.numel() for weight in net.parameters())
-    return network_need(net, run, count, batch / 2)
+    return network_need(net, run, sum(weight.numel() for weight in net.parameters()), batch / 2)
 
 
-def drawing_need(samples: float, voxels: int, pixels: int, backward: bool) -> Need:
-    """Drawing with so many ray samples: volumes are read once and images written; backward, gradients as well."""
+def render_need(samples: float, voxels: int, pixels: int, backward: bool) -> Need:
+    """Rendering with so many ray samples: volumes are read once and images written; backward, gradients as well."""
     values = 4 * (voxels + pixels)
     return Need(samples=(3 if backward else 1) * SAMPLE * samples, values=values + (values + 4 * voxels) * backward)
 
 
 @torch.no_grad()
 def lit_samples(rotated: Tensor) -> float:
-    """How many points of volumes (N, 4, D, H, W), nearest slice first, hold something and are reached by light."""
+    """The number of points of volumes (N, 4, D, H, W), nearest slice first, that are occupied and lit."""
     occupancy = rotated[:, 3]
     light = torch.cumprod(1 - occupancy, 1)
     before = torch.cat([torch.ones_like(light[:, :1]), light[:, :-1]], 1)

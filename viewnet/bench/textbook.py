@@ -1,38 +1,44 @@
-"""ViewNet's training step as a careful reader would write it from the paper: the yardstick of `viewnet bench`.
+"""ViewNet's training step as one would write it from the paper: the reference contestant of `viewnet bench`.
 
 Plain PyTorch in float32 and the default memory layout, nothing compiled by hand and nothing left out: every head's
-volume is rotated whole and drawn with gradients, and the loss takes the head that explains the target best. It computes
-what the package computes (tests/test_bench.py holds the two against each other), and has the same names of weights.
+volume is resampled whole and rendered with gradients, and the loss takes the head that explains the target best. It
+computes what the package computes (tests/bench/test_textbook.py compares the two) with the same names of weights.
 """
 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from viewnet.config import ModelConfig, TrainConfig
+from viewnet.model.losses import PerceptualLoss
 
-def rotate(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
-    """Volumes (N, 4, Z, Y, X) as cameras (N, 3, 3) see them: (N, 4, steps, size, size), the nearest slice first.
+Padding = Literal["zeros", "replicate"]
 
-    Rotation and perspective of section 3.3 by one spatial transformer, since resampling twice would blur.
+
+def rotate(volume: Tensor, world_from_camera: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
+    """Volumes (N, 4, Z, Y, X) resampled along the rays of cameras (N, 3, 3): (N, 4, steps, size, size), nearest first.
+
+    Rotation and perspective of section 3.3 in one spatial transformer, since resampling twice would blur.
     """
-    # Rows go down and slices away from the camera.
-    theta = frames.new_tensor([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0]]).expand(len(frames), -1, -1)
-    grid = F.affine_grid(theta, [len(frames), 4, steps, size, size], align_corners=False)
-    depth = grid[..., 2:]
+    # Image rows go down and slices away from the camera.
+    theta = world_from_camera.new_tensor([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0]])
+    count = len(world_from_camera)
+    grid = F.affine_grid(theta.expand(count, -1, -1), [count, 4, steps, size, size], align_corners=False)
+    depth = grid[..., 2:]  # (N, steps, size, size, 1)
     grid = torch.cat([grid[..., :2] * (1 - focal * depth), depth], -1)
-    grid = (grid.flatten(1, 3) @ frames.transpose(1, 2)).view_as(grid)
+    grid = (grid.flatten(1, 3) @ world_from_camera.transpose(1, 2)).view_as(grid)  # (N, steps, size, size, 3)
     return F.grid_sample(volume, grid, align_corners=False)
 
 
-def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
+def render(volume: Tensor, world_from_camera: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
     """Images (N, 4, size, size), RGB times mask and mask, of volumes (B, 4, Z, Y, X), each from N / B viewpoints."""
-    volume = volume.repeat_interleave(len(frames) // len(volume), dim=0)
-    rotated = rotate(volume, frames, focal, size, steps)
+    volume = volume.repeat_interleave(len(world_from_camera) // len(volume), dim=0)  # (N, 4, Z, Y, X)
+    rotated = rotate(volume, world_from_camera, focal, size, steps)
     light = torch.ones_like(rotated[:, :1, 0])
     colour, mask = torch.zeros_like(rotated[:, :3, 0]), torch.zeros_like(light)
     for layer in rotated.unbind(2):
@@ -43,7 +49,7 @@ def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int)
     return torch.cat([colour, mask], 1)
 
 
-def encoder(channels: tuple[int, ...], outputs: int, size: int, padding: str) -> nn.Sequential:
+def encoder(channels: tuple[int, ...], outputs: int, size: int, padding: Padding) -> nn.Sequential:
     """The supplement's encoder: images (N, 3, size, size) -> (N, outputs)."""
     layers: list[nn.Module] = []
     before, side = 3, size
@@ -61,19 +67,19 @@ def encoder(channels: tuple[int, ...], outputs: int, size: int, padding: str) ->
 class AdaIN(nn.Module):
     """Instance normalisation, scaled and shifted by the appearance."""
 
-    def __init__(self, channels: int, appearance: int):
+    def __init__(self, channels: int, appearance: int) -> None:
         super().__init__()
         self.affine = nn.Linear(appearance, 2 * channels)
 
     def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
-        scale, shift = self.affine(appearance)[:, :, None, None, None].chunk(2, dim=1)
+        scale, shift = self.affine(appearance)[:, :, None, None, None].chunk(2, dim=1)  # (N, C, 1, 1, 1) each
         return F.instance_norm(x) * scale + shift
 
 
 class Stage(nn.Module):
     """A row of the supplement's generator table."""
 
-    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, padding: int, appearance: int):
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, padding: int, appearance: int) -> None:
         super().__init__()
         self.convolution = nn.ConvTranspose3d(inputs, outputs, kernel, stride, padding, bias=False)
         self.norm = AdaIN(outputs, appearance)
@@ -85,7 +91,9 @@ class Stage(nn.Module):
 class Generator(nn.Module):
     """Appearance (N, A) -> logits of the volume (N, 4, n, n, n)."""
 
-    def __init__(self, config: Any):
+    code: Tensor
+
+    def __init__(self, config: ModelConfig) -> None:
         super().__init__()
         code, width = config.code_size, config.appearance_size
         self.register_buffer("code", torch.randn(1, code, 1, 1, 1))
@@ -103,13 +111,16 @@ class Generator(nn.Module):
         x = self.code.expand(len(appearance), -1, -1, -1, -1)
         for stage in self.stages:
             x = stage(x, appearance)
-        return self.last(x)
+        logits: Tensor = self.last(x)
+        return logits
 
 
 class TextbookViewNet(nn.Module):
-    """The three networks of a viewnet.config.ModelConfig of the recipe `paper`; `load` takes viewnet's weights."""
+    """The three networks of a configuration of the recipe `paper`; `load` takes the package's weights."""
 
-    def __init__(self, config: Any):
+    prior: Tensor
+
+    def __init__(self, config: ModelConfig) -> None:
         super().__init__()
         self.config = config
         sizes = (config.input_size, config.encoder_padding)
@@ -128,16 +139,18 @@ class TextbookViewNet(nn.Module):
     def generate(self, images: Tensor) -> Tensor:
         """Volumes (N, 4, n, n, n) of the objects in images (N, 3, S, S)."""
         values = torch.sigmoid(self.decoder(self.appearance(images)))
-        return torch.cat([values[:, :3], Clamp.apply(2 * values[:, 3:] - 1 + self.prior)], 1)
+        occupancy: Tensor = Clamp.apply(2 * values[:, 3:] - 1 + self.prior)
+        return torch.cat([values[:, :3], occupancy], 1)
 
     def viewpoints(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """View vectors (N, M, 3) and selection logits (N, M)."""
-        out = self.viewpoint["encoder"](images)
-        return F.normalize(out[:, self.config.heads :].unflatten(1, (-1, 3)), dim=-1), out[:, : self.config.heads]
+        out = self.viewpoint["encoder"](images)  # (N, 4 M)
+        heads = self.config.heads
+        return F.normalize(out[:, heads:].unflatten(1, (-1, 3)), dim=-1), out[:, :heads]
 
 
 class Clamp(torch.autograd.Function):
-    """To [0, 1]; what is outside still takes the gradient that pulls it back in, as in the package."""
+    """To [0, 1]; values outside still take the gradient that pulls them back in, as in the package."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor) -> Tensor:
@@ -151,7 +164,7 @@ class Clamp(torch.autograd.Function):
 
 
 def camera_frames(vectors: Tensor) -> Tensor:
-    """Section 3.1: camera frames (..., 3, 3), columns right, up, back, of view vectors (..., 3)."""
+    """Section 3.1: world_from_camera (..., 3, 3), columns right, up, back, of view vectors (..., 3)."""
     up = vectors.new_tensor([0.0, 0.0, 1.0]).expand_as(vectors)
     right = F.normalize(torch.linalg.cross(up, vectors), dim=-1)
     return torch.stack([right, torch.linalg.cross(vectors, right), vectors], -1)
@@ -159,35 +172,37 @@ def camera_frames(vectors: Tensor) -> Tensor:
 
 def pixel_loss(image: Tensor, target: Tensor) -> Tensor:
     """L1 + MSE / 2 at the images' own and half their resolution, averaged."""
-    halves = F.avg_pool2d(image, 2), F.avg_pool2d(target, 2)
-    return sum(F.l1_loss(a, b) + 0.5 * F.mse_loss(a, b) for a, b in ((image, target), halves)) / 2
+    loss = image.new_zeros(())
+    for a, b in ((image, target), (F.avg_pool2d(image, 2), F.avg_pool2d(target, 2))):
+        loss = loss + F.l1_loss(a, b) + 0.5 * F.mse_loss(a, b)
+    return loss / 2
 
 
 def step_loss(
-    model: TextbookViewNet, batch: tuple[Tensor, Tensor, Tensor], config: Any, perceptual: Any = None
+    model: TextbookViewNet,
+    batch: tuple[Tensor, Tensor, Tensor],
+    config: TrainConfig,
+    perceptual: PerceptualLoss | None = None,
 ) -> Tensor:
-    """The loss of appearance views, targets and what the viewpoint network sees of these, (N, 4, S, S) each.
-
-    Over black, as printed; `config` is a viewnet.config.TrainConfig and `perceptual` a viewnet.model.losses.PerceptualLoss.
-    """
-    appearance, target, seen = batch
+    """The loss of appearance views, targets and the viewpoint network's inputs, (N, 4, S, S) each, on black."""
+    appearance, target, inputs = batch
     size, heads = model.config.render_size, model.config.heads
     volume = model.generate(appearance[:, :3])
-    vectors, logits = model.viewpoints(seen[:, :3])
-    wanted = target if target.shape[-1] == size else F.interpolate(target, (size, size), mode="area")
-    drawn = render(volume, camera_frames(vectors).flatten(0, 1), model.focal, size, size).unflatten(0, (-1, heads))
-    errors = (drawn[:, :, :3] - wanted[:, None, :3]).square().mean((2, 3, 4))  # equation 2
+    vectors, logits = model.viewpoints(inputs[:, :3])
+    resized = target if target.shape[-1] == size else F.interpolate(target, (size, size), mode="area")
+    cameras = camera_frames(vectors).flatten(0, 1)  # (N M, 3, 3)
+    rendered = render(volume, cameras, model.focal, size, size).unflatten(0, (-1, heads))  # (N, M, 4, size, size)
+    errors = (rendered[:, :, :3] - resized[:, None, :3]).square().mean((2, 3, 4))  # equation 2
     best = errors.argmin(1)
-    image = drawn[torch.arange(len(best), device=best.device), best][:, :3]
+    image = rendered[torch.arange(len(best), device=best.device), best][:, :3]
     loss = config.selection.weight * F.cross_entropy(logits, best)
     if config.pixel_weight:
-        filled = target[:, 3].mean().clamp(min=0.01)
-        loss = loss + config.pixel_weight * pixel_loss(image, wanted[:, :3]) / filled
+        covered = target[:, 3].mean().clamp(min=0.01)
+        loss = loss + config.pixel_weight * pixel_loss(image, resized[:, :3]) / covered
     if perceptual is not None:
         total = sum(weight for _, weight in perceptual.taps)
-        for feature, (_, weight) in zip(
-            perceptual.features(torch.cat([image, wanted[:, :3]])), perceptual.taps, strict=True
-        ):
-            found, true = feature.chunk(2)
-            loss = loss + weight / total * 0.5 * (F.mse_loss(found, true) + F.l1_loss(found, true))
+        features = perceptual.features(torch.cat([image, resized[:, :3]]))
+        for feature, (_, weight) in zip(features, perceptual.taps, strict=True):
+            ours, true = feature.chunk(2)
+            loss = loss + weight / total * 0.5 * (F.mse_loss(ours, true) + F.l1_loss(ours, true))
     return loss
