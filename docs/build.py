@@ -2,8 +2,8 @@
 
     python docs/build.py [FOLDER]        (default: build/docs)
 
-pdoc makes the pages, their search and the links between them. It documents modules, so a page of prose is handed to it
-as a module of that name whose docstring it is. Nothing of what is written asks for the network when it is looked at.
+pdoc makes the pages, their search and the links between them. It documents modules, so a Markdown page is given to it
+as the docstring of a module of that name. The result needs no network.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ PROSE = {
 }
 """A page's path in the project -> its name in the documentation."""
 INDEX = "search.js"
-"""What the search looks in: a folder that has it was built before."""
+"""The search index. A folder that holds it was built before and may be emptied."""
 FILES = "files"
-"""The folder for what pages lead to and is no page."""
+"""The folder of files that pages link to and that are no pages themselves."""
 
 
 def build(folder: Path) -> None:
@@ -83,13 +83,13 @@ def build(folder: Path) -> None:
 
 
 def _resolve_inherited(modules: Iterable[pdoc.doc.Module]) -> None:
-    """Give constructors of dataclasses the types of fields that come from another module, whose names theirs lacks."""
+    """Give constructors of dataclasses the types of fields inherited from another module, whose names theirs lacks."""
     for module in modules:
-        for found in module.classes:
-            if dataclasses.is_dataclass(found.obj) and any(map(dataclasses.is_dataclass, found.obj.__bases__)):
-                hints = typing.get_type_hints(found.obj)
-                known = found.obj.__init__.__annotations__
-                known |= {name: hint for name, hint in hints.items() if name in known}
+        for cls in module.classes:
+            if dataclasses.is_dataclass(cls.obj) and any(map(dataclasses.is_dataclass, cls.obj.__bases__)):
+                hints = typing.get_type_hints(cls.obj)
+                annotations = cls.obj.__init__.__annotations__
+                annotations |= {name: hint for name, hint in hints.items() if name in annotations}
 
 
 def _page(name: str, text: str) -> pdoc.doc.Module:
@@ -108,7 +108,7 @@ def _notebook(path: str, folder: Path) -> str:
 
 
 def linked(text: str, source: str, pages: dict[str, str], folder: Path) -> str:
-    """Markdown with links to other pages instead of their files; other files that it leads to are copied."""
+    """Markdown with links to built pages instead of Markdown files; other files that it links to are copied."""
 
     def to(match: re.Match[str]) -> str:
         parts = urlsplit(match[1])
@@ -137,7 +137,7 @@ def _to_markdown(context: jinja2.runtime.Context, text: str) -> str:
 
 
 def tabled(docstring: str) -> str:
-    """A docstring with tables of Markdown for its aligned lists, and with nothing that could be taken for a tag."""
+    """A docstring with Markdown tables for its aligned lists, and with `<` escaped where it could begin a tag."""
     lines = [
         line if line.startswith("    ") else re.sub(r"(`[^`]*`)|<(?=\w)", lambda m: m[1] or "&lt;", line)
         for line in docstring.splitlines()
@@ -146,15 +146,15 @@ def tabled(docstring: str) -> str:
 
 
 def _list(paragraphs: list[str]) -> list[str]:
-    """Each paragraph whose lines are names, and what they mean from one column on, as a table."""
-    found = []
+    """Replace paragraphs of aligned names and meanings by Markdown tables."""
+    result = []
     for paragraph in paragraphs:
         first, *rest = paragraph.splitlines() or [""]
-        begun = re.match(r"\S+(?: \S+)*  +(?=\S)", first)
-        column = begun.end() if begun else 0
-        name = re.compile(rf"(?=\S)(.{{{column - 2}}}) [ ](?=\S)" if begun else "$^")
-        if not begun or not all(name.match(line) or line.startswith(" " * column) for line in rest):
-            found.append(paragraph)
+        start = re.match(r"\S+(?: \S+)*  +(?=\S)", first)
+        column = start.end() if start else 0
+        name = re.compile(rf"(?=\S)(.{{{column - 2}}}) [ ](?=\S)" if start else "$^")
+        if not start or not all(name.match(line) or line.startswith(" " * column) for line in rest):
+            result.append(paragraph)
             continue
         rows: list[list[str]] = []
         for line in (first, *rest):
@@ -163,8 +163,8 @@ def _list(paragraphs: list[str]) -> list[str]:
             else:
                 rows[-1][1] += f" {line.strip()}"
         body = [f"| `{term}` | {meaning.replace('|', '&#124;')} |" for term, meaning in rows]
-        found.append("\n".join(["| name | meaning |", "|---|---|", *body]))
-    return found
+        result.append("\n".join(["| name | meaning |", "|---|---|", *body]))
+    return result
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -20,6 +20,7 @@ SHOWN = {
     "viewnet.evaluation.evaluate",
     "viewnet.evaluation.metrics",
     "viewnet.evaluation.predictions",
+    "viewnet.evaluation.run",
     "viewnet.evaluation.submitted_predictions",
     "viewnet.experiments",
     "viewnet.experiments.own_method",
