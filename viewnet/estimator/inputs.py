@@ -1,4 +1,4 @@
-"""People's own images with masks and boxes, read whatever they come as."""
+"""Images with masks and boxes, read from files, arrays, tensors and PIL images."""
 
 from __future__ import annotations
 
@@ -18,14 +18,18 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
 ImageLike = Image.Image | str | os.PathLike | np.ndarray | Tensor
+"""One image: a PIL image, a path, an array (H, W), (H, W, 3) or (H, W, 4), or a tensor (1, 3 or 4, H, W)."""
 ImagesLike = ImageLike | Sequence[ImageLike]
+"""One image or several: a list, or an array or tensor of one more dimension."""
 
 
 @dataclass(frozen=True)
-class Given:
-    """An image as it was given: upright, with its object's mask (H, W) uint8 and box as far as they are known.
+class InputImage:
+    """An upright image and what is known of the object in it.
 
-    Without a box the image is framed as it is to be: a mask is then its alpha.
+    image    the image
+    mask     (H, W) uint8, the object's mask; None: unknown
+    box      the object's box; None: the image is framed already, and a mask is its alpha
     """
 
     image: Image.Image
@@ -33,26 +37,26 @@ class Given:
     box: Box | None = None
 
 
-def listed(images: ImagesLike) -> list[ImageLike]:
-    """ImagesLike one by one, of one or several. ViewnetError for none and for what is no image."""
+def as_list(images: ImagesLike) -> list[ImageLike]:
+    """One or several images as a list. ViewnetError if there are none, or they are of another type."""
     if isinstance(images, (np.ndarray, Tensor)):
-        found: list[Any] = list(images) if images.ndim == 4 else [images]
+        listed: list[Any] = list(images) if images.ndim == 4 else [images]
     elif isinstance(images, (Image.Image, str, os.PathLike)):
-        found = [images]
+        listed = [images]
     else:
         try:
-            found = list(images)
+            listed = list(images)
         except TypeError:
             raise ViewnetError(
                 f"images: got {type(images).__name__}: expected an image, a path, an array or a list of such"
             ) from None
-    if not found:
+    if not listed:
         raise ViewnetError("images: none were given")
-    return found
+    return listed
 
 
 def masks_of(masks: Any, count: int) -> list[Any]:
-    """A mask, or None, for each of `count` images. ViewnetError for another number."""
+    """A mask, or None, for each of `count` images. ViewnetError for another number of masks."""
     if masks is None:
         return [None] * count
     single = isinstance(masks, (Image.Image, str, os.PathLike)) or (
@@ -62,13 +66,13 @@ def masks_of(masks: Any, count: int) -> list[Any]:
 
 
 def boxes_of(boxes: Any, count: int) -> list[Box | None]:
-    """A box (x0, y0, x1, y1), or None, for each of `count` images. ViewnetError for what is none."""
+    """A box (x0, y0, x1, y1), or None, for each of `count` images. ViewnetError for anything else."""
     if boxes is None:
         return [None] * count
-    found = [value.tolist() if isinstance(value, (np.ndarray, Tensor)) else value for value in list(boxes)]
-    if found and all(isinstance(value, (int, float, np.number)) for value in found):
-        found = [found]
-    return [None if box is None else _box(box) for box in _as_many(found, count, "boxes")]
+    listed = [value.tolist() if isinstance(value, (np.ndarray, Tensor)) else value for value in list(boxes)]
+    if listed and all(isinstance(value, (int, float, np.number)) for value in listed):
+        listed = [listed]
+    return [None if box is None else _box(box) for box in _as_many(listed, count, "boxes")]
 
 
 def _as_many(values: list[Any], count: int, what: str) -> list[Any]:
@@ -87,35 +91,30 @@ def _box(values: Any) -> Box:
     return x0, y0, x1, y1
 
 
-def opened(image: ImageLike, mask: Any = None, box: Box | None = None) -> Given:
-    """An image read and turned upright as its camera says; without a mask its alpha is one, if it has any.
+def read_image(image: ImageLike, mask: Any = None, box: Box | None = None) -> InputImage:
+    """Read an image, turned upright by its EXIF data; without a `mask` its alpha is one, if it has any.
 
-    Raises ViewnetError for what cannot be read, values out of range, a mask of another size, and one that is empty.
+    Only the part of a mask inside of the box counts. ViewnetError for an image or mask that cannot be read, values out
+    of range, a mask of another size, and an empty mask.
     """
-    opened_image = _image(image)
+    decoded, alpha = _decode(image), None
     if mask is not None:
-        alpha = _mask(mask)
-        if alpha.shape != (opened_image.height, opened_image.width):
-            size = f"{alpha.shape[1]} x {alpha.shape[0]}"
-            raise ViewnetError(
-                f"mask is {size}, its image {opened_image.width} x {opened_image.height}: expected the same"
-            )
-        alpha = alpha if box is None else inside(alpha, box)
-        return Given(opened_image, alpha, bounds(alpha))
-    if not opened_image.has_transparency_data:
-        return Given(opened_image, None, box)
-    opened_image = opened_image.convert("RGBA")
-    alpha = np.array(opened_image.getchannel("A"))
-    if alpha.min() == 255:
-        return Given(opened_image, None, box)
-    if box is None:
-        bounds(alpha)
-        return Given(opened_image, alpha)
-    alpha = inside(alpha, box)
-    return Given(opened_image, alpha, bounds(alpha))
+        alpha = _decode_mask(mask)
+        if alpha.shape != (decoded.height, decoded.width):
+            sizes = f"{alpha.shape[1]} x {alpha.shape[0]}, its image {decoded.width} x {decoded.height}"
+            raise ViewnetError(f"mask is {sizes}: expected the same")
+    elif decoded.has_transparency_data:
+        decoded = decoded.convert("RGBA")
+        transparency = np.array(decoded.getchannel("A"))
+        alpha = None if transparency.min() == 255 else transparency
+    if alpha is None:
+        return InputImage(decoded, None, box)
+    alpha = alpha if box is None else inside(alpha, box)
+    place = bounds(alpha)
+    return InputImage(decoded, alpha, None if mask is None and box is None else place)
 
 
-def _image(image: ImageLike) -> Image.Image:
+def _decode(image: ImageLike) -> Image.Image:
     if isinstance(image, (np.ndarray, Tensor)):
         return Image.fromarray(_pixels(image))
     if isinstance(image, (str, os.PathLike)):
@@ -132,16 +131,16 @@ def _image(image: ImageLike) -> Image.Image:
 
 def _pixels(image: np.ndarray | Tensor) -> np.ndarray:
     """(H, W) or (H, W, 3 or 4) uint8."""
-    shape, wanted = tuple(image.shape), "(H, W), (H, W, 3) or (H, W, 4)"
+    shape, expected = tuple(image.shape), "(H, W), (H, W, 3) or (H, W, 4)"
     if isinstance(image, Tensor):
         image = image.detach().cpu()
-        image = image.movedim(0, -1) if image.ndim == 3 else image
+        image = image.movedim(0, -1) if image.ndim == 3 else image  # (H, W, C)
         image = (image.float() if image.is_floating_point() else image).numpy()
-        wanted = "(H, W), (1, H, W), (3, H, W) or (4, H, W)"
+        expected = "(H, W), (1, H, W), (3, H, W) or (4, H, W)"
     if image.ndim == 3 and image.shape[-1] == 1:
-        image = image[..., 0]
+        image = image[..., 0]  # (H, W)
     if not (image.ndim == 2 or (image.ndim == 3 and image.shape[-1] in (3, 4))) or 0 in shape:
-        raise ViewnetError(f"image is {shape}: expected {wanted}")
+        raise ViewnetError(f"image is {shape}: expected {expected}")
     return np.ascontiguousarray(_eight_bits(image))
 
 
@@ -150,12 +149,12 @@ def _eight_bits(image: np.ndarray) -> np.ndarray:
         return image
     if not np.issubdtype(image.dtype, np.floating):
         raise ViewnetError(f"image is of {image.dtype}: expected uint8, or floating point in [0, 1]")
-    if not (image.min() >= 0 and image.max() <= 1):  # not for NaN
+    if not (image.min() >= 0 and image.max() <= 1):  # false for NaN
         raise ViewnetError(f"image has values from {image.min():g} to {image.max():g}: expected 0 to 1, or uint8")
     return (image * 255).round().astype(np.uint8)
 
 
-def _mask(mask: Any) -> np.ndarray:
+def _decode_mask(mask: Any) -> np.ndarray:
     """(H, W) uint8, see viewnet.data.crop.coverage."""
     if isinstance(mask, (str, os.PathLike)):
         with image_files.opened(Path(mask), f"mask {mask}") as file:
@@ -164,7 +163,7 @@ def _mask(mask: Any) -> np.ndarray:
     if isinstance(mask, Image.Image):
         return coverage(mask)
     array = mask.detach().cpu().numpy() if isinstance(mask, Tensor) else np.asarray(mask)
-    array = array.squeeze(0) if array.ndim == 3 and len(array) == 1 else array
+    array = array.squeeze(0) if array.ndim == 3 and len(array) == 1 else array  # (H, W)
     if array.ndim != 2:
         raise ViewnetError(f"mask is {array.shape}: expected (H, W)")
     if array.dtype == bool:

@@ -66,7 +66,8 @@ def export(model: Pretrained, path: Path) -> Path:
     properties = {"category": model.config.category}
     if model.annotated_from_model is not None:
         properties["rotation"] = " ".join(repr(float(value)) for value in model.annotated_from_model.ravel())
-    onnx.helper.set_model_props(program.model_proto, properties)
+    proto = program.model_proto  # made anew at each access
+    onnx.helper.set_model_props(proto, properties)
     with replacing(path) as temporary:
-        onnx.save(program.model_proto, temporary)
+        onnx.save(proto, temporary)
     return path

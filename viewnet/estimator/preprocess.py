@@ -1,4 +1,4 @@
-"""What the networks of a configuration see of an image: as much, cut and scaled as in training and evaluation."""
+"""Images cut and scaled to what the networks of a configuration are trained and evaluated on."""
 
 from __future__ import annotations
 
@@ -18,35 +18,36 @@ from viewnet.config import RunConfig
 from viewnet.data.crop import Crop, bounds, cut
 from viewnet.data.pairs import resize, tight_crop
 from viewnet.errors import ViewnetError
-from viewnet.estimator.inputs import Given, ImageLike, ImagesLike, boxes_of, listed, masks_of, opened
+from viewnet.estimator.inputs import ImageLike, ImagesLike, InputImage, as_list, boxes_of, masks_of, read_image
 from viewnet.runtime.parallel import cores
 
 log = logging.getLogger(__name__)
 
-READY = (np.uint8, np.float16, np.float32, np.float64)
-"""Types of arrays that PyTorch takes as they are."""
+DTYPES = (np.uint8, np.float16, np.float32, np.float64)
+"""Types of arrays that PyTorch takes without conversion."""
 
 MARGIN = 0.2
-"""So much of an object's longer side is beyond it, on either side, where it is cut out as the rendering camera sees
-objects: a built-in car's longer side is 0.71 of its view's on average."""
-HIDDEN = (128, 128, 128)
-"""What stands where an image is transparent, for networks that have always seen something behind the object."""
+"""Margin around an object that is cut out as the rendering camera frames objects, as a share of its longer side: a
+built-in car's longer side is 0.71 of its view's on average."""
+OPAQUE = (128, 128, 128)
+"""Colour in place of transparency, for networks that have always seen a background."""
 BRIGHT = 0.1
-"""An image is not black along its edges where they are brighter than this on average."""
+"""An image whose edges are brighter than this on average is not black around its object."""
 
 
 @dataclass(frozen=True)
 class Framing:
     """How the networks of a configuration are shown images.
 
-    size        pixels along a side of what they see
+    size        pixels along a side of their input
     crop        ModelConfig.crop: whether the viewpoint network sees the object alone, enlarged
-    cutout      whether they know objects cut out, over `backdrop`: then what a mask leaves out is not seen. Networks
-                trained before backgrounds, or on videos without masks, see an image as it is, and a mask only says
-                where the object is
+    cutout      whether they were trained on cut-out objects over `backdrop`: then they see nothing outside of a mask.
+                Networks trained over backgrounds, or on videos without masks, see an image as it is, and a mask only
+                says where the object is
+    backdrop    grey level behind a cut-out object, 0 to 1
     rendered    whether they see whole views as a rendering camera frames them
     view        how an object is cut out: about as large in the image as in training
-    whole       how an image is cut that is not cut out: to the object's box, as photographs are that are scored
+    whole       how an image that is not cut out is cut to the object's box, as scored photographs are
     """
 
     size: int
@@ -59,11 +60,11 @@ class Framing:
 
     @classmethod
     def of(cls, config: RunConfig) -> Framing:
-        """Of a run's networks."""
+        """The framing of a run's networks."""
         data, model, video = config.data, config.model, config.data.video
         masked = video is None or video.masks != "none"
         view = Crop(video.size, video.margin, video.square) if video else Crop(data.image_size, MARGIN)
-        # Scored photographs are twice as large as what is seen of them (viewnet.evaluation.features.SIZE). Of networks that see
+        # Scored photographs have twice the input's resolution (viewnet.evaluation.features.SIZE). For networks that see
         # objects enlarged the box is the edge; others know how large objects are in an image.
         margin = 0.0 if masked and model.crop != "none" else view.margin
         whole = Crop(2 * model.input_size, margin, model.crop != "stretched")
@@ -72,161 +73,172 @@ class Framing:
 
 
 @dataclass(frozen=True)
-class View:
-    """An image cut to its object: (S, S, 4) uint8, straight alpha, and what of it the object covers (S, S) uint8."""
+class CroppedImage:
+    """An image cut to its object.
 
-    pixels: np.ndarray
-    cover: np.ndarray | None
-    cutout: bool
-
-
-@dataclass(frozen=True)
-class Shown:
-    """N images as networks are shown them, in [0, 1].
-
-    seen       (N, 4, S, S) RGB times alpha and alpha: by the viewpoint network
-    object     (N, 4, S, S) the same of the object whose appearance is taken
-    behind     (N, 3, S, S) what the appearance network sees behind it
-    cutout     (N,) bool: whether the object is cut out
+    pixels    (S, S, 4) uint8, straight alpha
+    cutout    whether the object is cut out: alpha is then its mask
+    mask      (S, S) uint8, the object's mask where it is known and the object is not cut out
     """
 
-    seen: Tensor
-    object: Tensor
-    behind: Tensor
+    pixels: np.ndarray
+    cutout: bool
+    mask: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """N images as the networks are shown them, in [0, 1].
+
+    viewpoint     (N, 4, S, S) RGB times alpha and alpha, for the viewpoint network
+    appearance    (N, 4, S, S) the same of the object alone, for the appearance network
+    background    (N, 3, S, S) what the appearance network sees behind the object
+    cutout        (N,) bool: whether the object is cut out
+    masked        (N,) bool: whether the object's mask is known
+    """
+
+    viewpoint: Tensor
+    appearance: Tensor
+    background: Tensor
     cutout: np.ndarray
+    masked: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.cutout)
 
     @property
     def images(self) -> Tensor:
-        """(N, 4, S, S) for people: as the appearance network sees them, objects cut out left transparent."""
-        cutout = torch.from_numpy(self.cutout).to(self.seen.device)[:, None, None, None]
-        return torch.where(cutout, self.object, torch.cat([self.behind, torch.ones_like(self.behind[:, :1])], 1))
+        """(N, 4, S, S) to show to people: cut-out objects stay transparent, others keep their background."""
+        cutout = torch.from_numpy(self.cutout).to(self.viewpoint.device)[:, None, None, None]  # (N, 1, 1, 1)
+        whole = torch.cat([self.background, torch.ones_like(self.background[:, :1])], 1)  # (N, 4, S, S)
+        return torch.where(cutout, self.appearance, whole)
 
 
-def viewed(given: Given, framing: Framing) -> View:
-    """An image cut as the networks of `framing` see it. ViewnetError for a box that has no part in it."""
+def crop_to_object(given: InputImage, framing: Framing) -> CroppedImage:
+    """Cut an image as the networks of `framing` see it. ViewnetError for a box that does not overlap the image."""
     image, mask, box = given.image, given.mask, given.box
     if mask is None:
-        # An image of just the size is one that has been cut already.
+        # An image of exactly the input's size is taken as cut already.
         ready = box is None and image.size == (framing.size, framing.size)
         margin = 0.0 if box is None else framing.whole.margin
         crop = replace(framing.whole, size=framing.size if ready else framing.whole.size, margin=margin)
-        return View(cut(image, box, crop), None, False)
+        return CroppedImage(cut(image, box, crop), cutout=False)
     if framing.cutout:
         if box is None:
-            # As it is: a view such as those of training. A small object in a large image is first seen from nearer.
+            # Kept as it is, like a view in training; a small object in a large image is enlarged first.
             ready = framing.crop == "none" or image.size == (framing.view.size, framing.view.size)
             box = None if ready else bounds(mask)
         crop = framing.view if box else replace(framing.view, margin=0.0)
-        return View(cut(image, box, crop, mask), None, True)
+        return CroppedImage(cut(image, box, crop, mask), cutout=True)
     if box is None:
-        ground = Image.new("RGBA", image.size, (*HIDDEN, 255))
-        image, box = Image.alpha_composite(ground, image), bounds(mask)
-    return View(cut(image, box, framing.whole), cut(image, box, framing.whole, mask)[..., 3], False)
+        opaque = Image.new("RGBA", image.size, (*OPAQUE, 255))
+        image, box = Image.alpha_composite(opaque, image), bounds(mask)
+    cut_mask = cut(image, box, framing.whole, mask)[..., 3]
+    return CroppedImage(cut(image, box, framing.whole), cutout=False, mask=cut_mask)
 
 
-def shown(views: Sequence[View], framing: Framing, device: torch.device) -> Shown:
-    """Cut images as the networks of `framing` are shown them."""
-    count, size = len(views), framing.size
-    seen, whole = torch.empty(count, 4, size, size), torch.empty(count, 4, size, size)
-    covered = torch.ones(count, 1, size, size)
-    for side in {len(view.pixels) for view in views}:
-        rows = [i for i, view in enumerate(views) if len(view.pixels) == side]
-        straight = torch.from_numpy(np.stack([views[i].pixels for i in rows])).permute(0, 3, 1, 2).float()
-        # As viewnet.data.pairs.load_views has it, roundings and all, so that networks see the same of the same.
-        weighted = torch.cat([straight[:, :3] * (straight[:, 3:] / 255), straight[:, 3:]], dim=1)
+def prepare(cropped: Sequence[CroppedImage], framing: Framing, device: torch.device) -> Prepared:
+    """Scale cropped images to the input of the networks of `framing`."""
+    count, size = len(cropped), framing.size
+    viewpoint, whole = torch.empty(count, 4, size, size), torch.empty(count, 4, size, size)
+    masks = torch.ones(count, 1, size, size)
+    for side in {len(image.pixels) for image in cropped}:
+        rows = [i for i, image in enumerate(cropped) if len(image.pixels) == side]
+        straight = torch.from_numpy(np.stack([cropped[i].pixels for i in rows])).permute(0, 3, 1, 2).float()
+        # The same roundings as in viewnet.data.pairs.load_views, so that networks see the same pixels of an image.
+        weighted = torch.cat([straight[:, :3] * (straight[:, 3:] / 255), straight[:, 3:]], dim=1)  # (n, 4, S, S)
         whole[rows] = resize(weighted, size).round_()
         if framing.crop != "none":
-            seen[rows] = tight_crop(weighted / 255, size, framing.crop == "stretched").mul_(255).round_()
+            viewpoint[rows] = tight_crop(weighted / 255, size, framing.crop == "stretched").mul_(255).round_()
         for i in rows:
-            if (cover := views[i].cover) is not None:
-                covered[i] = resize(torch.from_numpy(cover).float()[None, None], size)[0] / 255
-    cutout = np.array([view.cutout for view in views])
+            if (mask := cropped[i].mask) is not None:
+                masks[i] = resize(torch.from_numpy(mask).float()[None, None], size)[0] / 255
+    cutout = np.array([image.cutout for image in cropped])
+    masked = cutout | [image.mask is not None for image in cropped]
     whole /= 255
-    seen = whole if framing.crop == "none" else seen.div_(255)
-    behind = torch.where(torch.from_numpy(cutout)[:, None, None, None], framing.backdrop, whole[:, :3])
-    return Shown(seen.to(device), (whole * covered).to(device), behind.to(device), cutout)
+    viewpoint = whole if framing.crop == "none" else viewpoint.div_(255)
+    background = torch.where(torch.from_numpy(cutout)[:, None, None, None], framing.backdrop, whole[:, :3])
+    return Prepared(viewpoint.to(device), (whole * masks).to(device), background.to(device), cutout, masked)
 
 
 def batches(
     images: ImagesLike, masks: Any, boxes: Any, framing: Framing, device: torch.device, batch_size: int
-) -> Iterator[Shown]:
-    """ImagesLike with their masks and boxes as the networks of `framing` are shown them, batch by batch.
+) -> Iterator[Prepared]:
+    """Images with their masks and boxes as the networks of `framing` are shown them, batch by batch.
 
-    Warns of the first that is unlike those of training. ViewnetError names the image that is at fault.
+    Warns of the first image that is unlike those of training. ViewnetError names the image at fault.
     """
-    each, warned = listed(images), False
-    alphas, places = masks_of(masks, len(each)), boxes_of(boxes, len(each))
-    if framing.rendered and not (masks is None and boxes is None):
+    listed, warned = as_list(images), False
+    masks, boxes = masks_of(masks, len(listed)), boxes_of(boxes, len(listed))
+    if framing.rendered and any(value is not None for value in (*masks, *boxes)):
         log.warning(
-            "the network knows whole views as a rendering camera frames them: of images that are cut its answers are "
-            "worth little: train one with the recipe photos"
+            "the network was trained on whole views as a rendering camera frames them: its predictions for images that "
+            "are cut are unreliable: train one with the recipe photos"
         )
 
-    def view(row: int) -> View:
+    def crop(row: int) -> CroppedImage:
         try:
-            return viewed(opened(each[row], alphas[row], places[row]), framing)
+            return crop_to_object(read_image(listed[row], masks[row], boxes[row]), framing)
         except ViewnetError as error:
-            raise ViewnetError(f"{_name(each[row], row)}: {error}") from None
+            raise ViewnetError(f"{_name(listed[row], row)}: {error}") from None
 
-    for start in range(0, len(each), _count(batch_size)):
-        rows = range(start, min(start + batch_size, len(each)))
-        # ImagesLike are decoded and resized outside of the interpreter, so threads help.
+    for start in range(0, len(listed), _positive(batch_size)):
+        rows = range(start, min(start + batch_size, len(listed)))
+        # Images are decoded and resized outside of the interpreter's lock, so threads help.
         with ThreadPoolExecutor(min(cores(), len(rows))) as pool:
-            found = shown(list(pool.map(view, rows)), framing, device)
+            prepared = prepare(list(pool.map(crop, rows)), framing, device)
         if not warned:
-            unlike = _bright(found.seen[:, :3]).cpu() & ~torch.from_numpy(found.cutout)
-            warned = _warn(framing, unlike, [_name(each[row], row) for row in rows])
-        yield found
+            unlike = _bright(prepared.viewpoint[:, :3]).cpu() & ~torch.from_numpy(prepared.cutout)
+            warned = _warn(framing, unlike, [_name(listed[row], row) for row in rows])
+        yield prepared
+
+
+def ready_images(images: Any, framing: Framing) -> Tensor | None:
+    """(N, 3, S, S), for `ready_batches`, of an array or tensor of images that need no cutting; None of all else."""
+    if isinstance(images, np.ndarray) and images.ndim == 4 and images.dtype in DTYPES:
+        # PyTorch takes neither arrays that run backwards nor, without a warning, those that cannot be written.
+        images = torch.from_numpy(np.require(images, requirements=["C", "W"])).movedim(-1, 1)
+    if not isinstance(images, Tensor):
+        return None
+    return images if len(images) and images.shape[1:] == (3, framing.size, framing.size) else None
 
 
 def ready_batches(images: Tensor, framing: Framing, device: torch.device, batch_size: int) -> Iterator[Tensor]:
-    """Of images that `ready` gives, in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does.
+    """Images of `ready_images` in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does.
 
-    A batch is overwritten by the next one: fresh memory would take several times as long as to fill it.
+    A batch is overwritten by the next one: allocating takes several times as long as filling.
     """
-    room = None
-    for start in range(0, len(images), _count(batch_size)):
+    buffer = None
+    for start in range(0, len(images), _positive(batch_size)):
         part = images[start : start + batch_size].to(device)
         if part.dtype == torch.uint8:
-            room = torch.empty_like(part, dtype=torch.float32) if room is None else room
-            seen = room[: len(part)].copy_(part).div_(255)
+            buffer = torch.empty_like(part, dtype=torch.float32) if buffer is None else buffer
+            scaled = buffer[: len(part)].copy_(part).div_(255)
         else:
-            seen = _in_unit(part)
+            scaled = _in_unit_range(part)
         if start == 0:
-            _warn(framing, _bright(seen), [_name(image, row) for row, image in enumerate(seen)])
-        yield seen
+            _warn(framing, _bright(scaled), [_name(image, row) for row, image in enumerate(scaled)])
+        yield scaled
 
 
-def ready(images: ImagesLike, framing: Framing) -> Tensor | None:
-    """(N, 3, S, S), for `ready_batches`, of an array of images that need no cutting; None of all else."""
-    if isinstance(images, Tensor):
-        found = images
-    elif isinstance(images, np.ndarray) and images.ndim == 4 and images.dtype in READY:
-        # PyTorch takes neither arrays that run backwards nor, without a warning, those that cannot be written.
-        found = torch.from_numpy(np.require(images, requirements=["C", "W"])).movedim(-1, 1)
-    else:
-        return None
-    return found if len(found) and found.shape[1:] == (3, framing.size, framing.size) else None
-
-
-def _in_unit(images: Tensor) -> Tensor:
-    """ImagesLike of floating point in [0, 1], as float32. ViewnetError for other values."""
+def _in_unit_range(images: Tensor) -> Tensor:
+    """Images of floating point in [0, 1] as float32. ViewnetError for other values."""
     if not images.is_floating_point():
         raise ViewnetError(f"images are of {images.dtype}: expected uint8, or floating point in [0, 1]")
     low, high = (float(value) for value in images.detach().aminmax())
-    if not (low >= 0 and high <= 1):  # not for NaN
+    if not (low >= 0 and high <= 1):  # false for NaN
         raise ViewnetError(f"images have values from {low:g} to {high:g}: expected 0 to 1, or uint8")
     return images.detach().float()
 
 
-def _bright(seen: Tensor) -> Tensor:
+def _bright(images: Tensor) -> Tensor:
     """(N,) bool: which images (N, 3, S, S) are not black along their edges."""
-    edges = torch.cat([seen[:, :, [0, -1]].flatten(2), seen[:, :, :, [0, -1]].flatten(2)], 2)
+    edges = torch.cat([images[:, :, [0, -1]].flatten(2), images[:, :, :, [0, -1]].flatten(2)], 2)  # (N, 3, 4 S)
     return edges.mean((1, 2)) > BRIGHT
 
 
 def _warn(framing: Framing, bright: Tensor, names: Sequence[str]) -> bool:
-    """Say which image is unlike those of training; whether there is one."""
+    """Name the first image that is unlike those of training; whether there is one."""
     if not (framing.cutout and bright.any()):
         return False
     name = names[int(bright.int().argmax())]
@@ -238,7 +250,7 @@ def _name(image: ImageLike, row: int) -> str:
     return os.fspath(image) if isinstance(image, (str, os.PathLike)) else f"image {row}"
 
 
-def _count(batch_size: int) -> int:
+def _positive(batch_size: int) -> int:
     if not isinstance(batch_size, int) or batch_size < 1:
         raise ViewnetError(f"batch_size {batch_size!r}: expected a whole number of 1 or more")
     return batch_size

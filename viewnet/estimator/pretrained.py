@@ -33,7 +33,7 @@ from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import read_json, replacing, write_json, write_text
 
 FORMAT = 1
-WEIGHTS, CONFIG, CARD = "model.safetensors", "config.json", "README.md"
+FILES = WEIGHTS, CONFIG, CARD = ("model.safetensors", "config.json", "README.md")
 FIELDS = ("format", "viewnet", "config", "alignment", "about")
 RESULT = ("key", "variant", "category", "profile", "recipe", "seed", "views", "metrics", "git")
 """The fields of a run's result that a saved model keeps."""

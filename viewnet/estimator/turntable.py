@@ -1,4 +1,4 @@
-"""An image's object on a turntable, from the viewpoint that was predicted for the image all the way round to it."""
+"""An animation of an image's object on a turntable, once round from the viewpoint predicted for the image."""
 
 from __future__ import annotations
 
@@ -19,57 +19,56 @@ from viewnet.runtime.files import replacing
 
 MARK = (213, 94, 0)  # of the predicted viewpoint
 INK = (40, 40, 40)
-STRIP = 48  # pixels: the height of the line below the images
+STRIP = 48  # pixels: the height of the strip of text below the images
 EDGE = 4
 SUFFIXES = (".gif", ".mp4")
 
 
-def revolve(
-    painter: ObjectRenderer,
+def animate(
+    renderer: ObjectRenderer,
     image: np.ndarray,
     encoded: Encoded,
-    answer: Tensor,
-    told: np.ndarray,
+    pose: Tensor,
+    vector: np.ndarray,
     steps: int = 48,
     hold: int = 12,
     size: int = 192,
 ) -> list[np.ndarray]:
-    """Frames (H, W, 3) uint8: a `image` (S, S, 3) uint8 on the left, the one object `encoded` turning on the right.
+    """Frames (H, W, 3) uint8: an `image` (S, S, 3) uint8 on the left, its reconstructed object turning on the right.
 
-    The first `hold` frames stand at the predicted viewpoint, framed and named: the camera frame `answer` (3, 3) in the
-    network's own frame, and the view vector `told` (3,) that is said of it. Then `steps` frames go once round at its
-    elevation. The dial is seen from above, the object's front pointing down to the reader; azimuths are those of
-    `told`. `size` is the side of an image in pixels. ViewnetError unless it is an even number of 64 or more, and for
-    no steps.
+    The first `hold` frames stay at the predicted viewpoint, framed and labelled; `steps` frames then go once round at
+    its elevation. `pose` (3, 3) is the predicted camera frame in the network's own frame, `vector` (3,) its view vector
+    in the frame of the predictions, which labels and dial use. The dial is seen from above, the object's front pointing
+    down. `size` is the side of an image in pixels. ViewnetError unless it is even and 64 or more, and for no steps.
     """
     if size < 64 or size % 2:
         raise ViewnetError(f"turntable: size {size}: expected an even number of 64 or more pixels")
     if steps < 1 or hold < 0:
         raise ViewnetError(f"turntable: steps {steps}, hold {hold}: expected 1 or more, and 0 or more")
-    start, elevation = geometry.azimuth_elevation(answer[:, 2])
-    turned = start + torch.arange(steps) * (360 / steps)
-    frames = geometry.look_at(geometry.view_vector(turned, elevation.expand(steps)))
-    frames[0] = answer
-    drawn = painter.displayed(painter.render(encoded, frames, 2 * painter.network.config.render_size))
+    start, elevation = geometry.azimuth_elevation(pose[:, 2])
+    azimuths = start + torch.arange(steps) * (360 / steps)
+    poses = geometry.look_at(geometry.view_vector(azimuths, elevation.expand(steps)))  # (steps, 3, 3)
+    poses[0] = pose
+    rendered = renderer.displayed(renderer.render(encoded, poses, 2 * renderer.network.config.render_size))
     left = _scaled(image, size)
-    azimuth, height = (float(a) for a in geometry.azimuth_elevation(torch.from_numpy(np.array(told))))
-    found = []
-    for number in [*[0] * hold, *range(steps)]:
-        angle = (azimuth + 360 / steps * number) % 360
-        named = "predicted viewpoint" if number == 0 else "turned"
-        text = f"{named}\nazimuth {round(angle) % 360}°, elevation {height:.0f}°"
-        found.append(_composed(left, _scaled(drawn[number], size), text, angle, azimuth, number == 0))
-    return found
+    azimuth, height = (float(a) for a in geometry.azimuth_elevation(torch.from_numpy(np.array(vector))))
+    frames = []
+    for step in [*[0] * hold, *range(steps)]:
+        angle = (azimuth + 360 / steps * step) % 360
+        label = "predicted viewpoint" if step == 0 else "turned"
+        text = f"{label}\nazimuth {round(angle) % 360}°, elevation {height:.0f}°"
+        frames.append(_composed(left, _scaled(rendered[step], size), text, angle, azimuth, step == 0))
+    return frames
 
 
 def check(path: Path) -> None:
-    """ViewnetError for a file's name that `save` does not write."""
+    """Raise ViewnetError for a suffix that `save` does not write."""
     if path.suffix not in SUFFIXES:
         raise ViewnetError(f"{path}: unknown kind of animation: name it {' or '.join(SUFFIXES)}")
 
 
 def save(frames: Sequence[np.ndarray], path: Path, rate: int = 16) -> Path:
-    """Frames (H, W, 3) uint8, `rate` a second, as an animated .gif, or as .mp4 where PyAV is installed; returns `path`.
+    """Write frames (H, W, 3) uint8, `rate` a second, as .gif, or as .mp4 if PyAV is installed, and return the path.
 
     ViewnetError for another suffix, no frames, and .mp4 without PyAV.
     """
@@ -106,12 +105,12 @@ def _scaled(image: np.ndarray, size: int) -> Image.Image:
 
 
 def _composed(
-    image: Image.Image, drawing: Image.Image, text: str, angle: float, predicted: float, marked: bool
+    image: Image.Image, rendered: Image.Image, text: str, angle: float, predicted: float, marked: bool
 ) -> np.ndarray:
     size = image.width
     frame = Image.new("RGB", (2 * size + 3 * EDGE + EDGE % 2, size + 2 * EDGE + STRIP), "white")
     frame.paste(image, (EDGE, EDGE))
-    frame.paste(drawing, (size + 2 * EDGE, EDGE))
+    frame.paste(rendered, (size + 2 * EDGE, EDGE))
     pen = ImageDraw.Draw(frame)
     if marked:
         pen.rectangle((size + EDGE, 0, 2 * size + 3 * EDGE - 1, size + 2 * EDGE - 1), outline=MARK, width=EDGE)
@@ -122,12 +121,12 @@ def _composed(
 
 
 def _dial(pen: ImageDraw.ImageDraw, centre: tuple[int, int], radius: int, angle: float, predicted: float) -> None:
-    """The circle the camera goes round on, from above: where it was predicted, and where it is."""
+    """Draw the camera's circle from above, with the predicted camera and the present one."""
     x, y = centre
     pen.ellipse((x - radius, y - radius, x + radius, y + radius), outline=INK)
     for azimuth, colour, dot in ((predicted, MARK, 5), (angle, INK, 3)):
         a = np.radians(azimuth)
-        # Azimuth 0, the front, is down; counter-clockwise as seen from above, so 90 (the left side) is to the right.
+        # Azimuth 0, the front, is down and 90, the left side, to the right: counter-clockwise seen from above.
         px, py = x + radius * np.sin(a), y + radius * np.cos(a)
         pen.line((x, y, px, py), fill=colour)
         pen.ellipse((px - dot, py - dot, px + dot, py + dot), fill=colour)

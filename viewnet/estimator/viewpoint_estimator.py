@@ -1,13 +1,13 @@
-"""A trained ViewNet for people's own images: where they were taken from, and what their object is like elsewhere.
+"""A trained ViewNet for people's own images: their viewpoints, and what their objects look like from elsewhere.
 
-`ViewpointEstimator.from_pretrained` gives one of a finished run. Here is one that has learned nothing yet:
+`ViewpointEstimator.from_pretrained` loads a trained one. This one has random weights:
 
 >>> from viewnet.recipes import make_config
 >>> config = make_config(profile="smoke", recipe="photos", backgrounds=None)
 >>> estimator = ViewpointEstimator(ViewNet(config.model).eval(), config)
 >>> photograph = np.full((300, 400, 3), 128, np.uint8)
->>> found = estimator.predict([photograph, photograph], boxes=[(40, 60, 380, 250), None])
->>> found.vector.shape, found.hypotheses.shape, found.aligned
+>>> viewpoints = estimator.predict([photograph, photograph], boxes=[(40, 60, 380, 250), None])
+>>> viewpoints.vector.shape, viewpoints.hypotheses.shape, viewpoints.aligned
 ((2, 3), (2, 3, 3), False)
 >>> estimator.novel_view(photograph, azimuth=90, elevation=10).shape
 (1, 16, 16, 3)
@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -31,10 +31,11 @@ from viewnet.data.pairs import tight_crop
 from viewnet.errors import ViewnetError
 from viewnet.estimator import hub, inputs, preprocess, pretrained
 from viewnet.estimator.inputs import ImageLike, ImagesLike
-from viewnet.estimator.preprocess import Framing, Shown
+from viewnet.estimator.preprocess import Framing, Prepared
 from viewnet.estimator.pretrained import Pretrained
 from viewnet.estimator.viewpoints import Viewpoints
 from viewnet.geometry import look_at, view_vector
+from viewnet.model import rendering
 from viewnet.model.reconstruction import Encoded
 from viewnet.model.rendering import ObjectRenderer
 from viewnet.model.viewnet import Hypotheses
@@ -47,28 +48,25 @@ BATCH = 256
 
 @dataclass(frozen=True, repr=False, eq=False)
 class ViewpointEstimator(Pretrained, ObjectRenderer):
-    """A trained network, ready for images from anywhere.
+    """A trained network with methods for images from anywhere.
 
-    Answers are in the annotated frame where the network's own was aligned to it on annotated validation views, as a
-    finished run's is (`aligned`). A network that was trained on videos without viewpoints has no alignment: its answers
-    are in its own frame, whose azimuth 0 and whose up are arbitrary.
+    Predicted viewpoints are in the annotated frame if the network's own was aligned to it on annotated validation
+    views, as a finished run's is (`aligned`). A network that was trained on videos without viewpoints is not aligned:
+    its predictions are in its own frame, whose azimuth 0 and up are arbitrary.
 
-    ImagesLike are PIL images, paths, numpy arrays (H, W), (H, W, 3) or (H, W, 4), torch tensors (1, H, W), (3, H, W) or
+    Images are PIL images, paths, numpy arrays (H, W), (H, W, 3) or (H, W, 4), or torch tensors (1, H, W), (3, H, W) or
     (4, H, W), uint8 or floating point in [0, 1], of any size; several come as a list or as an array of one more
-    dimension. Files are turned upright as their camera says. What is known of the object in an image decides what of
-    it the networks see:
+    dimension. Files are turned upright by their EXIF data. Which part of an image the networks see:
 
-    - with a mask, (H, W) with the object above 0, or with transparency, which is a mask: the object. A network trained
-      on objects over black sees nothing else; one trained before backgrounds (recipe photos), or on videos without
-      masks, sees the image around the mask, and grey where it is transparent.
+    - with a mask (H, W), above 0 on the object, or with transparency, which is a mask: the object. A network trained on
+      objects over black sees nothing else; one trained over backgrounds (recipe photos), or on videos without masks,
+      sees the image around the mask, and grey where it is transparent.
     - with a box x0, y0, x1, y1 in pixels: what is in the box.
-    - with neither: all of the image, which then should show the object from edge to edge.
+    - with neither: the whole image, which should show the object from edge to edge.
 
-    A network that sees whole views (crop "none", recipe matting) knows from them how large objects are in the images
-    of a rendering camera. A transparent image without a box is then taken for such a view and not cut; in any other
-    image its answers are little worth. For photographs take the recipes photos or paper_photos.
-
-    `about` says where the network comes from, as plain JSON types: a run's key, metrics and so on.
+    A network that sees whole views (crop "none", recipe matting) relies on the size of objects in a rendering camera's
+    images. A transparent image without a box is taken for such a view and not cut; for any other image its predictions
+    are unreliable. For photographs use the recipes photos or paper_photos.
     """
 
     @classmethod
@@ -83,14 +81,14 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         force_download: bool = False,
         local_files_only: bool = False,
     ) -> ViewpointEstimator:
-        """Of a category whose model comes with the package ("car", viewnet.estimator.pretrained.shipped), or from elsewhere.
+        """Load a model.
 
-        That is a folder of `save_pretrained`, a finished run's folder or key, or the Hugging Face hub ("name/model").
-
-        `viewnet train` prints a run's folder, which is called by its key. The device is a GPU if there is one, unless
-        told. What follows is for the hub only, which needs `pip install "viewnet[hub]"`. Weights are read with
-        safetensors: nothing is unpickled. Raises ViewnetError for what is not there, is of another version, or is
-        damaged, and for a hub that cannot be reached.
+        `where` is a category whose model comes with the package ("car", see viewnet.estimator.pretrained.shipped), a
+        folder of `save_pretrained`, a finished run's folder or key (its folder's name, which `viewnet train` prints),
+        or a model on the Hugging Face hub ("name/model"). The default device is a GPU if there is one. The other
+        options are for the hub, which needs `pip install "viewnet[hub]"`. Weights are read with safetensors: nothing
+        is unpickled. ViewnetError for a model that is missing, of another version or damaged, and for a hub that
+        cannot be reached.
         """
         options = {"revision": revision, "cache_dir": cache_dir, "token": token, "force_download": force_download}
         model = pretrained.load(where, **options, local_files_only=local_files_only)
@@ -99,38 +97,34 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
 
     @property
     def rotation(self) -> Tensor:
-        """(3, 3), from the network's own frame to that of the answers: the identity where it is not aligned."""
-        return (
-            torch.eye(3)
-            if self.annotated_from_model is None
-            else torch.tensor(self.annotated_from_model, dtype=torch.float32)
-        )
+        """(3, 3), from the network's own frame to that of the predictions: the identity if it is not aligned."""
+        if self.annotated_from_model is None:
+            return torch.eye(3)
+        return torch.tensor(self.annotated_from_model, dtype=torch.float32)
 
     @cached_property
     def framing(self) -> Framing:
-        """What the networks see of an image."""
+        """How images are cut for the networks."""
         return Framing.of(self.config)
 
-    def predict(self, images: ImagesLike, masks: Any = None, boxes: Any = None, batch_size: int = BATCH) -> Viewpoints:
+    def predict(
+        self, images: ImagesLike | Prepared, masks: Any = None, boxes: Any = None, batch_size: int = BATCH
+    ) -> Viewpoints:
         """The viewpoints of one or several images, in their order.
 
-        `masks` and `boxes` are one or as many, None for images without. Raises ViewnetError that names the image
-        for what cannot be read, and for masks and boxes that do not fit.
+        `masks` and `boxes` are one, or one for each image, None for images without. ViewnetError names the image that
+        cannot be read, or whose mask or box does not fit.
         """
-        vectors, logits, ups = [], [], []
-        for seen in self._seen(images, masks, boxes, batch_size):
-            found = self._look(seen)
-            vectors.append(found.vectors.double().cpu().numpy())
-            logits.append(found.logits.double().cpu().numpy())
-            if found.ups is not None:
-                ups.append(found.ups.double().cpu().numpy())
-        return self._told(np.concatenate(vectors), np.concatenate(logits), np.concatenate(ups) if ups else None)
+        if masks is None and boxes is None and (ready := preprocess.ready_images(images, self.framing)) is not None:
+            return self._viewpoints(map(self._hypotheses, self._ready(ready, batch_size)))
+        batches = self._prepared(images, masks, boxes, batch_size)
+        return self._viewpoints(self._hypotheses(self.network.composite(prepared.viewpoint)) for prepared in batches)
 
-    def volume(self, image: ImageLike, mask: Any = None, box: Any = None) -> Tensor:
-        """What one image's object looks like to the network: (4, Z, Y, X), colour and occupancy, on the CPU.
+    def volume(self, image: ImageLike | Prepared, mask: Any = None, box: Any = None) -> Tensor:
+        """The volume that is reconstructed from one image: (4, Z, Y, X), colour and occupancy in [0, 1], on the CPU.
 
-        Values are in [0, 1], the frame is the network's own, which `rotation` takes to that of the answers. Raises
-        ViewnetError for the HoloGAN decoder, whose features are no volume of colours.
+        It is in the network's own frame; `rotation` leads to that of the predictions. ViewnetError for the HoloGAN
+        decoder, whose features are not a volume of colours.
         """
         if self.hologan:
             raise ViewnetError(
@@ -138,60 +132,61 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
             )
         return self._encode(self._one(image, mask, box)).volume[0].cpu()
 
-    def mesh(self, image: ImageLike, mask: Any = None, box: Any = None, level: float = 0.5) -> trimesh.Trimesh:
-        """The surface of `volume` where occupancy passes `level`, in the frame of the answers.
+    def mesh(
+        self, image: ImageLike | Prepared, mask: Any = None, box: Any = None, level: float = 0.5
+    ) -> trimesh.Trimesh:
+        """The surface of `volume` where occupancy passes `level`, in the frame of the predictions.
 
-        viewnet.estimator.volume_mesh.write makes a file of it. Raises ViewnetError as `volume` does, and for an empty volume.
+        viewnet.estimator.volume_mesh.write saves it. ViewnetError as `volume` does, and for an empty volume.
         """
-        from viewnet.estimator import volume_mesh
+        from viewnet.estimator import volume_mesh  # loads heavy libraries
 
         return volume_mesh.surface(self.volume(image, mask, box), self.rotation, level)
 
     def reconstruct(
-        self, images: ImagesLike, masks: Any = None, boxes: Any = None, size: int | None = None
+        self, images: ImagesLike | Prepared, masks: Any = None, boxes: Any = None, size: int | None = None
     ) -> np.ndarray:
-        """ImagesLike (N, S, S, 3) uint8 of the objects before white, each drawn from the viewpoint predicted for it.
+        """Images (N, S, S, 3) uint8 of the objects on white, rendered from their predicted viewpoints.
 
-        Of images that were cut to their object, the drawing is too. `size` is S, in pixels (default: as learned).
+        Images that were cut to their object are rendered cut as well. `size` is S in pixels (default: as trained).
         """
-        drawn = []
-        for shown in self._shown(images, masks, boxes):
-            found = self.render(self._encode(shown), self._answers(shown), size)
-            cut = self.framing.crop != "none" and not shown.cutout.any()
-            drawn.append(self.displayed(tight_crop(found, found.shape[-1], margin=0.0) if cut else found))
-        return np.concatenate(drawn)
+        rendered = []
+        for prepared in self._prepared(images, masks, boxes):
+            views = self.render(self._encode(prepared), self._predicted_poses(prepared), size)
+            cut = self.framing.crop != "none" and not prepared.cutout.any()
+            rendered.append(self.displayed(tight_crop(views, views.shape[-1], margin=0.0) if cut else views))
+        return np.concatenate(rendered)
 
     def novel_view(
         self,
-        images: ImagesLike,
+        images: ImagesLike | Prepared,
         azimuth: ArrayLike,
         elevation: ArrayLike,
         masks: Any = None,
         boxes: Any = None,
         size: int | None = None,
     ) -> np.ndarray:
-        """ImagesLike (N, S, S, 3) uint8 of the objects before white, from another viewpoint in degrees: one, or (N,).
+        """Images (N, S, S, 3) uint8 of the objects on white, rendered from another viewpoint.
 
-        The viewpoint is in the frame of the answers. `size` is S, in pixels (default: as learned). Raises ViewnetError
-        for angles that are no finite numbers, or not as many as images.
+        Angles are in degrees in the frame of the predictions, one number or (N,). `size` is S in pixels (default: as
+        trained). ViewnetError for angles that are not finite or not as many as the images.
         """
-        count = len(inputs.listed(images))
+        count = len(images) if isinstance(images, Prepared) else len(inputs.as_list(images))
         angles = []
         for name, values in (("azimuth", azimuth), ("elevation", elevation)):
-            given = np.asarray(values, dtype=np.float64)
-            if given.shape not in ((), (1,), (count,)) or not np.isfinite(given).all():
+            array = np.asarray(values, dtype=np.float64)
+            if array.shape not in ((), (1,), (count,)) or not np.isfinite(array).all():
                 raise ViewnetError(f"{name} {values!r}: expected degrees, one number or {count}")
-            angles.append(torch.from_numpy(np.broadcast_to(given, (count,)).copy()))
-        frames, drawn, done = self.in_own_frame(look_at(view_vector(*angles))), [], 0
-        for shown in self._shown(images, masks, boxes):
-            part = frames[done : done + len(shown.seen)]
-            drawn.append(self.displayed(self.render(self._encode(shown), part, size)))
-            done += len(part)
-        return np.concatenate(drawn)
+            angles.append(torch.from_numpy(np.broadcast_to(array, (count,)).copy()))
+        poses, rendered = self.in_own_frame(look_at(view_vector(*angles))), []
+        for prepared in self._prepared(images, masks, boxes):
+            batch, poses = poses[: len(prepared)], poses[len(prepared) :]
+            rendered.append(self.displayed(self.render(self._encode(prepared), batch, size)))
+        return np.concatenate(rendered)
 
     def turntable(
         self,
-        image: ImageLike,
+        image: ImageLike | Prepared,
         path: str | os.PathLike[str] | None = None,
         mask: Any = None,
         box: Any = None,
@@ -201,20 +196,18 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         size: int = 192,
         rate: int = 16,
     ) -> list[np.ndarray]:
-        """Frames (H, W, 3) uint8: one image, and its object turning once; see viewnet.estimator.turntable.revolve.
+        """Frames (H, W, 3) uint8: one image, and its object turning once; see viewnet.estimator.turntable.animate.
 
-        With a `path` that ends in .gif or .mp4 they are written there too, `rate` a second.
+        They are also written to `path`, if given, which ends in .gif or .mp4, `rate` a second.
         """
         from viewnet.estimator import turntable
-        from viewnet.model import rendering
 
         if path is not None:
             turntable.check(Path(path))
-        shown = self._one(image, mask, box)
-        found, answer = self._look(self.network.composite(shown.seen)), self._answers(shown)[0]
-        told = self._told(*(_array(values) for values in (found.vectors, found.logits, found.ups)))
-        given = rendering.to_uint8(shown.images)[0]
-        frames = turntable.revolve(self, given, self._encode(shown), answer, told.vector[0], steps, hold, size)
+        prepared = self._one(image, mask, box)
+        pose, vector = self._predicted_poses(prepared)[0], self.predict(prepared).vector[0]
+        pixels = rendering.to_uint8(prepared.images)[0]
+        frames = turntable.animate(self, pixels, self._encode(prepared), pose, vector, steps, hold, size)
         if path is not None:
             turntable.save(frames, Path(path), rate)
         return frames
@@ -232,19 +225,20 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
     ) -> str | None:
         """Write model.safetensors, config.json and README.md, a model card, for `from_pretrained`.
 
-        `license` is that of the weights in the hub's words (default: mit of what was trained on built-in models, else
-        other). `half` keeps the weights in 16 bits, at half the size. The card tells `scores`, of
-        viewnet.experiments.score_model.scores, beside those of the run's own test views. With `push_to_hub` the folder goes to the
-        hub as `repo_id` (default: the folder's name), with what else viewnet.estimator.hub.push takes; the address of the
-        commit is returned. ViewnetError where it cannot be written or pushed.
+        license        of the weights, in the hub's words (default: mit if trained on built-in models, else other)
+        half           keep the weights in 16 bits, at half the size
+        scores         of viewnet.experiments.score_model.scores, for the card, besides those on the run's test views
+        push_to_hub    upload the folder as `repo_id` (default: the folder's name), with the further options of
+                       viewnet.estimator.hub.push, and return the address of the commit
+
+        ViewnetError where it cannot be written or pushed.
         """
         place = Path(folder)
         pretrained.save(self, place, license, half, scores)
-        files = (pretrained.WEIGHTS, pretrained.CONFIG, pretrained.CARD)
-        return hub.push(place, repo_id or place.absolute().name, files, **push) if push_to_hub else None
+        return hub.push(place, repo_id or place.absolute().name, pretrained.FILES, **push) if push_to_hub else None
 
     def export_onnx(self, path: str | os.PathLike[str]) -> Path:
-        """Write the viewpoint network as ONNX, see viewnet.estimator.onnx_export.export. Needs `pip install "viewnet[onnx]"`."""
+        """Write the viewpoint network as ONNX, see viewnet.estimator.onnx_export. Needs "viewnet[onnx]"."""
         from viewnet.estimator import onnx_export
 
         return onnx_export.export(self, Path(path))
@@ -254,48 +248,51 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         frame = "the annotated frame" if self.aligned else "the network's own frame: not aligned"
         return (
             f"ViewpointEstimator({config.variant} {config.category} seed {config.seed} ({config.profile}, "
-            f"{config.recipe}), {self.framing.size} x {self.framing.size} pixels, {self.device}; answers in {frame})"
+            f"{config.recipe}), {self.framing.size} x {self.framing.size} pixels, {self.device}; viewpoints in {frame})"
         )
 
     @torch.no_grad()
-    def _look(self, seen: Tensor) -> Hypotheses:
-        """Of what the encoder takes (N, 3, S, S)."""
-        found: Hypotheses = self.network.viewpoint(seen)
-        return found
+    def _hypotheses(self, images: Tensor) -> Hypotheses:
+        """Hypotheses for the viewpoint network's input (N, 3, S, S), in the network's own frame."""
+        hypotheses: Hypotheses = self.network.viewpoint(images)
+        return hypotheses
 
-    def _answers(self, shown: Shown) -> Tensor:
-        """(N, 3, 3) own camera frames of the viewpoints that are selected."""
-        found = self._look(self.network.composite(shown.seen))
-        return found.world_from_camera[torch.arange(len(found.logits)), found.logits.argmax(1).cpu()].cpu()
+    def _predicted_poses(self, prepared: Prepared) -> Tensor:
+        """(N, 3, 3) camera frames of the selected hypotheses, in the network's own frame."""
+        hypotheses = self._hypotheses(self.network.composite(prepared.viewpoint))
+        return hypotheses.world_from_camera[torch.arange(len(prepared)), hypotheses.logits.argmax(1).cpu()].cpu()
 
     @torch.no_grad()
-    def _encode(self, shown: Shown) -> Encoded:
-        return Encoded(*self.network.encode(shown.object, background=shown.behind))
+    def _encode(self, prepared: Prepared) -> Encoded:
+        return Encoded(*self.network.encode(prepared.appearance, background=prepared.background))
 
-    def _told(self, vectors: np.ndarray, logits: np.ndarray, ups: np.ndarray | None) -> Viewpoints:
-        """Own hypotheses (N, M, 3) in the frame of the answers."""
-        if self.annotated_from_model is not None:
-            vectors, ups = (
-                vectors @ self.annotated_from_model.T,
-                None if ups is None else ups @ self.annotated_from_model.T,
-            )
+    def _viewpoints(self, batches: Iterable[Hypotheses]) -> Viewpoints:
+        """Hypotheses in the network's own frame as viewpoints in the frame of the predictions."""
+        # Copied at once: the next batch may overwrite what a batch was computed from.
+        arrays = [[_array(each.vectors), _array(each.logits), _array(each.ups)] for each in batches]
+        joined: Any = [None if parts[0] is None else np.concatenate(parts) for parts in zip(*arrays, strict=True)]
+        vectors, logits, ups = joined
+        if (rotation := self.annotated_from_model) is not None:
+            vectors, ups = vectors @ rotation.T, None if ups is None else ups @ rotation.T
         return Viewpoints.of(vectors, logits, ups, self.aligned)
 
-    def _seen(self, images: ImagesLike, masks: Any, boxes: Any, batch_size: int) -> Iterator[Tensor]:
-        """What the encoder takes of the images (n, 3, S, S), batch by batch."""
-        if masks is None and boxes is None and (ready := preprocess.ready(images, self.framing)) is not None:
-            return preprocess.ready_batches(ready, self.framing, self.device, batch_size)
-        return (self.network.composite(shown.seen) for shown in self._shown(images, masks, boxes, batch_size))
+    def _ready(self, images: Tensor, batch_size: int) -> Iterator[Tensor]:
+        return preprocess.ready_batches(images, self.framing, self.device, batch_size)
 
-    def _shown(self, images: ImagesLike, masks: Any, boxes: Any, batch_size: int = BATCH) -> Iterator[Shown]:
+    def _prepared(
+        self, images: ImagesLike | Prepared, masks: Any, boxes: Any, batch_size: int = BATCH
+    ) -> Iterator[Prepared]:
         """The images as the networks see them, batch by batch."""
+        if isinstance(images, Prepared):
+            return iter([images])
         return preprocess.batches(images, masks, boxes, self.framing, self.device, batch_size)
 
-    def _one(self, image: ImageLike, mask: Any, box: Any) -> Shown:
-        if len(each := inputs.listed(image)) != 1:
-            raise ViewnetError(f"{len(each)} images: expected one")
+    def _one(self, image: ImageLike | Prepared, mask: Any, box: Any) -> Prepared:
+        count = len(image) if isinstance(image, Prepared) else len(inputs.as_list(image))
+        if count != 1:
+            raise ViewnetError(f"{count} images: expected one")
         masks, boxes = (None if value is None else [value] for value in (mask, box))
-        return next(self._shown(each, masks, boxes, 1))
+        return next(self._prepared(image, masks, boxes, 1))
 
 
 def _array(values: Tensor | None) -> Any:

@@ -1,7 +1,7 @@
-"""Learned volumes as coloured meshes, upright and facing as the project's axes have it, for any 3-D viewer.
+"""Learned volumes as coloured meshes in the project's axes, for 3-D viewers.
 
 The surface lies where occupancy, interpolated between voxel centres, passes a level (marching cubes). Vertices are in
-half sides of the volume. Colours are those of the volume weighted by occupancy, since empty voxels have learned none.
+half sides of the volume. Colours are averages weighted by occupancy, as empty voxels have no learned colour.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from viewnet.runtime.files import replacing
 LEVEL = 0.5
 SUFFIXES = (".glb", ".ply")
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""Takes the project's z up to the y up that glTF prescribes."""
+"""From the project's z up to glTF's y up."""
 
 
 def surface(volume: Tensor, rotation: Tensor | None = None, level: float = LEVEL) -> trimesh.Trimesh:
-    """The closed surface of a volume (4, Z, Y, X), colour and occupancy in [0, 1], with a colour (RGBA) a vertex.
+    """The closed surface of a volume (4, Z, Y, X), colour and occupancy in [0, 1], with an RGBA colour at each vertex.
 
-    `rotation` (3, 3) takes the volume's frame to that of the mesh; none leaves it. Occupancy that reaches the volume's
-    faces is closed there. Raises ViewnetError where no voxel is above `level`.
+    `rotation` (3, 3) leads from the volume's frame to that of the mesh (default: the same). A surface that reaches the
+    volume's faces is closed there. ViewnetError for another shape, and where no voxel is above `level`.
     """
     if volume.ndim != 4 or volume.shape[0] != 4:
         raise ViewnetError(f"mesh: the volume is {tuple(volume.shape)}, expected (4, Z, Y, X): colour and occupancy")
     volume = volume.detach().float().cpu()
-    occupancy = np.pad(volume[3].numpy(), 1)  # nothing around it, so that the surface closes
+    occupancy = np.pad(volume[3].numpy(), 1)  # empty around it, so that the surface closes
     if not occupancy.max() > level:
         raise ViewnetError(
             f"mesh: the volume is empty: its highest occupancy is {occupancy.max():.2g}, not above {level:g}: "
@@ -45,12 +45,12 @@ def surface(volume: Tensor, rotation: Tensor | None = None, level: float = LEVEL
     points = ((2 * (corners - 1) + 1) / sides - 1)[:, ::-1].astype(np.float32)  # z, y, x to x, y, z
     colours = _colours(volume, torch.from_numpy(points.copy()))
     vertices = points if rotation is None else points @ rotation.cpu().numpy().T
-    # Triangles face inwards by the order of z, y and x, and so outwards by that of x, y and z.
+    # Triangles face inwards in the order z, y, x, and so outwards in the order x, y, z.
     return trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False)
 
 
 def write(mesh: trimesh.Trimesh, path: Path) -> Path:
-    """A mesh as .ply, in the project's axes, or as .glb, whose scene turns z up to the format's y up. Returns `path`.
+    """Write a mesh as .ply, in the project's axes, or as .glb, y up as the format prescribes, and return the path.
 
     ViewnetError for another suffix.
     """
@@ -74,7 +74,7 @@ def _colours(volume: Tensor, points: Tensor) -> np.ndarray:
     """RGBA (V, 4) uint8 at points (V, 3) of [-1, 1]^3 (x, y, z), weighted by occupancy."""
     weighted = torch.cat([volume[:3] * volume[3:], volume[3:]])
     grid = points[None, None, None]
-    # Beyond the outermost centres the nearest voxel counts, or a surface closed at the cube's face would be black.
-    found = F.grid_sample(weighted[None], grid, padding_mode="border", align_corners=False)[0, :, 0, 0]
-    colours = (found[:3] / found[3:].clamp(min=1e-6)).clamp(0, 1) * 255
+    # Border padding: otherwise a surface closed at the cube's face would be black.
+    sampled = F.grid_sample(weighted[None], grid, padding_mode="border", align_corners=False)[0, :, 0, 0]
+    colours = (sampled[:3] / sampled[3:].clamp(min=1e-6)).clamp(0, 1) * 255
     return np.column_stack([colours.round().T.numpy(), np.full(len(points), 255)]).astype(np.uint8)

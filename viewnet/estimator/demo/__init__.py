@@ -1,1 +1,1 @@
-"""A page in the browser to try a model on."""
+"""A web page on which to try a model."""

@@ -1,7 +1,7 @@
-"""The page of `viewnet demo`: an image and where its object is, and what a trained network makes of it.
+"""The page of `viewnet demo`: an image and the place of its object, and what a trained network predicts and renders.
 
-Needs gradio, which is imported here: viewnet.commands.demo tells those who do not have it. What a visitor has
-chosen is kept for that visitor alone (gr.State); the network is everybody's, and asked by one at a time.
+Needs gradio, which is imported here; viewnet.commands.demo explains how to install it. What a visitor has chosen is
+kept for that visitor alone (gr.State); the network is shared, and used by one event at a time.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from PIL import Image
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator, volume_mesh
 from viewnet.estimator.demo import analysis, compass_svg
-from viewnet.estimator.demo.analysis import Inspection
-from viewnet.estimator.demo.box_picker import Chosen, box_of, box_text, read
+from viewnet.estimator.demo.analysis import Analysis
+from viewnet.estimator.demo.box_picker import BoxPicker, format_box, parse_box, read
 from viewnet.estimator.demo.examples import Example
 from viewnet.model.reconstruction import Encoded
 
-KEPT = 3600
-"""Seconds for which files that visitors sent, and what was made of them, are kept."""
-NETWORK = "network"
-"""Events that ask the network wait for each other: compiled kernels are not for several threads at once."""
+LIFETIME = 3600
+"""Seconds after which files that visitors sent, and what was made of them, are deleted."""
+QUEUE = "network"
+"""Events that use the network wait for each other: compiled kernels are not for several threads at once."""
 HINT = "Click two opposite corners of the object in the image, or type its edges in pixels."
 WAITING = "<p>Choose an image, say where its object is, and press <b>Find the viewpoint</b>.</p>"
 STYLE = """
@@ -50,7 +50,7 @@ STYLE = """
 
 
 def theme() -> gr.themes.Base:
-    """Gradio's with the reader's own fonts: none are fetched; in a blue on which white letters can be read."""
+    """Gradio's default with the visitor's own fonts, none of which is fetched, and a blue that contrasts with white."""
     return gr.themes.Default(
         primary_hue="blue", font=("system-ui", "sans-serif"), font_mono=("ui-monospace", "monospace")
     )
@@ -62,14 +62,14 @@ def build(estimator: ViewpointEstimator, examples: Sequence[Example] = ()) -> gr
 
 
 class Page:
-    """Components and what happens between them; what visitors do goes from event to event and is never kept here."""
+    """Components and event handlers. The state of visitors goes from event to event and is never kept here."""
 
     def __init__(self, estimator: ViewpointEstimator, examples: Sequence[Example]):
         self.estimator, self.examples = estimator, list(examples)
         self.folder = tempfile.TemporaryDirectory(prefix="viewnet-demo-")  # of the examples' files, as long as the page
         title = f"From where is this {estimator.config.category} seen?"
-        with gr.Blocks(title=title, analytics_enabled=False, delete_cache=(KEPT, KEPT)) as self.blocks:
-            self.chosen, self.encoded = (gr.State(None, time_to_live=KEPT) for _ in range(2))
+        with gr.Blocks(title=title, analytics_enabled=False, delete_cache=(LIFETIME, LIFETIME)) as self.blocks:
+            self.picker, self.encoded = (gr.State(None, time_to_live=LIFETIME) for _ in range(2))
             gr.Markdown(f"# {title}")
             with gr.Row():
                 with gr.Column(scale=5, min_width=320):
@@ -84,7 +84,8 @@ class Page:
                         label="As a 3-D model: drag to turn it", clear_color=(1, 1, 1, 1), height=440, elem_id="mesh"
                     )
             with gr.Accordion("What this model is", open=True):
-                gr.Markdown("\n".join(f"- {line}" for line in analysis.about(estimator)), elem_id="about")
+                facts = analysis.model_facts(estimator)
+                gr.Markdown("\n".join(f"- {line}" for line in facts), elem_id="about")
             self._connect()
 
     def _lay_out_question(self) -> None:
@@ -92,7 +93,7 @@ class Page:
             label="Image: drop, paste or take one",
             sources=["upload", "webcam", "clipboard"],
             height=320,
-            elem_id="picture",
+            elem_id="image",
         )
         gr.Markdown(HINT)
         self.box = gr.Textbox(label="Box: left, top, right, bottom", placeholder="40 60 380 250", elem_id="box")
@@ -100,7 +101,7 @@ class Page:
             self.unbox = gr.Button("No box", min_width=100, elem_id="unbox")
             self.find = gr.Button("Find the viewpoint", variant="primary", min_width=180, elem_id="find")
         with gr.Accordion("A mask instead", open=False, elem_id="mask-panel"):
-            gr.Markdown("An image of the same size, the object white. Transparency is a mask too, without this one.")
+            gr.Markdown("An image of the same size, the object white. Without one, transparency is the mask.")
             self.mask = gr.Image(label="Mask", sources=["upload", "clipboard"], height=200, elem_id="mask")
         if self.examples:
             files = [Path(self.folder.name) / f"example{number}.png" for number in range(len(self.examples))]
@@ -123,15 +124,10 @@ class Page:
     def _lay_out_answer(self) -> None:
         self.answer = gr.HTML(WAITING, elem_id="answer")
         with gr.Row():
-            still: dict[str, Any] = {
-                "interactive": False,
-                "format": "png",
-                "height": 230,
-                "min_width": 130,
-                "buttons": [],
-            }
-            self.seen = gr.Image(label="As the network sees it", elem_id="seen", **still)
-            self.posed = gr.Image(label="As it draws it from there", elem_id="posed", **still)
+            still: dict[str, Any] = {"interactive": False, "format": "png", "buttons": []}
+            still |= {"height": 230, "min_width": 130}
+            self.input = gr.Image(label="As the network sees it", elem_id="seen", **still)
+            self.reconstruction = gr.Image(label="As it renders it from there", elem_id="posed", **still)
         self.table = gr.HTML(elem_id="hypotheses")
 
     def _lay_out_views(self) -> None:
@@ -142,139 +138,135 @@ class Page:
         self.elevation = gr.Slider(-90, 90, value=0, step=1, label="elevation, degrees", elem_id="elevation")
 
     def _connect(self) -> None:
-        question = [self.chosen, self.image, self.box]
-        answer = [self.encoded, self.answer, self.seen, self.posed, self.table]
+        question = [self.picker, self.image, self.box]
+        answer = [self.encoded, self.answer, self.input, self.reconstruction, self.table]
         answer += [self.azimuth, self.elevation, self.view, self.mesh]
         quiet: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
-        alone: dict[str, Any] = {"concurrency_id": NETWORK, "concurrency_limit": 1, "api_visibility": "private"}
-        raw: dict[str, Any] = alone | {"preprocess": False}
-        asking = (self.ask, [self.chosen, self.mask, self.box], answer)
-        # Files come as they are (preprocess): the project's own reader, and not gradio's, says what is wrong with one.
+        queued: dict[str, Any] = {"concurrency_id": QUEUE, "concurrency_limit": 1, "api_visibility": "private"}
+        # Files come as they are (preprocess=False): the project's own reader, not gradio's, explains what is wrong.
+        raw: dict[str, Any] = queued | {"preprocess": False}
+        predicting = (self.predict, [self.picker, self.mask, self.box], answer)
         self.image.input(self.take, self.image, question + answer, preprocess=False, **quiet)
-        self.image.select(self.click, self.chosen, question, **quiet)
-        self.box.input(self.redraw, [self.chosen, self.box], self.image, trigger_mode="always_last", **quiet)
-        self.box.submit(*asking, **raw)
-        self.unbox.click(self.forget_box, self.chosen, question, **quiet)
-        self.find.click(*asking, **raw)
+        self.image.select(self.click, self.picker, question, **quiet)
+        self.box.input(self.redraw, [self.picker, self.box], self.image, trigger_mode="always_last", **quiet)
+        self.box.submit(*predicting, **raw)
+        self.unbox.click(self.forget_box, self.picker, question, **quiet)
+        self.find.click(*predicting, **raw)
         for slider in (self.azimuth, self.elevation):
-            given = [self.encoded, self.azimuth, self.elevation]
-            slider.input(self.turn, given, self.view, trigger_mode="always_last", show_progress="hidden", **alone)
+            inputs = [self.encoded, self.azimuth, self.elevation]
+            slider.input(self.turn, inputs, self.view, trigger_mode="always_last", show_progress="hidden", **queued)
         if self.examples:
-            tried = self.samples.select(self.try_example, None, [*question, self.mask], **quiet)
-            tried.success(*asking, **raw)
+            chosen = self.samples.select(self.try_example, None, [*question, self.mask], **quiet)
+            chosen.success(*predicting, **raw)
 
     def take(self, sent: dict[str, Any] | None) -> Iterator[list[Any]]:
-        """A visitor's image came, or was taken away: whatever was said of another one goes."""
+        """A visitor sent an image, or removed it: clear the box and the answer."""
         file = _file_of(sent)
         nothing = ["", None, WAITING, None, None, None, 0, 0, None, None]
         try:
-            chosen = None if file is None else Chosen.of(*file)
+            picker = None if file is None else BoxPicker.of(*file)
         except ViewnetError as error:
             yield [None, None, *nothing]
             raise _toast(error) from None
-        yield [chosen, None if chosen is None else chosen.shown(), *nothing]
+        yield [picker, None if picker is None else picker.shown(), *nothing]
 
-    def click(self, chosen: Chosen | None, event: gr.SelectData) -> list[Any]:
-        """A corner of the box: the first, or the one that ends it."""
-        if chosen is None:
+    def click(self, picker: BoxPicker | None, event: gr.SelectData) -> list[Any]:
+        """A corner of the box: the first, or the one that completes it."""
+        if picker is None:
             return [gr.skip()] * 3
-        chosen, box = chosen.clicked(*event.index)
-        return [chosen, chosen.shown(box), box_text(box)]
+        picker, box = picker.click(*event.index)
+        return [picker, picker.shown(box), format_box(box)]
 
-    def redraw(self, chosen: Chosen | None, text: str) -> Any:
+    def redraw(self, picker: BoxPicker | None, text: str) -> Any:
         """The image with the box as far as it is typed."""
-        if chosen is None:
+        if picker is None:
             return gr.skip()
         try:
-            return chosen.clear().shown(box_of(text))
-        except ViewnetError:  # told when the network is asked
-            return chosen.shown()
+            return picker.clear().shown(parse_box(text))
+        except ViewnetError:  # reported once the prediction is asked for
+            return picker.shown()
 
-    def forget_box(self, chosen: Chosen | None) -> list[Any]:
-        """All of the image is the object."""
-        chosen = None if chosen is None else chosen.clear()
-        return [chosen, gr.skip() if chosen is None else chosen.shown(), ""]
+    def forget_box(self, picker: BoxPicker | None) -> list[Any]:
+        """No box: the whole image is the object."""
+        picker = None if picker is None else picker.clear()
+        return [picker, gr.skip() if picker is None else picker.shown(), ""]
 
     def try_example(self, event: gr.SelectData) -> list[Any]:
         """An example's image and box; no mask."""
         number = event.index
-        chosen, box = Chosen.of(self.files[number], f"example {number + 1}"), self.examples[number].box
-        return [chosen, chosen.shown(box), box_text(box), None]
+        picker, box = BoxPicker.of(self.files[number], f"example {number + 1}"), self.examples[number].box
+        return [picker, picker.shown(box), format_box(box), None]
 
-    def ask(self, chosen: Chosen | None, mask: dict[str, Any] | None, box: str) -> list[Any]:
-        """What the network says of the image. What is wrong with what was given is a toast, and no ViewnetError."""
+    def predict(self, picker: BoxPicker | None, mask: dict[str, Any] | None, box: str) -> list[Any]:
+        """What the network predicts and renders for the image. A mistake in the input becomes a toast."""
         try:
-            if chosen is None:
+            if picker is None:
                 raise ViewnetError("no image: drop, paste or take one, or choose an example")
             file = _file_of(mask)
             alpha = None if file is None else read(file[0], f"mask {file[1]}")
-            known = (chosen.image(), alpha, box_of(box))
-            found = analysis.inspect(self.estimator, *known)
+            found = analysis.analyse(self.estimator, picker.image(), alpha, parse_box(box))
         except ViewnetError as error:
             raise _toast(error) from None
         notes, model, reach = list(found.notes), None, 1.0
         try:
-            mesh = self.estimator.mesh(*known)
+            mesh = self.estimator.mesh(found.prepared)
             model = save_bytes_to_cache(volume_mesh.as_glb(mesh), "object.glb", self.mesh.GRADIO_CACHE)
             reach = float(np.linalg.norm(mesh.vertices, axis=1).max())
         except ViewnetError as error:
             notes.append(f"There is no 3-D model: {error}.")
-        one = found.viewpoint
-        azimuth, elevation = round(one.azimuth) % 360, round(one.elevation)
-        told = answer(found, notes)
-        shown = gr.update(value=model, camera_position=_camera(azimuth, elevation, reach))
-        view = self.turn(found.encoded, azimuth, elevation)
+        viewpoint = found.viewpoint
+        azimuth, elevation = round(viewpoint.azimuth) % 360, round(viewpoint.elevation)
         return [
             found.encoded,
-            told,
-            _enlarged(found.seen),
-            found.posed,
-            compass_svg.table(one),
+            answer(found, notes),
+            _enlarged(found.input),
+            found.reconstruction,
+            compass_svg.table(viewpoint),
             azimuth,
             elevation,
-            view,
-            shown,
+            self.turn(found.encoded, azimuth, elevation),
+            gr.update(value=model, camera_position=_camera(azimuth, elevation, reach)),
         ]
 
     def turn(self, encoded: Encoded | None, azimuth: float, elevation: float) -> Any:
-        """The object from a viewpoint of the visitor's."""
+        """The object from the viewpoint of the sliders."""
         return gr.skip() if encoded is None else analysis.novel_view(self.estimator, encoded, azimuth, elevation)
 
 
 def _file_of(sent: dict[str, Any] | None) -> tuple[Path, str] | None:
-    """A file that a visitor sent, whatever is in it, and the name that it had there."""
+    """A file that a visitor sent, whatever its contents, and its name on the visitor's machine."""
     if not sent or not sent.get("path"):
         return None
     return Path(sent["path"]), sent.get("orig_name") or Path(sent["path"]).name
 
 
-def answer(found: Inspection, notes: Sequence[str]) -> str:
-    """HTML: the viewpoint in numbers, in words where its frame is the annotated one, and as two dials."""
-    one = found.viewpoint
+def answer(result: Analysis, notes: Sequence[str]) -> str:
+    """HTML: the viewpoint in numbers, in words if it is in the annotated frame, and on two compasses."""
+    one = result.viewpoint
     words = f": it shows {compass_svg.words(one.azimuth, one.elevation)}" if one.aligned else ""
     frame = "" if one.aligned else "<p>In the model's own frame: azimuth 0 and up are arbitrary.</p>"
-    listed = "".join(f"<li>{escape(note)}</li>" for note in notes)
+    items = "".join(f"<li>{escape(note)}</li>" for note in notes)
     return (
         f'<p class="headline">azimuth <b>{one.azimuth:.1f}°</b>, elevation <b>{one.elevation:.1f}°</b>{words}</p>'
-        f"<p>confidence <b>{100 * one.confidence:.1f} %</b>: the probability that this hypothesis "
-        f"is the best one, as the network sees it</p>{frame}"
+        f"<p>confidence <b>{100 * one.confidence:.1f} %</b>: the probability that this hypothesis is the best one, as "
+        f"the network estimates it</p>{frame}"
         f'<div class="dials"><figure>{compass_svg.from_above(one)}<figcaption>from above</figcaption></figure>'
         f"<figure>{compass_svg.from_the_side(one)}<figcaption>from the side</figcaption></figure></div>"
-        + (f'<ul class="notes">{listed}</ul>' if notes else "")
+        + (f'<ul class="notes">{items}</ul>' if notes else "")
     )
 
 
 def _enlarged(pixels: np.ndarray) -> Image.Image:
-    """Of the few pixels that a network sees, each as a square."""
+    """An image of few pixels, each as a square."""
     times = max(1, analysis.SIZE // len(pixels))
     image = Image.fromarray(pixels)
     return image.resize((times * image.width, times * image.height), Image.Resampling.NEAREST)
 
 
 def _camera(azimuth: float, elevation: float, reach: float) -> tuple[float, float, float]:
-    """Where the browser's 3-D viewer is to look from, and how far from an object that reaches so far from its centre.
+    """Camera position of the browser's 3-D viewer, for an object of this radius.
 
-    It counts azimuths the other way round, and elevations from above. All of the object is seen on a narrow screen.
+    It counts azimuths clockwise and elevations from above. The distance suits narrow screens.
     """
     return -azimuth, min(max(90.0 - elevation, 1.0), 179.0), 3.4 * reach
 

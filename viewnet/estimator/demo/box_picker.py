@@ -1,4 +1,4 @@
-"""What a visitor of the page has chosen: an image's file, and in it, corner by corner, its object's box."""
+"""A visitor's image, and the box that is marked in it by two clicks or typed."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import opened
 
 SHOWN = 1024
-"""Pixels along the longer side of an image as it is shown. Browsers only ever make it smaller: of one that they make
-larger gradio tells clicks wrongly."""
+"""Pixels along the longer side of an image as it is shown. Browsers then only scale it down: gradio reports clicks
+wrongly on images that are scaled up."""
 EDGE = (213, 94, 0)
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
-    """An image that a visitor sent, upright.
+class BoxPicker:
+    """An upright image that a visitor sent, and the box that was begun in it.
 
     path     its file
-    name     what the file was called where it came from
+    name     the file's name on the visitor's machine
     size     width and height in pixels
-    display  the image as it is shown: SHOWN pixels along its longer side, before white
-    corner   of a box that was begun, in the image's pixels
+    display  the image as it is shown, on white: SHOWN pixels along its longer side
+    corner   the first corner of a box, in the image's pixels; None: no box was begun
     """
 
     path: Path
@@ -35,8 +35,8 @@ class Chosen:
     corner: tuple[float, float] | None = None
 
     @classmethod
-    def of(cls, path: Path, name: str) -> Chosen:
-        """Of a file. ViewnetError, by its `name`, where it is no image that can be read."""
+    def of(cls, path: Path, name: str) -> BoxPicker:
+        """Read a file. ViewnetError, which calls it `name`, if it is not an image that can be read."""
         image = read(path, f"image {name}")
         display = image.convert("RGBA") if image.has_transparency_data else rgb(image)
         display = ImageOps.contain(display, (SHOWN, SHOWN))
@@ -45,27 +45,27 @@ class Chosen:
         return cls(path, name, image.size, display.convert("RGB"))
 
     def image(self) -> Image.Image:
-        """All of it, upright. ViewnetError where the file is gone."""
+        """The image in full resolution. ViewnetError if the file is gone."""
         return read(self.path, f"image {self.name}")
 
-    def clicked(self, x: float, y: float) -> tuple[Chosen, Box | None]:
-        """After a click at a point of `shown`: the corner that begins a box, or the box that it ends."""
+    def click(self, x: float, y: float) -> tuple[BoxPicker, Box | None]:
+        """The state after a click at a point of `shown`, and the box if the click completes one."""
         scale = max(self.size) / max(self.display.size)
         point = (round(x * scale, 1), round(y * scale, 1))
         if self.corner is None:
             return replace(self, corner=point), None
         (x0, x1), (y0, y1) = (sorted(pair) for pair in zip(self.corner, point, strict=True))
-        return replace(self, corner=None), (x0, y0, x1, y1)
+        return self.clear(), (x0, y0, x1, y1)
 
-    def clear(self) -> Chosen:
-        """Without a corner."""
+    def clear(self) -> BoxPicker:
+        """The same image with no box begun."""
         return replace(self, corner=None)
 
     def shown(self, box: Box | None = None) -> Image.Image:
         """`display` with the box, or the corner that begins one, drawn into it."""
-        found = self.display.copy()
-        scale, pen = max(found.size) / max(self.size), ImageDraw.Draw(found)
-        width = max(2, max(found.size) // 150)
+        image = self.display.copy()
+        scale, pen = max(image.size) / max(self.size), ImageDraw.Draw(image)
+        width = max(2, max(image.size) // 150)
         if self.corner is not None:
             x, y = (scale * value for value in self.corner)
             pen.circle((x, y), 3 * width, fill=EDGE, outline="white", width=max(1, width // 2))
@@ -74,18 +74,18 @@ class Chosen:
             if x0 <= x1 and y0 <= y1:
                 pen.rectangle((x0, y0, x1, y1), outline="white", width=2 * width)
                 pen.rectangle((x0, y0, x1, y1), outline=EDGE, width=width)
-        return found
+        return image
 
 
-def read(path: Path, what: str) -> Image.Image:
-    """An image's file, decoded and upright. ViewnetError, which calls it `what`, where it cannot be read."""
-    with opened(path, what) as file:
+def read(path: Path, name: str) -> Image.Image:
+    """An image file, decoded and upright. ViewnetError, which calls it `name`, if it cannot be read."""
+    with opened(path, name) as file:
         file.load()
         return ImageOps.exif_transpose(file)
 
 
-def box_of(text: str) -> Box | None:
-    """The box that is typed as its left, top, right and bottom edge, None without any. ViewnetError for other text."""
+def parse_box(text: str) -> Box | None:
+    """A box typed as its left, top, right and bottom edge; None for no text. ViewnetError for other text."""
     if not (words := text.replace(",", " ").split()):
         return None
     try:
@@ -95,6 +95,6 @@ def box_of(text: str) -> Box | None:
     return x0, y0, x1, y1
 
 
-def box_text(box: Box | None) -> str:
-    """A box as it is typed."""
+def format_box(box: Box | None) -> str:
+    """The text of a box, for `parse_box`."""
     return "" if box is None else " ".join(f"{edge:.6g}" for edge in box)

@@ -1,4 +1,4 @@
-"""Images to try a trained network on: built-in CAD models that it has not seen, from viewpoints that are known."""
+"""Example images for the page: built-in CAD models that the network was not trained on, from known viewpoints."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from viewnet.estimator import ViewpointEstimator
 from viewnet.render import render_mesh
 
 VIEWPOINTS = ((35.0, 15.0), (140.0, 10.0), (250.0, 25.0), (320.0, 5.0))
-"""Azimuth and elevation in degrees, of a model each."""
+"""Azimuth and elevation in degrees, one for each model."""
 SEED = 2000
-"""Of the models: not those that are trained on, nor those of the stand-ins for photographs."""
+"""Of the models: other ones than in training and in the stand-ins for photographs."""
 SIZE = 256
-WIDE, HIGH = 400, 300
+BACKGROUND = (400, 300)
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """An image, its object's box where it needs one, and the viewpoint that it was drawn from."""
+    """An image, its object's box if it needs one, and the viewpoint it was rendered from."""
 
     image: Image.Image
     box: Box | None
@@ -33,28 +33,29 @@ class Example:
 
 
 def rendered(estimator: ViewpointEstimator) -> list[Example]:
-    """Images as the network was trained to see them: cut out, or before a background with the object's box.
+    """Images of the kind the network was trained on: cut out, or over a background with the object's box.
 
-    None of a category that is not built in.
+    Empty for a category without built-in models.
     """
-    category, framing = estimator.config.category, estimator.framing
+    category = estimator.config.category
     if category not in CATEGORIES:
         return []
-    found = []
+    examples = []
     for number, (azimuth, elevation) in enumerate(VIEWPOINTS):
         mesh = built_in_mesh(category, number, SEED)
         view = render_mesh(mesh, np.array([azimuth]), np.array([elevation]), SIZE, 2)[0]
         image, box = Image.fromarray(view), None
-        if not framing.cutout:
-            image, box = _before(image, np.random.default_rng([SEED, number]))
-        found.append(Example(image, box, azimuth, elevation))
-    return found
+        if not estimator.framing.cutout:
+            image, box = _on_background(image, np.random.default_rng([SEED, number]))
+        examples.append(Example(image, box, azimuth, elevation))
+    return examples
 
 
-def _before(view: Image.Image, rng: np.random.Generator) -> tuple[Image.Image, Box]:
-    """A view somewhere before a drawn background, and its object's box."""
-    scenery = Image.fromarray(scenes.draw(rng, WIDE, HIGH))
-    place = (int(rng.integers(WIDE - SIZE)), int(rng.integers(HIGH - SIZE)))
-    scenery.paste(view, place, view)
+def _on_background(view: Image.Image, rng: np.random.Generator) -> tuple[Image.Image, Box]:
+    """A view at a random place on a random background, and its object's box."""
+    width, height = BACKGROUND
+    background = Image.fromarray(scenes.draw(rng, width, height))
+    left, top = int(rng.integers(width - SIZE)), int(rng.integers(height - SIZE))
+    background.paste(view, (left, top), view)
     x0, y0, x1, y1 = bounds(np.array(view.getchannel("A")))
-    return scenery, (x0 + place[0], y0 + place[1], x1 + place[0], y1 + place[1])
+    return background, (x0 + left, y0 + top, x1 + left, y1 + top)

@@ -29,8 +29,8 @@ from viewnet.data.crop import Crop, bounds, cut
 from viewnet.data.photo_store import Photograph, photo_store
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator, volume_mesh
-from viewnet.estimator.inputs import Given, opened
-from viewnet.estimator.preprocess import HIDDEN, Framing, batches, viewed
+from viewnet.estimator.inputs import InputImage, read_image
+from viewnet.estimator.preprocess import OPAQUE, Framing, batches, crop_to_object
 from viewnet.evaluation.predict import predict
 from viewnet.geometry import look_at
 from viewnet.recipes import make_config
@@ -127,7 +127,7 @@ def test_images_that_are_ready_are_not_cut(overrides):
 def seen(estimator: ViewpointEstimator, images, masks=None) -> torch.Tensor:
     """What the viewpoint network sees of images that make one batch."""
     (found,) = batches(images, masks, None, estimator.framing, estimator.device, 99)
-    return found.seen
+    return found.viewpoint
 
 
 def placed(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -165,7 +165,7 @@ def test_what_is_beside_a_mask_is_seen_by_those_who_always_saw_something(images)
     assert same(photos.predict(other, mask), photos.predict(other, boxes=bounds(mask)))
     # Transparent pixels have no colour.
     clear = np.dstack([other, np.where(mask > 127, 255, 0).astype(np.uint8)])
-    solid = np.where(mask[..., None] > 127, image, HIDDEN).astype(np.uint8)
+    solid = np.where(mask[..., None] > 127, image, OPAQUE).astype(np.uint8)
     assert same(photos.predict(clear), photos.predict(solid, mask))
 
 
@@ -174,7 +174,7 @@ def test_of_a_mask_what_lies_in_the_box_is_the_object():
     mask[10:30, 5:25] = mask[20:50, 60:80] = 255
     alone = mask.copy()
     alone[:, 30:] = 0
-    found = opened(photograph(), mask, (4.0, 9.0, 26.0, 31.0))
+    found = read_image(photograph(), mask, (4.0, 9.0, 26.0, 31.0))
     assert np.array_equal(found.mask, alone)
     assert found.box == (5, 10, 25, 30)
 
@@ -183,12 +183,12 @@ def test_filmed_objects_are_cut_out_as_frames_were():
     video = VideoConfig("car", size=48, margin=0.1)
     mask = np.zeros((60, 90), np.uint8)
     mask[10:30, 20:60] = 255
-    given = Given(Image.fromarray(photograph()), mask, bounds(mask))
+    given = InputImage(Image.fromarray(photograph()), mask, bounds(mask))
     framing = Framing.of(make_config(profile="smoke", video=video))
-    assert np.array_equal(viewed(given, framing).pixels, cut(given.image, given.box, Crop(48, 0.1), mask))
+    assert np.array_equal(crop_to_object(given, framing).pixels, cut(given.image, given.box, Crop(48, 0.1), mask))
     # Trained without masks: frames were used as they are, and so is the image.
     framing = Framing.of(make_config(profile="smoke", video=replace(video, masks="none"), crop="square"))
-    assert np.array_equal(viewed(given, framing).pixels, cut(given.image, given.box, Crop(64, 0.1)))
+    assert np.array_equal(crop_to_object(given, framing).pixels, cut(given.image, given.box, Crop(64, 0.1)))
 
 
 def test_images_unlike_those_of_training_are_named(caplog):
@@ -207,7 +207,7 @@ def test_networks_that_see_whole_views_say_so_of_what_is_cut(caplog):
     assert not caplog.records
     untrained().predict([dark, dark], boxes=[box, None], batch_size=1)
     assert [record.message.partition(":")[0] for record in caplog.records] == [
-        "the network knows whole views as a rendering camera frames them"
+        "the network was trained on whole views as a rendering camera frames them"
     ]
 
 
@@ -289,8 +289,10 @@ def test_appearance_is_the_object_s_alone_before_what_is_there():
     mask[10:50, 20:70] = True
     mask[10:20, 20:30] = False
     (shown,) = batches(photograph(), mask, None, estimator.framing, estimator.device, 1)
-    assert torch.allclose(shown.object[:, 3].mean(), torch.tensor(0.95), atol=0.01)
-    assert torch.allclose(estimator.network.composite(shown.object, shown.behind), shown.seen[:, :3], atol=0.005)
+    assert torch.allclose(shown.appearance[:, 3].mean(), torch.tensor(0.95), atol=0.01)
+    assert torch.allclose(
+        estimator.network.composite(shown.appearance, shown.background), shown.viewpoint[:, :3], atol=0.005
+    )
 
 
 def test_the_view_from_the_predicted_viewpoint_is_the_reconstruction(store, images):

@@ -89,7 +89,7 @@ def taken(page, file):
 
 def test_asked_about_a_box_the_page_says_what_the_estimator_says(page, estimator, folder):
     file = folder / "photo0.png"
-    shown = page.ask(taken(page, file), None, TYPED)
+    shown = page.predict(taken(page, file), None, TYPED)
     said = estimator.predict(file, boxes=BOX)[0]
     encoded, told, _, posed, table, azimuth, elevation, view, mesh = shown
     for part in (f">{said.azimuth:.1f}°<", f">{said.elevation:.1f}°<", f">{100 * said.confidence:.1f} %<"):
@@ -109,10 +109,10 @@ def test_asked_about_a_box_the_page_says_what_the_estimator_says(page, estimator
 def test_a_mask_counts_and_so_does_what_is_missing(page, estimator, folder):
     file, mask = folder / "photo0.png", folder / "mask.png"
     chosen = taken(page, file)
-    masked = page.ask(chosen, sent(mask), "")[1]
+    masked = page.predict(chosen, sent(mask), "")[1]
     assert f">{estimator.predict(file, mask)[0].azimuth:.1f}°<" in masked
     assert "whole image" not in masked
-    assert "whole image" in page.ask(chosen, None, "")[1]
+    assert "whole image" in page.predict(chosen, None, "")[1]
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_a_mask_counts_and_so_does_what_is_missing(page, estimator, folder):
 def test_what_is_wrong_is_told_in_a_toast(page, folder, mask, box, message):
     file = None if mask is None else sent(folder / mask)
     with pytest.raises(gradio.Error) as caught:
-        page.ask(taken(page, folder / "photo0.png"), file, box)
+        page.predict(taken(page, folder / "photo0.png"), file, box)
     assert message in caught.value.message
     assert not caught.value.print_exception
 
@@ -155,7 +155,7 @@ def test_another_image_takes_the_answer_away(page, folder):
 
 def test_without_a_mesh_all_else_is_shown(page, estimator, folder):
     network = untrained(variant="hologan_decoder", **PHOTOS)
-    shown = app.Page(network, []).ask(taken(page, folder / "photo0.png"), None, TYPED)
+    shown = app.Page(network, []).predict(taken(page, folder / "photo0.png"), None, TYPED)
     assert shown[-1]["value"] is None
     assert "There is no 3-D model: volume: the HoloGAN decoder" in shown[1]
     assert shown[3].ndim == 3
@@ -163,7 +163,7 @@ def test_without_a_mesh_all_else_is_shown(page, estimator, folder):
 
 def test_a_frame_of_its_own_is_said(folder, page):
     own = ViewpointEstimator(untrained(**PHOTOS).network, replace(make_config(profile="smoke"), recipe="photos"))
-    told = app.Page(own, []).ask(taken(page, folder / "photo0.png"), None, TYPED)[1]
+    told = app.Page(own, []).predict(taken(page, folder / "photo0.png"), None, TYPED)[1]
     assert "azimuth 0 and up are arbitrary" in told
     assert "it shows" not in told
 
@@ -440,7 +440,7 @@ def test_visitors_do_not_see_each_others_images(browser, address, estimator, fol
 
 @pytest.mark.slow
 def test_everything_is_reached_by_the_keyboard_and_has_a_name(visit):
-    wanted = {"box", "picture", "find", "unbox", "azimuth", "elevation", "examples"}
+    wanted = {"box", "image", "find", "unbox", "azimuth", "elevation", "examples"}
     reached, unnamed = set(), []
     for _ in range(60):
         visit.tab.keyboard.press("Tab")
