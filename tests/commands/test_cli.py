@@ -15,7 +15,7 @@ from viewnet import cli
 from viewnet.config import RunConfig
 from viewnet.data import build
 from viewnet.data.store import ViewStore
-from viewnet.experiments import notebook
+from viewnet.experiments import notebooks
 from viewnet.recipes import make_config
 from viewnet.runtime.files import read_json
 from viewnet.training import make_run
@@ -88,7 +88,7 @@ def test_what_cannot_be_trained_is_said(arguments, message, capsys, monkeypatch)
 
 def test_a_notebook_s_kernel_is_told_the_cluster(monkeypatch, capsys):
     monkeypatch.setenv("VIEWNET_CLUSTER", "")
-    monkeypatch.setattr(notebook, "run", lambda *_: os.environ["VIEWNET_CLUSTER"])
+    monkeypatch.setattr(notebooks, "run", lambda *_: os.environ["VIEWNET_CLUSTER"])
     assert cli.main(["notebook", "table2_ablation", "--cluster", "tcp://host:8786"]) == 0
     assert capsys.readouterr().out == "tcp://host:8786\n"
 
@@ -166,7 +166,7 @@ def test_an_interruption_is_told(capsys, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(notebook, "run", interrupted)
+    monkeypatch.setattr(notebooks, "run", interrupted)
     assert cli.main(["notebook", "table2_ablation"]) == 130
     assert capsys.readouterr().err == "viewnet: interrupted: the same command continues where it stopped\n"
 

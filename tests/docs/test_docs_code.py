@@ -27,7 +27,7 @@ from PIL import Image
 from viewnet import cli, config, recipes
 from viewnet.data import catalogue
 from viewnet.data.store import ViewStore
-from viewnet.experiments import notebook, request, score_model
+from viewnet.experiments import notebooks, request, score_model
 from viewnet.runtime import torchvision_weights
 from viewnet.training.run_store import ensure
 
@@ -159,7 +159,7 @@ def test_torchrun_commands_run(words, world, monkeypatch):
 def test_papermill_parameters_exist(words, world):
     source, _, *rest = words[1:]
     assert rest[::3] == ["-p"] * (len(rest) // 3)
-    notebook.checked(ROOT / source, list(zip(rest[1::3], rest[2::3], strict=True)))
+    notebooks.check(ROOT / source, list(zip(rest[1::3], rest[2::3], strict=True)))
 
 
 @pytest.mark.parametrize("words", given("python"))

@@ -9,7 +9,7 @@ import pytest
 
 from viewnet import cli
 from viewnet.errors import ViewnetError
-from viewnet.experiments import all_notebooks, notebook
+from viewnet.experiments import notebooks
 from viewnet.experiments.page import page
 from viewnet.experiments.request import DESIGNS
 
@@ -29,19 +29,19 @@ def ran(tmp_path, monkeypatch):
             raise ViewnetError("1 of 6 runs failed: the loss is not finite")
         return Path("copies") / f"{name}.ipynb"
 
-    monkeypatch.setattr(notebook, "run", run)
+    monkeypatch.setattr(notebooks, "run", run)
     monkeypatch.setattr(page, "write", lambda folder: folder / "index.html")
     return found
 
 
 def test_every_notebook_has_its_turn():
-    assert sorted(all_notebooks.ORDER) == sorted(path.stem for path in notebook.folder().glob("*.ipynb"))
-    assert sorted(all_notebooks.ORDER) == sorted(DESIGNS)
+    assert sorted(notebooks.ORDER) == sorted(path.stem for path in notebooks.folder().glob("*.ipynb"))
+    assert sorted(notebooks.ORDER) == sorted(DESIGNS)
 
 
 def test_one_that_fails_is_told_and_the_others_go_on(ran, capsys, tmp_path):
     assert cli.main(["tables"]) == 1
-    assert list(ran) == list(all_notebooks.ORDER)
+    assert list(ran) == list(notebooks.ORDER)
     assert not any(ran.values())
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == len(ran) + 2

@@ -11,7 +11,7 @@ import pytest
 
 from viewnet import cli
 from viewnet.errors import ViewnetError
-from viewnet.experiments import experiment, notebook
+from viewnet.experiments import experiment, notebooks
 from viewnet.experiments.request import DESIGNS
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
@@ -52,7 +52,7 @@ class TestForm:
         assert "experiment(" in code[1].source
 
     def test_every_parameter_has_a_type_and_a_comment_and_is_used(self, path):
-        declared = notebook.parameters(path)
+        declared = notebooks.parameters(path)
         assert declared
         for name, found in declared.items():
             assert found["inferred_type_name"] in ("str", "int"), name
@@ -63,7 +63,7 @@ class TestForm:
 
     def test_defaults_are_valid(self, path, monkeypatch):
         monkeypatch.delenv("VIEWNET_PROFILE", raising=False)
-        values = {n: ast.literal_eval(found["default"]) for n, found in notebook.parameters(path).items()}
+        values = {n: ast.literal_eval(found["default"]) for n, found in notebooks.parameters(path).items()}
         values.pop("seed", None)
         assert experiment(path.stem, **values).label == ""
 
@@ -123,7 +123,7 @@ def root(tmp_path, monkeypatch):
 def test_values_get_the_declared_types_and_nothing_is_guessed(root):
     source = 'profile: str = "default"\ncategories: str = "all"\nworkers: int = 0\nseeds: str = "1"\nother: str = ""'
     path = write(root, "table1_shapenet", source)
-    given, asked = notebook.checked(
+    given, asked = notebooks.check(
         path, [("workers", "2"), ("categories", "car,chair"), ("seeds", "3"), ("other", "003"), ("profile", "smoke")]
     )
     assert given == {"workers": 2, "categories": "car,chair", "seeds": "3", "other": "003", "profile": "smoke"}
@@ -190,11 +190,27 @@ def test_a_viewnet_error_in_the_kernel_is_told_in_one_line(root, capsys):
     assert "viewnet: x: y\n" in capsys.readouterr().err
 
 
-def test_other_failures_name_the_copy_to_look_at():
-    with pytest.raises(ViewnetError, match=r"^table1 failed: KeyError: 'a' \(see .*table1\.ipynb\)$"):
-        notebook._explain("KeyError", "'a'\nmore", Path("table1.ipynb"))
-    with pytest.raises(ViewnetError, match="pip install ipykernel"):
-        notebook._explain("NoSuchKernel", "python3", Path("table1.ipynb"))
+class NoSuchKernel(Exception):
+    """Named as Jupyter's."""
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (KeyError("a"), r"^architecture failed: KeyError: 'a' \(see .*architecture\.ipynb\)$"),
+        (OSError("first line\nsecond"), r"^architecture failed: OSError: first line \(see "),
+        (NoSuchKernel("python3"), "pip install ipykernel"),
+    ],
+)
+def test_other_failures_name_the_copy_to_look_at(root, monkeypatch, error, message):
+    write(root, "architecture", 'profile: str = "paper"  # sizes')
+
+    def fail(*arguments, **options):
+        raise error
+
+    monkeypatch.setattr("papermill.execute_notebook", fail)
+    with pytest.raises(ViewnetError, match=message):
+        notebooks.run("architecture")
 
 
 def test_refreshing_keeps_outputs_and_nothing_of_the_machine(root):
@@ -204,7 +220,7 @@ def test_refreshing_keeps_outputs_and_nothing_of_the_machine(root):
         'profile: str = "paper"  # sizes',
         "import sys\nprint('1/2', file=sys.stderr)\nprint(profile)",
     )
-    assert notebook.refresh("architecture") == path
+    assert notebooks.refresh("architecture") == path
     kept = read(path)
     assert [cell.execution_count for cell in kept.cells] == [1, 2]
     assert [output.text for output in kept.cells[1].outputs] == ["paper\n"]

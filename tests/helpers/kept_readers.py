@@ -27,7 +27,7 @@ from viewnet.data.store import ViewStore, write_store
 from viewnet.evaluation import features
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
-from viewnet.experiments import notebook
+from viewnet.experiments import notebooks
 from viewnet.model import checkpoint
 from viewnet.model.checkpoint import load_model
 from viewnet.recipes import make_config
@@ -257,7 +257,7 @@ def _notebook(folder: Path) -> None:
 
 def _parameters(folder: Path) -> object:
     with mock.patch.dict(os.environ, VIEWNET_ROOT=str(folder)):
-        return notebook.checked(notebook.find("table2_ablation"), [("profile", "smoke"), ("seeds", "2")])
+        return notebooks.check(notebooks.find("table2_ablation"), [("profile", "smoke"), ("seeds", "2")])
 
 
 def _drawer(folder: Path) -> None:

@@ -31,16 +31,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Run the notebook and print the path of its copy. ViewnetError for --refresh with other values."""
-    from viewnet.experiments import notebook
+    from viewnet.experiments import notebooks
 
     if options.parameters:
-        for name, known in notebook.parameters(notebook.find(options.name)).items():
+        for name, known in notebooks.parameters(notebooks.find(options.name)).items():
             print(f"{name} = {known['default']}  ({known['inferred_type_name']}) {known['help']}")
         return
     if options.refresh:
         if options.values or options.output:
             raise ViewnetError("--refresh takes neither -p nor --output: set VIEWNET_PROFILE for another profile")
-        print(notebook.refresh(options.name))
+        print(notebooks.refresh(options.name))
         return
     choose_cluster(options)
-    print(notebook.run(options.name, [(name, value) for name, value in options.values], options.output))
+    print(notebooks.run(options.name, [(name, value) for name, value in options.values], options.output))

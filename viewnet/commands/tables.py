@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the notebooks and write the page; 1 where some failed. ViewnetError for --page with other options."""
     from viewnet import paths
-    from viewnet.experiments import all_notebooks
+    from viewnet.experiments import notebooks
     from viewnet.experiments.page import page
 
     if options.page and (options.only or options.profile or options.seeds):
@@ -42,8 +42,8 @@ def run(options: argparse.Namespace) -> int:
     choose_cluster(options)
     done = []
     if not options.page:
-        planned = all_notebooks.planned(options.only, options.profile, options.seeds)
-        for outcome in all_notebooks.run(planned):
+        planned = notebooks.plan(options.only, options.profile, options.seeds)
+        for outcome in notebooks.run_all(planned):
             done.append(outcome)
             if not options.json:
                 print(outcome, flush=True)

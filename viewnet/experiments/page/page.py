@@ -21,7 +21,7 @@ import nbformat
 from markupsafe import Markup
 
 from viewnet.errors import ViewnetError
-from viewnet.experiments import notebook
+from viewnet.experiments import notebooks
 from viewnet.experiments.page import blocks
 from viewnet.experiments.page.blocks import Block, Content
 from viewnet.experiments.page.images import SUFFIXES, EmbeddedImage, embedded
@@ -314,7 +314,7 @@ def heading(kind: Kind) -> tuple[str, Markup, str]:
     """A section's title, what it shows, and the command that makes it: of a notebook by its first cell."""
     if kind.title:
         return kind.title, _html(kind.lead), kind.command
-    return *_first_cell(notebook.find(kind.name)), f"viewnet notebook {kind.name}"
+    return *_first_cell(notebooks.find(kind.name)), f"viewnet notebook {kind.name}"
 
 
 @functools.cache
