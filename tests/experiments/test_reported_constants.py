@@ -30,8 +30,8 @@ def frame(azimuth: float, elevation: float) -> np.ndarray:
     return geometry.look_at(geometry.view_vector(a, e)).numpy()
 
 
-def errors_of(constants: np.ndarray, views: pd.DataFrame) -> np.ndarray:
-    return constants.angles(constants, constants.level_frames(true_vectors(views)))
+def errors_of(frames: np.ndarray, views: pd.DataFrame) -> np.ndarray:
+    return constants.angles(frames, constants.level_frames(true_vectors(views)))
 
 
 @settings(max_examples=25, deadline=None)
