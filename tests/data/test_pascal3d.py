@@ -73,7 +73,7 @@ def test_the_stand_in_is_the_same_whatever_the_number_of_processes(stand_in, tmp
 def test_the_stand_in_shows_other_models_than_training(stand_in):
     shown = {cad.model_id("bus", i, pascal3d_standin.MODEL_SEED) for i in range(6)}
     assert shown.isdisjoint(cad.model_id("bus", i) for i in range(2000))
-    plan = pascal3d_standin._plan("bus", "imagenet", 3, 12, 0)
+    plan = pascal3d_standin.plan("bus", "imagenet", 3, 12, 0)
     assert [{p.split for p in plan[model]} for model in range(6)] == [{"train"}] * 3 + [{"val"}] * 3
     assert {len(photographs) for photographs in plan.values()} == {4}
 

@@ -115,11 +115,7 @@ def clip_store(
         parallel = (workers or cores()) if masks is None or masks.parallel else 1
         with ThreadPoolExecutor(parallel) as pool:
             results = bar(
-                progress,
-                iterable=pool.map(work, range(len(ordered))),
-                total=len(ordered),
-                desc="clips",
-                unit="clip",
+                progress, iterable=pool.map(work, range(len(ordered))), total=len(ordered), desc="clips", unit="clip"
             )
             for number, (found, lost) in enumerate(results):
                 refused += lost

@@ -29,11 +29,7 @@ Pick = Literal["random", "evenly"]
 PICKS: tuple[Pick, ...] = ("random", "evenly")
 Still = tuple[int, str, Image.Image | ViewnetError]
 """A frame's number from 0, its name without a suffix, and its image or why there is none."""
-_QUARTERS = {
-    90: Image.Transpose.ROTATE_90,
-    180: Image.Transpose.ROTATE_180,
-    270: Image.Transpose.ROTATE_270,
-}
+_QUARTERS = {90: Image.Transpose.ROTATE_90, 180: Image.Transpose.ROTATE_180, 270: Image.Transpose.ROTATE_270}
 
 
 @dataclass(frozen=True)

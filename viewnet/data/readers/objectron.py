@@ -84,14 +84,7 @@ def read(
 
 
 def _clip(
-    root: Path,
-    path: Path,
-    video: str,
-    category: str,
-    split: str,
-    count: int,
-    seed: int,
-    rejected: list[Rejected],
+    root: Path, path: Path, video: str, category: str, split: str, count: int, seed: int, rejected: list[Rejected]
 ) -> Clip:
     """One video; what of it is not used joins `rejected`."""
     where = path.relative_to(root).as_posix()

@@ -36,12 +36,7 @@ _CAMERA = {
     }
 }
 _OBJECT = {
-    "Object": {
-        "id": (1, "int32"),
-        "rotation": (4, "float*"),
-        "translation": (5, "float*"),
-        "scale": (6, "float*"),
-    }
+    "Object": {"id": (1, "int32"), "rotation": (4, "float*"), "translation": (5, "float*"), "scale": (6, "float*")}
 }
 _ANNOTATION = {
     "NormalizedPoint2D": {"x": (1, "float"), "y": (2, "float"), "depth": (3, "float")},
@@ -62,10 +57,7 @@ _ANNOTATION = {
         "camera": (3, f"{_CAPTURE}.ARCamera"),
         "timestamp": (4, "double"),
     },
-    "Sequence": {
-        "objects": (1, f"{_PURSUIT}.Object*"),
-        "frame_annotations": (2, f"{_PURSUIT}.FrameAnnotation*"),
-    },
+    "Sequence": {"objects": (1, f"{_PURSUIT}.Object*"), "frame_annotations": (2, f"{_PURSUIT}.FrameAnnotation*")},
 }
 
 

@@ -25,11 +25,7 @@ MASKS = "masks"
 
 
 def read(
-    root: Path,
-    category: str,
-    count: int | None = 10,
-    pick: Pick = "random",
-    seed: int = 0,
+    root: Path, category: str, count: int | None = 10, pick: Pick = "random", seed: int = 0
 ) -> tuple[list[Clip], list[Rejected]]:
     """The clips of a folder by name, `count` frames each (None: all), and what cannot be used.
 

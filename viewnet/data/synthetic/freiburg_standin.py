@@ -1,7 +1,7 @@
-"""A stand-in for Freiburg static cars in its own layout: built-in CAD cars, walked around, before drawn backgrounds.
+"""A stand-in for Freiburg static cars in its layout: built-in CAD cars, filmed once around, before synthetic scenes.
 
-It lets everything that reads the data set run, and be tested, where it is not to be had. Numbers measured on it are
-numbers of the stand-in.
+Everything that reads the data set runs on it, and can be tested, where the data set is not to be had. Numbers measured
+on it are numbers of the stand-in.
 """
 
 from __future__ import annotations
@@ -15,12 +15,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFilter
 from scipy import ndimage
 
-from viewnet import cad
 from viewnet.data.readers.freiburg import ANNOTATIONS, AZIMUTH, CATEGORY, MASKS
 from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.pascal3d_standin import built_in_mesh
+from viewnet.data.synthetic.stand_in import built_in_mesh, check_request, versions
 from viewnet.errors import ViewnetError
-from viewnet.render import VERSION as RENDER_VERSION
 from viewnet.render import render_cameras
 from viewnet.render.camera import look_from
 from viewnet.runtime.files import write_text
@@ -30,15 +28,15 @@ from viewnet.runtime.progress import bar
 VERSION = 1
 """Raise it when a change alters images, masks or annotations."""
 SEQUENCES = tuple(n for n in range(1, 53) if n not in (6, 20, 31, 36))
-"""48 of 52, so that numbers have gaps as they do in the data set."""
+"""48 of 52, so that numbers have gaps as in the data set."""
 MODEL_SEED = 2000
-"""Added to the seed: models are others than those of a training or of the other stand-in with the same one."""
+"""Added to the seed, so that models differ from those of a training and of the stand-in for PASCAL3D+."""
 SIZE = (240, 135)
 """Width and height of a frame, pixels: a quarter of the data set's."""
 OBJECT = 160
-"""Pixels along a side of the drawing that a car is pasted from."""
+"""Pixels along a side of the rendering that a car is pasted from."""
 NO_MASK = 0.02
-"""The share of frames that have no mask."""
+"""The share of frames without a mask."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +51,7 @@ class _Job:
 
 def describe(sequences: Sequence[int], frames: int, seed: int) -> dict[str, Any]:
     """What decides a stand-in, as JSON values."""
-    versions = [VERSION, cad.VERSION, RENDER_VERSION, scenes.VERSION]
-    return {"version": versions, "sequences": sorted(set(sequences)), "frames": frames, "seed": seed}
+    return {"version": versions(VERSION), "sequences": sorted(set(sequences)), "frames": frames, "seed": seed}
 
 
 def write_stand_in(
@@ -65,27 +62,23 @@ def write_stand_in(
     workers: int | None = None,
     progress: bool = True,
 ) -> None:
-    """Sequences of these numbers, `frames` frames each, under `root` in the layout of Freiburg static cars 52.
+    """Write sequences of these numbers, `frames` frames each, to `root` in the layout of Freiburg static cars 52.
 
-    Each shows a car of its own once around, from a low height that is not annotated: one light, a gloss that moves over
-    the body, exposure that drifts, a camera that shakes a little and blurs. The background moves along. Masks are a
-    little off, with dents and bulges, and some are missing. A sequence depends on (seed, its number, frames) only.
+    Each shows a car of its own once around, from a low height that is not annotated: one light, a moving reflection,
+    exposure that drifts, a camera that shakes and blurs, a background that moves along. Masks are imperfect, and some
+    are missing. A sequence depends on (seed, its number, frames) only.
 
-    Raises ViewnetError for values out of range, and where `root` holds something already.
+    Raises ViewnetError for values out of range, and where `root` is not empty.
     """
     root = Path(root)
     numbers = sorted(set(sequences))
     given = {"frames": frames, "workers": 1 if workers is None else workers, "sequences": len(numbers)}
-    for name, value in given.items():
-        if value < 1:
-            raise ViewnetError(f"stand-in: {name} {value}: expected 1 or more")
+    check_request(root, given)
     if numbers[0] < 1 or numbers[-1] > 999:
         raise ViewnetError(f"stand-in: sequences {numbers[0]} to {numbers[-1]}: expected numbers from 1 to 999")
-    if root.exists() and any(root.iterdir()):
-        raise ViewnetError(f"{root}: is not empty: name another folder")
-    jobs = [_Job(root, number, frames, seed) for number in numbers]
     if workers is None:
         workers = 1 if len(numbers) * frames < 400 else cores()  # for a few, starting processes takes longer
+    jobs = [_Job(root, number, frames, seed) for number in numbers]
     with bar(progress, total=len(jobs), desc="stand-in", unit="sequence") as shown:
         for _ in as_done(_write_sequence, jobs, workers, "the stand-in"):
             shown.update()
@@ -97,40 +90,44 @@ def _write_sequence(job: _Job) -> None:
     sense = rng.choice([-1.0, 1.0])
     azimuths = (rng.uniform(0, 360) + sense * 360 * np.arange(job.frames) / job.frames) % 360
     elevations = rng.uniform(2, 12) + np.cumsum(rng.normal(0, 0.3, job.frames)).clip(-3, 3)
-    cameras = look_from(azimuths, elevations)
-    light = np.array([*rng.normal(0, 1, 2), rng.uniform(0.8, 2)])
-    # The sun stays where it is; what is in the shade is lit by the sky, from the camera's side.
-    lights = light / np.linalg.norm(light) + 0.9 * cameras[:, :, 2]
+    cameras = look_from(azimuths, elevations)  # (frames, 3, 3)
+    sun = np.array([*rng.normal(0, 1, 2), rng.uniform(0.8, 2)])
+    # The sun stands still; the shade is lit by the sky, from the camera's side.
+    lights = sun / np.linalg.norm(sun) + 0.9 * cameras[:, :, 2]
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
-    drawings = render_cameras(
-        built_in_mesh(CATEGORY, job.number, job.seed + MODEL_SEED), cameras, lights, OBJECT, 2, "raycast"
-    )
-    around = _panorama(rng)
+    mesh = built_in_mesh(CATEGORY, job.number, job.seed + MODEL_SEED)
+    renderings = render_cameras(mesh, cameras, lights, OBJECT, 2, "raycast")
+    panorama = _panorama(rng)
     scale = rng.uniform(0.85, 1.15) * SIZE[1] / OBJECT * 1.25
     shake = ndimage.gaussian_filter1d(rng.normal(0, 1, (job.frames, 2)), 2, axis=0, mode="wrap") * [9, 4]
     exposure = np.exp(0.25 * _drift(rng, job.frames))
     gloss = rng.uniform(0.2, 0.7)
     lines = []
     for k in range(job.frames):
-        drawing = _glossy(drawings[k], gloss, azimuths[k] - np.rad2deg(np.arctan2(light[1], light[0])))
-        image, alpha = _frame(drawing, around, azimuths[k] / 360, scale, shake[k], rng)
+        glossy = _with_reflection(renderings[k], gloss, azimuths[k] - np.rad2deg(np.arctan2(sun[1], sun[0])))
+        image, alpha = _frame(glossy, panorama, azimuths[k] / 360, scale, shake[k], rng)
         ys, xs = np.nonzero(alpha > 127)
         if not len(xs):
             raise ViewnetError("a car of the stand-in cannot be seen")
         box = (int(xs.min()), int(ys.min()), int(xs.max()) + 1, int(ys.max()) + 1)
         theirs = round(AZIMUTH[0] * (azimuths[k] - AZIMUTH[1]) % 360) % 360
         lines.append(f"{name}/{k + 1:04d}.png\t{' '.join(map(str, box))}\t{theirs}\n")
-        _save(_filmed(image, exposure[k], rng), job.root / name / f"{k + 1:04d}.png")
+        _save(_exposed(image, exposure[k], rng), job.root / name / f"{k + 1:04d}.png")
         mask = _imperfect(alpha, rng)
         if rng.random() >= NO_MASK:
             _save(mask, job.root / MASKS / name / f"{k + 1:04d}.png")
     write_text(job.root / ANNOTATIONS / f"{job.number}_annot.txt", "".join(lines))
 
 
+def _save(image: Image.Image, file: Path) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    image.save(file, compress_level=1)
+
+
 def _panorama(rng: np.random.Generator) -> np.ndarray:
-    """What is seen around the camera, (H, 4 W, 3): it ends as it begins."""
+    """The surroundings of the camera, (H, 4 W, 3), whose ends fit each other."""
     half = np.concatenate([scenes.draw(rng, *SIZE), scenes.draw(rng, *SIZE)], axis=1)
-    # Scenes run into each other over a sixth of a frame.
+    # Scenes are blended over a sixth of a frame.
     seam, middle = SIZE[0] // 6, SIZE[0]
     share = np.linspace(0, 1, seam)[None, :, None]
     mixed = half[:, middle - seam : middle] * (1 - share) + half[:, middle : middle + seam] * share
@@ -139,71 +136,62 @@ def _panorama(rng: np.random.Generator) -> np.ndarray:
 
 
 def _drift(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Slow noise (count,) of deviation about 1."""
+    """Smooth periodic noise (count,) of standard deviation about 1."""
     angles = 2 * np.pi * np.arange(count) / count
     waves = [rng.normal(0, 0.7) * np.cos(n * angles + rng.uniform(0, 2 * np.pi)) for n in (1, 2, 3)]
     return np.sum(waves, axis=0) / 1.2
 
 
-def _glossy(drawing: np.ndarray, strength: float, turn: float) -> np.ndarray:
-    """A drawing (S, S, 4) with the sky's reflection: a soft spot that moves over the car as the camera does."""
-    size = len(drawing)
+def _with_reflection(rendering: np.ndarray, strength: float, turn: float) -> np.ndarray:
+    """A rendering (S, S, 4) with the sky's reflection: a soft spot that moves over the car with the camera."""
+    size = len(rendering)
     rows, columns = np.mgrid[:size, :size] / size
-    ys = np.nonzero(drawing[..., 3].any(axis=1))[0] / size
+    ys = np.nonzero(rendering[..., 3].any(axis=1))[0] / size
     top, high = ys.min(initial=1), np.ptp(ys) if len(ys) else 1
     across = 0.5 - 0.4 * np.sin(np.deg2rad(turn))
     spot = np.exp(-(((columns - across) / 0.12) ** 2) - ((rows - top - 0.4 * high) / (0.35 * high + 1e-6)) ** 2)
     share = strength * (0.3 + 0.7 * max(0.0, np.cos(np.deg2rad(turn)))) * spot[..., None]
-    colours = drawing[..., :3] + share * (255 - drawing[..., :3])
-    return np.dstack([colours.astype(np.uint8), drawing[..., 3]])
+    colours = rendering[..., :3] + share * (255 - rendering[..., :3])
+    return np.dstack([colours.astype(np.uint8), rendering[..., 3]])
 
 
 def _frame(
-    drawing: np.ndarray,
-    around: np.ndarray,
+    rendering: np.ndarray,
+    panorama: np.ndarray,
     turn: float,
     scale: float,
     shake: np.ndarray,
     rng: np.random.Generator,
 ) -> tuple[Image.Image, np.ndarray]:
-    """A car in its surroundings, and its true alpha (H, W)."""
+    """A car composited over its surroundings, and its true alpha (H, W)."""
     width, height = SIZE
-    thing = Image.fromarray(drawing)
     side = round(OBJECT * scale)
-    thing = thing.resize((side, side), Image.Resampling.HAMMING)
-    left, upper = round((width - side) / 2 + shake[0]), round((height - side) / 2 + shake[1])
-    start = round(turn * around.shape[1])
-    image = Image.fromarray(around[:, np.arange(start, start + width) % around.shape[1]])
+    thing = Image.fromarray(rendering).resize((side, side), Image.Resampling.HAMMING)
+    start = round(turn * panorama.shape[1])
+    image = Image.fromarray(panorama[:, np.arange(start, start + width) % panorama.shape[1]])
     cover = Image.new("RGBA", SIZE)
-    cover.paste(thing, (left, upper))
-    box = cover.getchannel("A").getbbox()
-    if box is not None:
+    cover.paste(thing, (round((width - side) / 2 + shake[0]), round((height - side) / 2 + shake[1])))
+    if box := cover.getchannel("A").getbbox():
         x0, _, x1, y1 = box
         shadow = Image.new("L", SIZE, 0)
         ImageDraw.Draw(shadow).ellipse((x0, y1 - 14, x1, y1 + 5), 170)
         image.paste((15, 15, 18), mask=shadow.filter(ImageFilter.GaussianBlur(3)))
     image.paste(cover, (0, 0), cover)
-    alpha = np.asarray(cover.getchannel("A"))
     # The camera moves while the shutter is open.
     length = int(rng.integers(1, 4))
     moved = ndimage.uniform_filter1d(np.asarray(image, dtype=np.float64), length, axis=1, mode="nearest")
-    return Image.fromarray(moved.astype(np.uint8)), alpha
+    return Image.fromarray(moved.astype(np.uint8)), np.asarray(cover.getchannel("A"))
 
 
-def _filmed(image: Image.Image, exposure: float, rng: np.random.Generator) -> Image.Image:
+def _exposed(image: Image.Image, exposure: float, rng: np.random.Generator) -> Image.Image:
     pixels = np.asarray(image, dtype=np.float64) / 255 * exposure
     pixels = pixels + rng.normal(0, 0.015, pixels.shape)
     return Image.fromarray((pixels.clip(0, 1) * 255 + 0.5).astype(np.uint8))
 
 
 def _imperfect(alpha: np.ndarray, rng: np.random.Generator) -> Image.Image:
-    """A mask as a network finds it: its outline is off by some pixels, in and out."""
+    """A mask like a segmentation network's: its outline is off by some pixels, in and out."""
     noise = ndimage.gaussian_filter(rng.normal(size=alpha.shape), 4)
     soft = ndimage.gaussian_filter(alpha / 255.0, 2.0)
     edge = 4 * soft * (1 - soft)
     return Image.fromarray(((soft + 0.25 * edge * noise / noise.std() > 0.5) * 255).astype(np.uint8))
-
-
-def _save(image: Image.Image, file: Path) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    image.save(file, compress_level=1)

@@ -1,9 +1,8 @@
-"""A stand-in for Objectron in its own layout: built-in CAD models filmed by hand before cluttered backgrounds.
+"""A stand-in for Objectron in its layout: built-in CAD models filmed by hand before cluttered backgrounds.
 
-It lets everything that reads the data set run, and be tested, where it is not to be had. Numbers measured on it are
-numbers of the stand-in. A video is a smooth arc of 60 to 180 degrees about one object, with changes of height, aim,
-focal length, light and exposure, and with motion blur; its frames are written as images, with a record, and with
-masks as two kinds of network make them: one that learned from masks (masks/) and one that learned from words (WEAK).
+Numbers measured on it are numbers of the stand-in. A video is a smooth arc of 60 to 180 degrees about one object;
+height, aim, focal length, light and exposure change, and motion blurs. Its frames are written as images, with a record,
+and with two kinds of masks, like those of a supervised (masks/) and of a weakly supervised network (WEAK).
 """
 
 from __future__ import annotations
@@ -17,14 +16,12 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFilter
 from scipy import ndimage
 
-from viewnet import cad
 from viewnet.data.readers.objectron import CLASSES, MASKS
 from viewnet.data.readers.objectron_record import AXES, UNIT_BOX
 from viewnet.data.readers.objectron_schema import Sequence
 from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.pascal3d_standin import built_in_mesh
+from viewnet.data.synthetic.stand_in import built_in_mesh, check_request, versions
 from viewnet.errors import ViewnetError
-from viewnet.render import VERSION as RENDER_VERSION
 from viewnet.render import render_cameras
 from viewnet.render.camera import DISTANCE, FOCAL, look_from
 from viewnet.render.mesh import Mesh
@@ -34,27 +31,27 @@ from viewnet.runtime.progress import bar
 VERSION = 2
 """Raise it when a change alters images, masks or records."""
 WEAK = "masks_weak"
-"""The folder of masks as a weakly supervised network makes them: blobs without legs that take in some surroundings."""
+"""The folder of masks like a weakly supervised network's: blobs without legs that include some surroundings."""
 MODEL_SEED = 2000
-"""Added to the seed: models are others than those of a training with the same one."""
+"""Added to the seed, so that models differ from those of a training with the same one."""
 SIZE = (180, 240)
-"""Width and height of an image, pixels: three to four, as a phone held upright films."""
+"""Width and height of an image, pixels: three to four, as of a phone held upright."""
 BATCH = 50
 """Videos in a batch."""
 TEST = 0.2
 """The share of videos in the test list."""
 
-# The sensor lies on its side: its x points down in the image, its y to the right. In the image's frame (right, up,
-# back) these are its axes, as columns.
+# Axes of the sensor as columns, in the image's frame (right, up, back). It lies on its side: its x points down in the
+# image, its y to the right.
 _SENSOR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _NEAR, _FAR = 0.01, 1000.0
 
 
 @dataclass(frozen=True)
 class _Shot:
-    """A frame's camera: its frame (3, 3; right, up, back), focal length and principal point in pixels."""
+    """The camera of one frame; focal length and principal point in pixels."""
 
-    frame: np.ndarray
+    world_from_camera: np.ndarray  # (3, 3)
     focal: float
     centre: tuple[float, float]
 
@@ -62,7 +59,7 @@ class _Shot:
 def describe(category: str, videos: int, frames: int, seed: int, size: tuple[int, int] = SIZE) -> dict[str, Any]:
     """What decides a stand-in, as JSON values, without making it."""
     return {
-        "version": [VERSION, cad.VERSION, RENDER_VERSION, scenes.VERSION],
+        "version": versions(VERSION),
         "category": category,
         "videos": videos,
         "frames": frames,
@@ -80,21 +77,16 @@ def write_stand_in(
     size: tuple[int, int] = SIZE,
     progress: bool = False,
 ) -> None:
-    """`videos` videos of as many models, `frames` images of `size` (width, height) each, in Objectron's layout.
+    """Write `videos` videos of as many models to `root` in Objectron's layout: images, masks, records and lists.
 
-    Written are the images, masks (with the faults of masks that a network made: eroded, swollen, with holes; and
-    again far coarser), records and lists. A video depends on (seed, category, its number, frames, size) only. Raises
-    ViewnetError for values out of range, a category that Objectron does not have, and where `root` holds something
-    already.
+    Each has `frames` images of `size` (width, height), and depends on (seed, category, its number, frames, size) only.
+    Raises ViewnetError for values out of range, a category that Objectron does not have, and where `root` is not empty.
     """
     root = Path(root)
     if category not in CLASSES:
         raise ViewnetError(f"stand-in: no category {category!r} in Objectron: choose one of {', '.join(CLASSES)}")
-    for title, value, least in (("videos", videos, 1), ("frames", frames, 1), ("side", min(size), 32)):
-        if value < least:
-            raise ViewnetError(f"stand-in: {title} {value}: expected {least} or more")
-    if root.exists() and any(root.iterdir()):
-        raise ViewnetError(f"{root}: is not empty: name another folder")
+    check_request(root, {"videos": videos, "frames": frames})
+    check_request(root, {"side": min(size)}, least=32)
     names = [f"{CLASSES[category]}/batch-{number // BATCH + 1}/{number % BATCH}" for number in range(videos)]
     for number, name in enumerate(bar(progress, iterable=names, desc="stand-in", unit="video")):
         _write_video(root, name, category, number, frames, seed, size)
@@ -110,14 +102,13 @@ def _write_video(
     rng = np.random.default_rng([seed, list(CLASSES).index(category), number])
     mesh = built_in_mesh(category, number, seed + MODEL_SEED)
     shots = _shots(rng, frames, size)
-    drawings = render_cameras(
-        mesh, np.stack([shot.frame for shot in shots]), _lights(rng, shots), max(size), 2, "raycast"
-    )
-    images, masks = _filmed(rng, shots, drawings, size)
+    cameras = np.stack([shot.world_from_camera for shot in shots])
+    renderings = render_cameras(mesh, cameras, _lights(rng, cameras), max(size), 2, "raycast")
+    images, masks = _filmed(rng, shots, renderings, size)
     folders = {part: root / part / name for part in ("videos", MASKS, WEAK)}
     for folder in folders.values():
         folder.mkdir(parents=True)
-    # Generators of their own, so that they have no say in anything else.
+    # Generators of their own, so that masks do not change anything else.
     rngs = [np.random.default_rng([seed, list(CLASSES).index(category), number, kind]) for kind in (1, 2)]
     for place, (image, mask) in enumerate(zip(images, masks, strict=True)):
         image.save(folders["videos"] / f"{place:06d}.jpg", "JPEG", quality=88)
@@ -129,7 +120,7 @@ def _write_video(
 
 
 def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> list[_Shot]:
-    """An arc around the object, never tilted; the aim wanders as a shift of the principal point."""
+    """Cameras on an arc around the object, never tilted; a wandering aim shifts the principal point."""
     width, height = size
     sweep = rng.uniform(60, 180) * rng.choice([-1, 1])
     time = np.linspace(0, 1, frames)
@@ -146,50 +137,50 @@ def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> list
 
 
 def _drift(rng: np.random.Generator, frames: int) -> np.ndarray:
-    """A smooth curve (frames,) about within -1 and 1, as a hand wanders."""
+    """A smooth curve (frames,) mostly within -1 and 1, like a wandering hand."""
     time = np.linspace(0, 1, frames)
     waves = [rng.normal() / k * np.sin(2 * np.pi * (0.7 * k * time + rng.random())) for k in (1, 2, 3)]
     return np.clip(np.sum(waves, axis=0) / 1.5, -1.5, 1.5)
 
 
-def _lights(rng: np.random.Generator, shots: Many[_Shot]) -> np.ndarray:
-    """Unit directions (frames, 3) to a lamp that stands still but for clouds and reflections."""
+def _lights(rng: np.random.Generator, cameras: np.ndarray) -> np.ndarray:
+    """Unit directions (frames, 3) to a lamp that wanders a little, for cameras (frames, 3, 3)."""
     lamp = rng.normal(0, 0.6, 3) + np.array([0.0, 0.0, 1.0])
-    wander = 0.2 * np.stack([_drift(rng, len(shots)) for _ in range(3)], axis=1)
-    # Some of the light comes from where the camera is, so that no side is seen in the dark.
-    light = lamp + wander + 0.4 * np.stack([shot.frame[:, 2] for shot in shots])
+    wander = 0.2 * np.stack([_drift(rng, len(cameras)) for _ in range(3)], axis=1)
+    # Some of the light comes from the camera, so that no visible side is dark.
+    light = lamp + wander + 0.4 * cameras[:, :, 2]
     return light / np.linalg.norm(light, axis=1, keepdims=True)
 
 
 def _filmed(
-    rng: np.random.Generator, shots: Many[_Shot], drawings: np.ndarray, size: tuple[int, int]
+    rng: np.random.Generator, shots: Many[_Shot], renderings: np.ndarray, size: tuple[int, int]
 ) -> tuple[list[Image.Image], list[Image.Image]]:
-    """The images and true masks of a video, from drawings (frames, S, S, 4) of its object."""
+    """The images and true masks of a video, from renderings (frames, S, S, 4) of its object."""
     width, height = size
     wide, high = round(1.8 * width), round(1.3 * height)
     kind = (scenes.room, scenes.clutter, scenes.facade)[int(rng.integers(3))]
-    behind = Image.fromarray(kind(rng, wide, high).clip(0, 255).astype(np.uint8))
-    behind = behind.filter(ImageFilter.GaussianBlur(rng.uniform(0, 0.006) * width))
+    background = Image.fromarray(kind(rng, wide, high).clip(0, 255).astype(np.uint8))
+    background = background.filter(ImageFilter.GaussianBlur(rng.uniform(0, 0.006) * width))
     pan = [0.5 + 0.5 * np.clip(_drift(rng, len(shots)), -1, 1) for _ in range(2)]
     gain, tint = np.exp(0.25 * _drift(rng, len(shots))), np.exp(rng.normal(0, 0.05, 3))
     grain = rng.uniform(0, 0.02)
     images, masks = [], []
     previous = shots[0].centre
-    for place, (shot, drawing) in enumerate(zip(shots, drawings, strict=True)):
+    for place, (shot, rendering) in enumerate(zip(shots, renderings, strict=True)):
         left, upper = pan[0][place] * (wide - width), pan[1][place] * (high - height)
         view = (left, upper, left + width, upper + height)
-        image = behind.resize(size, Image.Resampling.BILINEAR, box=view)
-        # The drawing, scaled and shifted so that its pixels are where the shot's camera has them.
+        image = background.resize(size, Image.Resampling.BILINEAR, box=view)
+        # The rendering, scaled and shifted as the shot's camera has it.
         side = shot.focal / FOCAL
-        scale = drawing.shape[1] / side
+        scale = rendering.shape[1] / side
         offset = (scale * (side / 2 - shot.centre[0]), scale * (side / 2 - shot.centre[1]))
         affine = (scale, 0.0, offset[0], 0.0, scale, offset[1])
-        thing = _premultiplied(drawing).transform(size, Image.Transform.AFFINE, affine, Image.Resampling.BILINEAR)
+        thing = _premultiplied(rendering).transform(size, Image.Transform.AFFINE, affine, Image.Resampling.BILINEAR)
         pixels = np.asarray(thing, dtype=np.float64)
         alpha = pixels[..., 3:] / 255
         mixed = pixels[..., :3] + (1 - alpha) * np.asarray(image, dtype=np.float64)
         step = np.subtract(shot.centre, previous) * rng.uniform(0.3, 1.2) + rng.normal(0, 0.4, 2)
-        # Frames far apart in time would be blurred as no exposure is.
+        # Frames far apart in time would be blurred too much.
         step *= min(1.0, 0.02 * width / max(np.hypot(*step), 1e-9))
         previous = shot.centre
         blurred = _moved(Image.fromarray(mixed.clip(0, 255).astype(np.uint8)), step)
@@ -199,11 +190,11 @@ def _filmed(
     return images, masks
 
 
-def _premultiplied(drawing: np.ndarray) -> Image.Image:
-    """Colours times alpha, so that scaling does not draw the black around the object into its edge."""
-    alpha = drawing[..., 3:].astype(np.float64) / 255
-    colour = (drawing[..., :3] * alpha + 0.5).astype(np.uint8)
-    return Image.fromarray(np.dstack([colour, drawing[..., 3]]))
+def _premultiplied(rendering: np.ndarray) -> Image.Image:
+    """Colours times alpha, so that scaling does not mix the black around the object into its edge."""
+    alpha = rendering[..., 3:].astype(np.float64) / 255
+    colour = (rendering[..., :3] * alpha + 0.5).astype(np.uint8)
+    return Image.fromarray(np.dstack([colour, rendering[..., 3]]))
 
 
 def _moved(image: Image.Image, step: np.ndarray, copies: int = 5) -> np.ndarray:
@@ -219,7 +210,7 @@ def _moved(image: Image.Image, step: np.ndarray, copies: int = 5) -> np.ndarray:
 
 
 def _faulty(rng: np.random.Generator, mask: Image.Image) -> Image.Image:
-    """A mask as a network makes it: too small or too large by a pixel or two, rounded, with holes and a wrong spot."""
+    """A mask like a network's: too small or too large by a pixel or two, rounded, with holes and a wrong spot."""
     width, height = mask.size
     kind = int(rng.integers(3))
     if kind:
@@ -241,12 +232,12 @@ def _faulty(rng: np.random.Generator, mask: Image.Image) -> Image.Image:
 
 
 def _weak(rng: np.random.Generator, mask: Image.Image, cells: int = 12) -> Image.Image:
-    """A mask as a network makes it that was never shown one: what is coarse of it, and some of what is beside it."""
+    """A mask like a weakly supervised network's: its coarse shape, and some of its surroundings."""
     box = mask.getbbox()
     if box is None:
         return mask
     shape = np.asarray(mask) / 255
-    # What such networks answer is an upscaled grid, so wide beside the object that thin parts sink in it.
+    # Such networks predict a coarse grid, in which thin parts vanish.
     blur = max(box[2] - box[0], box[3] - box[1]) / cells
     soft = ndimage.gaussian_filter(shape, blur)
     noise = ndimage.gaussian_filter(rng.normal(size=shape.shape), 2 * blur)
@@ -255,7 +246,7 @@ def _weak(rng: np.random.Generator, mask: Image.Image, cells: int = 12) -> Image
 
 
 def _record(rng: np.random.Generator, shots: Many[_Shot], mesh: Mesh, size: tuple[int, int]) -> Any:
-    """The record of a video whose object stands somewhere in the world (y up), turned about the vertical."""
+    """The record of a video whose object stands somewhere in the world (y up), rotated about the vertical."""
     width, height = size
     turn = rng.uniform(0, 2 * np.pi)
     rotation = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
@@ -271,8 +262,8 @@ def _record(rng: np.random.Generator, shots: Many[_Shot], mesh: Mesh, size: tupl
     thing.scale.extend(scale)
     for number, shot in enumerate(shots):
         pose = np.eye(4)
-        pose[:3, :3] = rotation @ AXES.T @ shot.frame @ _SENSOR
-        pose[:3, 3] = rotation @ AXES.T @ (DISTANCE * shot.frame[:, 2]) + where
+        pose[:3, :3] = rotation @ AXES.T @ shot.world_from_camera @ _SENSOR
+        pose[:3, 3] = rotation @ AXES.T @ (DISTANCE * shot.world_from_camera[:, 2]) + where
         to_camera = np.linalg.inv(pose)
         projection = _projection(shot, size)
         frame = sequence.frame_annotations.add(frame_id=number, timestamp=number / 30)
@@ -288,7 +279,8 @@ def _record(rng: np.random.Generator, shots: Many[_Shot], mesh: Mesh, size: tupl
         for place, (point, (right, up)) in enumerate(zip(in_camera, clip[:, :2] / clip[:, 3:], strict=True)):
             keypoint = seen.keypoints.add(id=place)
             keypoint.point_3d.x, keypoint.point_3d.y, keypoint.point_3d.z = point
-            # In the image, which is the sensor's turned by a quarter.
+            # In the image, which is the sensor's rotated by a quarter turn.
+
             keypoint.point_2d.x, keypoint.point_2d.y, keypoint.point_2d.depth = (1 + up) / 2, (1 + right) / 2, -point[2]
     return sequence
 

@@ -1,14 +1,13 @@
-"""A stand-in for PASCAL3D+ in its own layout: built-in CAD models before backgrounds, biased as its photographs are.
+"""A stand-in for PASCAL3D+ in its layout: built-in CAD models before backgrounds, viewpoints distributed as in it.
 
-It lets everything that reads the data set run, and be tested, where it is not to be had. Numbers measured on it are
-numbers of the stand-in.
+Everything that reads the data set runs on it, and can be tested, where the data set is not to be had. Numbers measured
+on it are numbers of the stand-in.
 """
 
 from __future__ import annotations
 
 import hashlib
 import io
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,19 +17,15 @@ import numpy as np
 import scipy.io
 from PIL import Image, ImageDraw, ImageFilter
 
-from viewnet import cad
-from viewnet.cad.writer import write_model
 from viewnet.config import CATEGORIES, known
 from viewnet.data.annotated_viewpoints import histogram_file, sample
 from viewnet.data.readers.image_folder import list_images
 from viewnet.data.readers.pascal3d import EXTENSIONS, LISTS, SPLITS, VOC, annotation_file, image_file, parts
-from viewnet.data.readers.shapenet import ModelFile, load_model
 from viewnet.data.synthetic import scenes
+from viewnet.data.synthetic.stand_in import built_in_mesh, check_request, versions
 from viewnet.errors import ViewnetError
-from viewnet.render import VERSION as RENDER_VERSION
 from viewnet.render import render_cameras
 from viewnet.render.camera import look_from
-from viewnet.render.mesh import Mesh
 from viewnet.runtime.files import write_text
 from viewnet.runtime.image_files import opened
 from viewnet.runtime.parallel import as_done, cores
@@ -39,27 +34,27 @@ from viewnet.runtime.progress import bar
 VERSION = 1
 """Raise it when a change alters images or annotations."""
 MODEL_SEED = 1000
-"""Added to the seed: models are others than those of a training with the same one."""
+"""Added to the seed, so that models differ from those of a training with the same one."""
 SIZE = (200, 150)
 """Width and height of an image, pixels."""
 OBJECT = 144
-"""Pixels along a side of the drawing that an object is pasted from."""
+"""Pixels along a side of the rendering that an object is pasted from."""
 HARD = {"imagenet": 0.1, "pascal": 0.5}
-"""The share of objects that are cut by the image's edge or hidden in part."""
+"""The share of objects that are truncated or occluded."""
 DISTANCE = 7.0
-"""Of the camera, as annotated; 0 would mean that the viewpoint is coarse."""
+"""The annotated distance of the camera; 0 would mean that the viewpoint is coarse."""
 
 
 @dataclass(frozen=True)
-class _Photograph:
-    """One image to make, and the camera's frame (3, 3)."""
+class Photograph:
+    """One image to make."""
 
     subset: str
     split: str
     name: str
     azimuth: float
     elevation: float
-    frame: np.ndarray
+    world_from_camera: np.ndarray  # (3, 3)
 
 
 @dataclass(frozen=True)
@@ -69,7 +64,7 @@ class _Job:
     root: Path
     category: str
     model: int
-    photographs: tuple[_Photograph, ...]
+    photographs: tuple[Photograph, ...]
     backgrounds: tuple[Path, ...]
     seed: int
 
@@ -79,7 +74,7 @@ def describe(
 ) -> dict[str, Any]:
     """What decides a stand-in, as JSON values, without making it. Backgrounds are known by their paths and sizes."""
     values: dict[str, Any] = {
-        "version": [VERSION, cad.VERSION, RENDER_VERSION, scenes.VERSION],
+        "version": versions(VERSION),
         "viewpoints": hashlib.sha256(histogram_file().read_bytes()).hexdigest(),
         "category": category,
         "subset": subset,
@@ -104,101 +99,91 @@ def write_stand_in(
     workers: int | None = None,
     progress: bool = True,
 ) -> None:
-    """`count` photographs of each category and split under `root`, in the layout of PASCAL3D+ 1.1.
+    """Write `count` photographs of each category and split to `root`, in the layout of PASCAL3D+ 1.1.
 
-    Each split ("train", "val") shows `models` built-in models of its own, in equal shares. Viewpoints are drawn from
-    the published histogram of the real ones (viewnet.data.annotated_viewpoints.sample). What is behind comes from a folder of images,
-    or is drawn (viewnet.data.synthetic.scenes). Some objects are cut by the edge or hidden in part, and say so. `subset` is
-    "imagenet", "pascal" (more of them are) or "both".
+    Each split ("train", "val") shows `models` built-in models of its own, in equal shares. Viewpoints are sampled from
+    the published histogram (annotated_viewpoints.sample). Backgrounds are a folder's images, else synthetic scenes.
+    Some objects are annotated as truncated or occluded, and are. `subset` is "imagenet", "pascal" (with more of these)
+    or "both".
 
     An image depends on (seed, category, subset, split, its number, models) and the backgrounds, whatever the number
-    of processes (`workers`; None: one a processor). Raises ViewnetError for values out of range, and where `root` holds
-    something already.
+    of processes (`workers`; None: one a core). Raises ViewnetError for values out of range, and where `root` is not
+    empty.
     """
     root = Path(root)
     if not categories:
         raise ViewnetError(f"categories: give at least one of {', '.join(CATEGORIES)}")
-    for name, value in (("models", models), ("count", count), ("workers", 1 if workers is None else workers)):
-        if value < 1:
-            raise ViewnetError(f"stand-in: {name} {value}: expected 1 or more")
-    if root.exists() and any(root.iterdir()):
-        raise ViewnetError(f"{root}: is not empty: name another folder")
-    behind = () if backgrounds is None else tuple(backgrounds / path for path, _ in list_images(backgrounds)[0])
+    check_request(root, {"models": models, "count": count, "workers": 1 if workers is None else workers})
+    images = () if backgrounds is None else tuple(backgrounds / path for path, _ in list_images(backgrounds)[0])
     jobs = []
     for category in dict.fromkeys(categories):
-        planned = _plan(known(category, CATEGORIES, "category"), subset, models, count, seed)
-        jobs += [_Job(root, category, model, images, behind, seed) for model, images in planned.items()]
+        planned = plan(known(category, CATEGORIES, "category"), subset, models, count, seed)
+        jobs += [_Job(root, category, model, photographs, images, seed) for model, photographs in planned.items()]
         for part in parts(subset):
             for split in SPLITS:
                 write_list(root, category, part, split, [_name(category, split, i) for i in range(count)])
-    _make(jobs, workers, progress)
-
-
-def _plan(category: str, subset: str, models: int, count: int, seed: int) -> dict[int, tuple[_Photograph, ...]]:
-    """Which photographs each model is on. Models of the first split are numbered before those of the second."""
-    viewpoints = sample(np.random.default_rng(seed), count)
-    mine = viewpoints[viewpoints["category"] == category]
-    planned: dict[int, list[_Photograph]] = {}
-    for place, split in enumerate(SPLITS):
-        angles = mine.loc[mine["split"] == split, ["azimuth", "elevation"]].to_numpy()
-        frames = look_from(*angles.T.copy())
-        for part in parts(subset):
-            for number, ((azimuth, elevation), frame) in enumerate(zip(angles.tolist(), frames, strict=True)):
-                photograph = _Photograph(part, split, _name(category, split, number), azimuth, elevation, frame)
-                planned.setdefault(place * models + number % models, []).append(photograph)
-    return {model: tuple(photographs) for model, photographs in planned.items()}
-
-
-def _make(jobs: Sequence[_Job], workers: int | None, progress: bool) -> None:
     total = sum(len(job.photographs) for job in jobs)
     if workers is None:
         workers = 1 if total < 200 else cores()  # for a few, starting processes takes longer
     with bar(progress, total=total, desc="stand-in", unit="image") as shown:
-        for photographs in as_done(_draw_model, jobs, workers, "the stand-in"):
-            shown.update(photographs)
+        for photographs_of_model in as_done(_write_model, jobs, workers, "the stand-in"):
+            shown.update(photographs_of_model)
 
 
-def _draw_model(job: _Job) -> int:
+def plan(category: str, subset: str, models: int, count: int, seed: int) -> dict[int, tuple[Photograph, ...]]:
+    """The photographs of each model. Models of the first split are numbered before those of the second."""
+    viewpoints = sample(np.random.default_rng(seed), count).query("category == @category")
+    planned: dict[int, list[Photograph]] = {}
+    for place, split in enumerate(SPLITS):
+        angles = viewpoints.loc[viewpoints["split"] == split, ["azimuth", "elevation"]].to_numpy()
+        cameras = look_from(*angles.T.copy())
+        for part in parts(subset):
+            for number, ((azimuth, elevation), camera) in enumerate(zip(angles.tolist(), cameras, strict=True)):
+                photograph = Photograph(part, split, _name(category, split, number), azimuth, elevation, camera)
+                planned.setdefault(place * models + number % models, []).append(photograph)
+    return {model: tuple(photographs) for model, photographs in planned.items()}
+
+
+def _name(category: str, split: str, number: int) -> str:
+    return f"{category}_{split}_{number:05d}"
+
+
+def _write_model(job: _Job) -> int:
     """Write the photographs of one model; their number."""
     mesh = built_in_mesh(job.category, job.model, job.seed + MODEL_SEED)
     generators = [_generator(job.seed, job.category, p.subset, p.name) for p in job.photographs]
-    frames = np.stack([photograph.frame for photograph in job.photographs])
+    cameras = np.stack([photograph.world_from_camera for photograph in job.photographs])  # (V, 3, 3)
     lights = []
-    for rng, frame in zip(generators, frames, strict=True):
-        # Mostly from above, and never from behind, where nothing would be seen.
-        light = rng.normal(size=3) * 0.7 + frame[:, 2] * 0.6 + np.array([0.0, 0.0, 0.8])
+    for rng, camera in zip(generators, cameras, strict=True):
+        # Mostly from above, and never from behind, where the object would be dark.
+        light = rng.normal(size=3) * 0.7 + camera[:, 2] * 0.6 + np.array([0.0, 0.0, 0.8])
         lights.append(light / np.linalg.norm(light))
-    drawings = render_cameras(mesh, frames, np.stack(lights), OBJECT, 2, "raycast")
-    for photograph, drawing, rng in zip(job.photographs, drawings, generators, strict=True):
-        image, entry = _photograph(drawing, photograph, HARD[photograph.subset], job.backgrounds, rng)
+    renderings = render_cameras(mesh, cameras, np.stack(lights), OBJECT, 2, "raycast")
+    for photograph, rendering, rng in zip(job.photographs, renderings, generators, strict=True):
+        image, entry = _photograph(rendering, photograph, HARD[photograph.subset], job.backgrounds, rng)
         entry["class"] = job.category
         write_annotated_image(job.root, job.category, photograph.subset, photograph.name, image, [entry])
     return len(job.photographs)
 
 
-def built_in_mesh(category: str, model: int, seed: int) -> Mesh:
-    """Built-in model `model` of a category under a seed, normalised, without leaving files."""
-    name = cad.model_id(category, model, seed)
-    with tempfile.TemporaryDirectory(prefix="viewnet-") as folder:
-        write_model(cad.make_model(category, model, seed), Path(folder) / name)
-        file = Path(folder) / name / "models" / "model_normalized.obj"
-        return load_model(ModelFile(name, category, file, "v2", ""))
+def _generator(seed: int, *names: str) -> np.random.Generator:
+    """A generator for each image, so that none depends on how many there are."""
+    digest = hashlib.sha256(" ".join((str(seed), *names)).encode()).digest()
+    return np.random.default_rng(int.from_bytes(digest[:8], "little"))
 
 
 def _photograph(
-    drawing: np.ndarray, photograph: _Photograph, hard: float, backgrounds: Sequence[Path], rng: np.random.Generator
+    rendering: np.ndarray, photograph: Photograph, hard: float, backgrounds: Sequence[Path], rng: np.random.Generator
 ) -> tuple[Image.Image, dict[str, Any]]:
-    """An image, and its object as a record's `objects` has it (but for its class)."""
-    ys, xs = np.nonzero(drawing[..., 3] > 127)
+    """An image, and its object as in a record's `objects` (but for its class)."""
+    ys, xs = np.nonzero(rendering[..., 3] > 127)
     if not len(xs):
         raise ViewnetError("a model of the stand-in cannot be seen")
-    thing = Image.fromarray(drawing).crop((int(xs.min()), int(ys.min()), int(xs.max()) + 1, int(ys.max()) + 1))
+    thing = Image.fromarray(rendering).crop((int(xs.min()), int(ys.min()), int(xs.max()) + 1, int(ys.max()) + 1))
     width, height = SIZE
-    fits = min(0.95 * width / thing.width, 0.95 * height / thing.height)
-    scale = fits * rng.uniform(0.45, 1)
-    thing = thing.resize(
-        (max(8, round(thing.width * scale)), max(8, round(thing.height * scale))), Image.Resampling.HAMMING
-    )
+    scale = min(0.95 * width / thing.width, 0.95 * height / thing.height) * rng.uniform(0.45, 1)
+    size = (max(8, round(thing.width * scale)), max(8, round(thing.height * scale)))
+    thing = thing.resize(size, Image.Resampling.HAMMING)
     truncated, occluded = rng.random(2) < hard / 2
     left = int(rng.integers(0, width - thing.width + 1))
     upper = int(rng.integers(0, height - thing.height + 1))
@@ -210,45 +195,45 @@ def _photograph(
             (width - round(thing.width * (1 - beyond)), upper),
         )[int(rng.integers(3))]
     image = _background(backgrounds, rng)
-    _shade(image, (left, upper, left + thing.width, upper + thing.height), rng)
+    _add_shadow(image, (left, upper, left + thing.width, upper + thing.height), rng)
     image.paste(thing, (left, upper), thing)
     x0, y0 = max(left, 0), max(upper, 0)
     x1, y1 = min(left + thing.width, width), min(upper + thing.height, height)
     if occluded:
-        _hide(image, (x0, y0, x1, y1), rng)
+        _occlude(image, (x0, y0, x1, y1), rng)
+    viewpoint = {
+        "azimuth_coarse": round(photograph.azimuth / 45) * 45 % 360,
+        "elevation_coarse": round(photograph.elevation / 30) * 30,
+        "azimuth": photograph.azimuth,
+        "elevation": photograph.elevation,
+        "distance": DISTANCE,
+        "focal": 1,
+        "px": width / 2,
+        "py": height / 2,
+        "theta": 0.0,
+    }
     entry = {
         "view": "Unspecified",
         "bbox": np.array([x0 + 1, y0 + 1, x1, y1], dtype=np.float64),  # from 1, the last pixel included
         "occluded": int(occluded),
         "truncated": int(truncated),
         "difficult": 0,
-        "viewpoint": {
-            "azimuth_coarse": round(photograph.azimuth / 45) * 45 % 360,
-            "elevation_coarse": round(photograph.elevation / 30) * 30,
-            "azimuth": photograph.azimuth,
-            "elevation": photograph.elevation,
-            "distance": DISTANCE,
-            "focal": 1,
-            "px": width / 2,
-            "py": height / 2,
-            "theta": 0.0,
-        },
+        "viewpoint": viewpoint,
     }
     return _exposed(image, rng), entry
 
 
-def _shade(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
-    """A soft shadow on the ground where an object will stand, or none."""
+def _add_shadow(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
+    """A soft shadow of random strength on the ground where an object will stand."""
     x0, y0, x1, y1 = box
     high = (y1 - y0) * rng.uniform(0.08, 0.25)
     mask = Image.new("L", image.size, 0)
     ImageDraw.Draw(mask).ellipse((x0, y1 - 1.3 * high, x1, y1 + 0.4 * high), int(255 * rng.uniform(0, 0.7)))
-    mask = mask.filter(ImageFilter.GaussianBlur(0.04 * (x1 - x0)))
-    image.paste((15, 15, 18), mask=mask)
+    image.paste((15, 15, 18), mask=mask.filter(ImageFilter.GaussianBlur(0.04 * (x1 - x0))))
 
 
-def _hide(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
-    """Something before the object: a post, or a piece of another scene that covers its foot or a side."""
+def _occlude(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
+    """Paste a part of another scene over the object: a post, or one that covers its foot or a side."""
     x0, y0, x1, y1 = box
     width, height = x1 - x0, y1 - y0
     share = rng.uniform(0.2, 0.45)
@@ -263,22 +248,23 @@ def _hide(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.Gen
         left = x0 - 0.2 * width if where == 2 else x1 - share * width
         part = (left, y0 + rng.uniform(0, 0.5) * height, left + (share + 0.2) * width, image.height)
     mask = Image.new("L", image.size, 0)
+    radius = 0.0 if rng.random() < 0.5 else 0.3 * min(part[2] - part[0], part[3] - part[1])
     pen = ImageDraw.Draw(mask)
-    if rng.random() < 0.5:
-        pen.rectangle(part, 255)
+    if radius:
+        pen.rounded_rectangle(part, radius, 255)
     else:
-        pen.rounded_rectangle(part, 0.3 * min(part[2] - part[0], part[3] - part[1]), 255)
+        pen.rectangle(part, 255)
     image.paste(Image.fromarray(scenes.draw(rng, *image.size)), mask=mask)
 
 
 def _background(backgrounds: Sequence[Path], rng: np.random.Generator) -> Image.Image:
-    """A part of a given image, or a drawn scene."""
+    """A part of a given image, or a synthetic scene."""
     if not backgrounds:
         return Image.fromarray(scenes.draw(rng, *SIZE))
     path = backgrounds[int(rng.integers(len(backgrounds)))]
     try:
-        with opened(path) as found:
-            image = found.convert("RGB")
+        with opened(path) as source:
+            image = source.convert("RGB")
     except ViewnetError as error:
         raise ViewnetError(f"{path}: {error}: remove it from the backgrounds") from None
     scale = min(image.width / SIZE[0], image.height / SIZE[1]) * rng.uniform(0.7, 1)
@@ -288,7 +274,7 @@ def _background(backgrounds: Sequence[Path], rng: np.random.Generator) -> Image.
 
 
 def _exposed(image: Image.Image, rng: np.random.Generator) -> Image.Image:
-    """Object and background alike: out of focus, brighter or darker, tinted and grainy."""
+    """Random blur, brightness, tint, gamma and noise, on object and background alike."""
     pixels = np.asarray(image.filter(ImageFilter.GaussianBlur(rng.uniform(0, 0.9))), dtype=np.float64) / 255
     pixels = pixels * rng.uniform(0.75, 1.2) * np.exp(rng.normal(0, 0.05, 3))
     pixels = pixels.clip(0, 1) ** np.exp(rng.normal(0, 0.15))
@@ -299,7 +285,7 @@ def _exposed(image: Image.Image, rng: np.random.Generator) -> Image.Image:
 def write_annotated_image(
     root: Path, category: str, subset: str, name: str, image: Image.Image, objects: Sequence[Mapping[str, Any]]
 ) -> None:
-    """Write an image and its annotation of objects, whose fields are those of PASCAL3D+'s records."""
+    """Write an image and its record."""
     path, annotation = image_file(root, category, subset, name), annotation_file(root, category, subset, name)
     for file in (path, annotation):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -309,35 +295,24 @@ def write_annotated_image(
     for number, entry in enumerate(objects):
         for field, value in entry.items():
             fields[number][field] = value
-    width, height = image.size
     record = {
         "folder": path.parent.name,
         "filename": f"{name}{EXTENSIONS[subset]}",
-        "size": {"width": width, "height": height, "depth": 3},
-        "imgsize": np.array([width, height, 3], dtype=np.float64),
+        "size": {"width": image.width, "height": image.height, "depth": 3},
+        "imgsize": np.array([*image.size, 3], dtype=np.float64),
         "segmented": 0,
         "objects": fields,
     }
     stream = io.BytesIO()
     scipy.io.savemat(stream, {"record": record})
-    # The file's first 116 bytes are a text with the time, by which the same stand-in would never be the same.
+    # The file's first 116 bytes are a text with the time, which would make every stand-in another one.
     annotation.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + stream.getvalue()[116:])
 
 
 def write_list(root: Path, category: str, subset: str, split: str, names: Sequence[str]) -> None:
-    """Write the list of a split's images, as ImageNet's or as PASCAL VOC's."""
+    """Write the list of a split; PASCAL's also names an image without an object of the category."""
     if subset == "imagenet":
         path, lines = root / LISTS / f"{category}_imagenet_{split}.txt", list(names)
     else:
         path, lines = root / VOC / f"{category}_{split}.txt", [f"{name}  1" for name in names] + ["nothing_of_it -1"]
     write_text(path, "".join(f"{line}\n" for line in lines))
-
-
-def _name(category: str, split: str, number: int) -> str:
-    return f"{category}_{split}_{number:05d}"
-
-
-def _generator(seed: int, *names: str) -> np.random.Generator:
-    """Every image has its own, so that none depends on how many there are."""
-    digest = hashlib.sha256(" ".join((str(seed), *names)).encode()).digest()
-    return np.random.default_rng(int.from_bytes(digest[:8], "little"))

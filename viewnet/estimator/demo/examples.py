@@ -10,7 +10,7 @@ from PIL import Image
 from viewnet.config import CATEGORIES
 from viewnet.data.crop import Box, bounds
 from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.pascal3d_standin import built_in_mesh
+from viewnet.data.synthetic.stand_in import built_in_mesh
 from viewnet.estimator import ViewpointEstimator
 from viewnet.render import render_mesh
 
