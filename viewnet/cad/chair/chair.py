@@ -20,6 +20,7 @@ from viewnet.cad.chair.frames import (
     stretchers,
     wooden_arms,
 )
+from viewnet.cad.chair.reclining import lounge
 from viewnet.cad.finishes import Finishes
 from viewnet.cad.parts import BackSurface, bar, choose, patch, pillow, rail, shell, sweep, turned
 
@@ -323,7 +324,7 @@ KINDS: dict[str, tuple[float, Kind]] = {
     "cantilever": (0.06, modern.cantilever),
     "folding": (0.05, modern.folding),
     "stacking": (0.05, modern.stacking),
-    "lounge": (0.03, modern.lounge),
+    "lounge": (0.03, lounge),
     "parsons": (0.06, soft.parsons),
     "armchair": (0.09, soft.armchair),
     "wingback": (0.03, soft.wingback),
