@@ -1,8 +1,8 @@
 """The settings of a run as frozen dataclasses: its views, its networks, its training.
 
 Values for them come from profiles, recipes and variants (viewnet.recipes). After each setting stand its meaning and
-unit, its source in brackets (a section, table or equation of the paper; "released": the authors' code where the paper is
-silent; "ours"), and who changes it: P profiles, R recipes, V variants (rows of the tables), U users alone.
+unit, its source in brackets (a section, table or equation of the paper; "released": the authors' code where the
+paper is silent; "ours"), and who changes it: P profiles, R recipes, V variants (rows of the tables), U users alone.
 """
 
 from __future__ import annotations

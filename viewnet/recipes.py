@@ -40,7 +40,7 @@ RECIPES: dict[str, Changes] = {
             "encoder_padding": "zeros",
             "head_spread": 0.5,
             "elevation_limits": (-22.0, 42.0),
-            # The camera that rendered the views: a learned focal length shrinks where depth is mirrored, which hides it.
+            # The camera that rendered the views: a learned focal length shrinks where depth is mirrored.
             "focal": 0.268,
             "learn_focal": False,
             "colour_prior": True,

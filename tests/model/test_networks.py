@@ -80,7 +80,7 @@ def test_hypotheses(heads, in_plane):
 def test_elevations_stay_within_their_limits_and_azimuths_go_all_around():
     network = ViewpointNetwork(small(elevation_limits=(-22.0, 42.0)))
     raw = 20 * torch.randn(2000, 3, generator=torch.Generator().manual_seed(0))
-    azimuth, elevation = azimuth_elevation(network._on_sphere(raw))
+    azimuth, elevation = azimuth_elevation(network.on_sphere(raw))
     assert elevation.min() >= -22.001
     assert elevation.max() <= 42.001
     assert elevation.max() - elevation.min() > 60

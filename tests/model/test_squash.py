@@ -81,7 +81,7 @@ def test_half_precision_logits_give_full_precision_volumes(squash):
 
 def test_a_squashed_volume_is_drawn_where_it_lies():
     shape = volume.squash(random_blocks(2), None, gaussian_prior(6, 0.5))
-    assert volume_cpu._framed(shape, empty=True).untyped_storage().data_ptr() == shape.untyped_storage().data_ptr()
+    assert volume_cpu.padded(shape, empty=True).untyped_storage().data_ptr() == shape.untyped_storage().data_ptr()
     frames = look_at(view_vector(torch.tensor([20.0, 200.0]), torch.tensor([10.0, 30.0])))
     there = volume.render(shape, frames, torch.tensor(0.3), 8)
     assert torch.equal(there, volume.render(shape.contiguous(), frames, torch.tensor(0.3), 8))

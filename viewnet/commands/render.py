@@ -56,7 +56,7 @@ def _described(config: RunConfig, store: Any) -> dict[str, Any]:
     """A view store as JSON values, with the number of backgrounds that its configuration asks for."""
     from viewnet.data import augment
 
-    backgrounds = augment.wanted(config.data, config.model.input_size)
+    backgrounds = augment.made(config.data, config.model.input_size)
     splits = store.index.groupby("split", sort=False)
     return {
         "category": config.category,

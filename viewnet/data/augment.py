@@ -1,9 +1,8 @@
-"""What tells a photograph from a view of a CAD model, given to views in training: something behind the object, a box
-that is a little off, things before it, exposure, blur and noise (section 4.3).
+"""Augmentation: views of CAD models made to look like photographs, and colours permuted (section 4.3 and ours).
 
-Scenery is images (K, 3, B, B) uint8, B twice the side of what is seen (viewnet.data.backgrounds). Only what the
-networks see is changed, never the target: the model reconstructs the object alone. Every random number comes from the
-generator given.
+Backgrounds are images (K, 3, B, B) uint8, B twice the side of the networks' input (viewnet.data.backgrounds). Only what
+the networks see is changed, never the target: the model reconstructs the object alone. Every random number comes from
+the generator given.
 """
 
 from __future__ import annotations
@@ -19,20 +18,20 @@ from viewnet.data.pairs import CROP_MARGIN
 from viewnet.runtime.random import RandomSource, rand, randint, randn
 
 COUNT = 1000
-"""Images at most; many windows are seen of each."""
+"""Backgrounds at most; many windows are cut from each."""
 
 
 def load(config: DataConfig, size: int, device: torch.device) -> Tensor | None:
-    """The backgrounds that a configuration asks for, for inputs of `size` pixels a side, or None where it wants none.
+    """Backgrounds (K, 3, 2 size, 2 size) uint8 for inputs of `size` pixels a side, None where `config` has none.
 
-    (K, 3, 2 size, 2 size) uint8: windows of a quarter of an image are seen.
+    So a window is a quarter of an image.
     """
-    found = wanted(config, size, progress=False)
-    return None if found is None else torch.from_numpy(found.images).to(device)
+    backgrounds = made(config, size, progress=False)
+    return None if backgrounds is None else torch.from_numpy(backgrounds.images).to(device)
 
 
-def wanted(config: DataConfig, size: int, progress: bool = True) -> Backgrounds | None:
-    """The same with what decided them, made where they are not there yet."""
+def made(config: DataConfig, size: int, progress: bool = True) -> Backgrounds | None:
+    """The same with their identity; made where they are not there yet."""
     if config.backgrounds is None:
         return None
     return load_backgrounds(config.backgrounds, 2 * size, COUNT, progress=progress)
@@ -70,16 +69,16 @@ def crop_and_rotate(images: Tensor, generator: RandomSource) -> Tensor:
 
 
 def jitter(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
-    """Images (N, 4, S, S), RGB times alpha and alpha, in other colours: what a viewpoint hardly depends on.
+    """Images (N, 4, S, S), RGB times alpha and alpha, in other colours, on which a viewpoint hardly depends.
 
-    Red, green and blue change places; then each, and all together, are multiplied by up to exp(strength) or its
+    Red, green and blue are permuted; then each, and all together, are multiplied by up to exp(strength) or its
     reciprocal, and what exceeds 1 is cut off.
     """
     count, alpha = len(images), images[:, 3:]
     order = rand(count, 3, generator=generator).argsort(1).to(images.device)
     uniform = 2 * rand(count, 4, generator=generator) - 1
-    gain = torch.exp(strength * (uniform[:, :3] + uniform[:, 3:])).to(images)[:, :, None, None]
-    colours = images.gather(1, order[:, :, None, None].expand(-1, -1, *alpha.shape[2:]))
+    gain = torch.exp(strength * (uniform[:, :3] + uniform[:, 3:])).to(images)[:, :, None, None]  # (N, 3, 1, 1)
+    colours = images.gather(1, order[:, :, None, None].expand(-1, -1, *alpha.shape[2:]))  # (N, 3, S, S)
     return torch.cat([torch.minimum(gain * colours, alpha), alpha], 1)
 
 
@@ -87,22 +86,22 @@ def photograph(crops: Tensor, backgrounds: Tensor, config: PhotoAugmentationConf
     """Crops of views (N, 4, S, S), RGB times alpha and alpha, as if cut from photographs: (N, 4, S, S) with alpha 1.
 
     Crops have CROP_MARGIN about the object, photographs' boxes none. In this order: the box is off by up to `box_error`
-    of its sides and tilted by up to `tilt` degrees; something is behind the object, and (`occlude`) in some of the
-    images before it; light, contrast, blur and noise vary as `exposure` says.
+    of its sides and tilted by up to `tilt` degrees; a background is put behind the object and, in a share `occlude` of
+    the images, a part of another before it; light, contrast, blur and noise vary with strength `exposure`.
     """
     count, size, device = len(crops), crops.shape[-1], crops.device
     crops = _shifted(crops, config, generator)
     images = over(crops, windows(backgrounds, count, size, generator, device))[:, :3]
     if config.occlude:
-        before = _patch(count, size, config.occlude, generator).to(device)
-        images = torch.where(before, windows(backgrounds, count, size, generator, device), images)
+        occluded = _rectangles(count, size, config.occlude, generator).to(device)
+        images = torch.where(occluded, windows(backgrounds, count, size, generator, device), images)
     if config.exposure:
         images = expose(images, config.exposure, generator)
     return torch.cat([images, torch.ones_like(crops[:, 3:])], 1)
 
 
 def expose(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
-    """Images (N, 3, S, S) in [0, 1] in another light, contrast and gamma, some grey, blurred and noisy."""
+    """Images (N, 3, S, S) in [0, 1] with other brightness, contrast and gamma, some grey, blurred and noisy."""
     count, device = len(images), images.device
     each = (count, 1, 1, 1)
     contrast, gamma = (torch.exp(strength * _uniform(-0.4, 0.4, each, generator)).to(device) for _ in range(2))
@@ -119,7 +118,7 @@ def expose(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
 
 
 def _shifted(crops: Tensor, config: PhotoAugmentationConfig, generator: RandomSource) -> Tensor:
-    """Crops (N, 4, S, S) larger or smaller, moved and tilted; what comes in from outside is empty."""
+    """Crops (N, 4, S, S) scaled, moved and rotated; what comes in from outside is empty."""
     count = len(crops)
     scale = (1 + config.box_error * _uniform(-1, 1, (2, count), generator, dim=1)) / (1 + 2 * CROP_MARGIN)
     shift = config.box_error * _uniform(-1, 1, (count, 2), generator)
@@ -132,13 +131,13 @@ def _shifted(crops: Tensor, config: PhotoAugmentationConfig, generator: RandomSo
     return F.grid_sample(crops, grid, align_corners=False)
 
 
-def _patch(count: int, size: int, share: float, generator: RandomSource) -> Tensor:
+def _rectangles(count: int, size: int, share: float, generator: RandomSource) -> Tensor:
     """A rectangle of 10 to 40 % of the side somewhere in a `share` of the images: (count, 1, size, size) bool."""
     half = size * _uniform(0.05, 0.2, (2, count, 1), generator, dim=1)
     centre = size * rand(2, count, 1, generator=generator, dim=1)
     there = rand(count, generator=generator) < share
     columns, rows = ((torch.arange(size) - centre).abs() < half).unbind(0)
-    return (there[:, None, None] & columns[:, None, :] & rows[:, :, None])[:, None]
+    return (there[:, None, None] & columns[:, None, :] & rows[:, :, None])[:, None]  # (count, 1, size, size)
 
 
 def _uniform(low: float, high: float, shape: tuple[int, ...], generator: RandomSource, dim: int = 0) -> Tensor:

@@ -1,4 +1,4 @@
-"""Pairs for training: views held in memory, and batches that are a function of (seed, step) alone."""
+"""Pairs for training: views held in memory, and batches that depend on (seed, step) alone (section 4.1)."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 
 CROP_MARGIN = 0.05
-"""So much of the object's side is seen beyond it, all around, where views are cut to their object."""
+"""Where views are cropped to their object: the margin all around, as a share of its side."""
 
 
 @dataclass(frozen=True)
 class Views:
-    """Some views of a store, in memory: RGB times alpha and alpha, uint8 (N, 4, S, S), an object's views in a row."""
+    """Some views of a store, in memory: RGB times alpha and alpha, uint8 (N, 4, S, S), each object's views in a row."""
 
     pixels: Tensor
-    crops: Tensor | None  # the same views cut to their object's tight square box, if asked for
+    crops: Tensor | None  # (N, 4, s, s) the same views cropped to their object, for networks that see crops
     objects: Tensor  # (N,) which object each view shows, counting from 0
     truth: Tensor  # (N, 2) azimuth and elevation in degrees; for scoring only
     first: Tensor  # (O,) the first view of each object
@@ -39,12 +39,12 @@ class Views:
         return bool((self.pixels[:, 3] == 255).all())
 
     def next_views(self, rows: Tensor) -> Tensor:
-        """The next view of each view's object, the last one's being the first: where an appearance may come from."""
+        """Rows of the next view of each view's object (after the last, the first): its appearance comes from there."""
         start, count = self.first[self.objects[rows]], self.count[self.objects[rows]]
         return start + (rows - start + 1) % count
 
     def viewpoint_input(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
-        """What the viewpoint network sees: the crops where there are any, the views themselves otherwise."""
+        """What the viewpoint network sees (n, 4, size, size): the crops where there are any, else the views themselves."""
         if self.crops is None:
             return self.images(rows, size, device)
         return self.crops[rows].to(device).float().div_(255)
@@ -56,7 +56,7 @@ def resize(images: Tensor, size: int) -> Tensor:
 
 
 def tight_crop(images: Tensor, size: int, stretch: bool = False, margin: float = CROP_MARGIN) -> Tensor:
-    """Images (N, 4, H, H), RGB times alpha and alpha in [0, 1], cut to their alpha's square box: (N, 4, size, size).
+    """Images (N, 4, H, H), RGB times alpha and alpha in [0, 1], cropped to their alpha's box: (N, 4, size, size).
 
     The box is a square around the longer side, centred, so that things keep their shape; with `stretch` it is their
     own, and what is in it is stretched. It has a `margin` of its sides all around; what it needs beyond the image is
@@ -64,13 +64,13 @@ def tight_crop(images: Tensor, size: int, stretch: bool = False, margin: float =
     """
     full = images.shape[-1]
     covered = images[:, 3] > 0.5
-    edges = torch.arange(full, device=images.device)
+    edges = torch.arange(full, device=images.device)  # (H,)
     low, high = [], []
     for axis in (2, 1):  # columns, then rows
         occupied = covered.any(3 - axis)
         low.append(torch.where(occupied, edges, full).amin(1))
         high.append(torch.where(occupied, edges + 1, 0).amax(1))
-    start, end = torch.stack(low, 1).float(), torch.stack(high, 1).float()
+    start, end = torch.stack(low, 1).float(), torch.stack(high, 1).float()  # (N, 2): x, y
     empty = ~covered.flatten(1).any(1)
     start, end = start.masked_fill(empty[:, None], 0), end.masked_fill(empty[:, None], full)
     margins = torch.where(empty | covered.flatten(1).all(1), 0.0, margin)
@@ -78,7 +78,7 @@ def tight_crop(images: Tensor, size: int, stretch: bool = False, margin: float =
     half = sides / 2 * (1 + 2 * margins[:, None])
     centre = (start + end) / 2
     matrix = torch.diag_embed(half / (full / 2))
-    shift = (centre / (full / 2) - 1)[:, :, None]
+    shift = (centre / (full / 2) - 1)[:, :, None]  # (N, 2, 1)
     # More samples than pixels, averaged: an enlarged crop stays smooth and a whole image is not aliased.
     fine = size * max(1, -(-full // size))
     grid = F.affine_grid(torch.cat([matrix, shift], 2), [len(images), 4, fine, fine], align_corners=False)
@@ -96,7 +96,7 @@ def load_views(store: ViewStore, split: str, size: int, crop: int | None = None,
     index = store.index.iloc[rows]
     chunks, crops = [], []
     for chunk in np.array_split(rows, max(1, len(rows) // 512)):
-        straight = torch.from_numpy(np.asarray(store.images[chunk])).permute(0, 3, 1, 2).float()
+        straight = torch.from_numpy(np.asarray(store.images[chunk])).permute(0, 3, 1, 2).float()  # (n, 4, H, W)
         # Averaging is only right on colours that are weighted by their alpha.
         weighted = torch.cat([straight[:, :3] * (straight[:, 3:] / 255), straight[:, 3:]], dim=1)
         chunks.append(resize(weighted, size).round_().to(torch.uint8))
@@ -111,7 +111,7 @@ def load_views(store: ViewStore, split: str, size: int, crop: int | None = None,
 
 
 def model_views(store: ViewStore, split: str, size: int, config: ModelConfig) -> Views:
-    """`load_views` with the crops that the networks of `config` want."""
+    """`load_views` with the crops that the networks of `config` see."""
     return load_views(
         store, split, size, None if config.crop == "none" else config.input_size, config.crop == "stretched"
     )

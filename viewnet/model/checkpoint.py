@@ -1,7 +1,7 @@
 """Checkpoints: a finished training's weights with its configuration, written once and read in this one place.
 
-A checkpoint is a safetensors file; its metadata holds the run's configuration as JSON. Nothing is unpickled, and a damaged
-or foreign file ends in one message that names it.
+A checkpoint is a safetensors file; its metadata holds the run's configuration as JSON. Nothing is unpickled, and a
+damaged or foreign file ends in one message that names it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What training minimises: reconstruction by pixels and by features, the choice among heads, cycle consistency."""
+"""The losses of training: reconstruction by pixels and by features, the choice among heads, cycle consistency."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def pixel_loss(image: Tensor, target: Tensor) -> Tensor:
 class PerceptualLoss(nn.Module):
     """Distance of ImageNet features (Johnson et al. 2016): each tap (MSE + L1) / 2, weighted, weights summing to 1.
 
-    `weights` is a file with torchvision's names (default: viewnet.runtime.torchvision_weights.weights_file). Nothing is downloaded:
-    ViewnetError says where the file is expected.
+    `weights` is a file with torchvision's names (default: viewnet.runtime.torchvision_weights.weights_file). Nothing is
+    downloaded: ViewnetError says where the file is expected.
     """
 
     mean: Tensor
@@ -59,21 +59,21 @@ class PerceptualLoss(nn.Module):
     def features(self, image: Tensor) -> list[Tensor]:
         """The taps of images (N, 3, H, W) in [0, 1]."""
         x = (image - self.mean) / self.std
-        wanted = {index for index, _ in self.taps}
-        found = [x] if 0 in wanted else []
+        indices = {index for index, _ in self.taps}
+        taps = [x] if 0 in indices else []
         for index, layer in enumerate(self.layers, start=1):
             x = layer(x)
-            if index in wanted:
-                found.append(x)
-        return found
+            if index in indices:
+                taps.append(x)
+        return taps
 
     def forward(self, image: Tensor, target: Tensor) -> Tensor:
         """The distance, a scalar, of images (N, 3, H, W) in [0, 1] from their targets (N, 3, H, W)."""
         with torch.no_grad():
-            wanted = self.features(target)
+            targets = self.features(target)
         total = image.new_zeros(())
-        for found, want, (_, weight) in zip(self.features(image), wanted, self.taps, strict=True):
-            total = total + weight * 0.5 * (F.mse_loss(found, want) + F.l1_loss(found, want))
+        for tap, wanted, (_, weight) in zip(self.features(image), targets, self.taps, strict=True):
+            total = total + weight * 0.5 * (F.mse_loss(tap, wanted) + F.l1_loss(tap, wanted))
         return total / sum(weight for _, weight in self.taps)
 
 
@@ -82,13 +82,13 @@ def head_errors(images: Tensor, target: Tensor) -> Tensor:
     return (images - target[:, None]).square().mean(dim=(2, 3, 4))
 
 
-def cycle_loss(found: Hypotheses, truth: Tensor, config: CycleConfig) -> Tensor:
-    """Section 3.4: how far the viewpoint network is from the viewpoints `truth` (N, 3) of generated images.
+def cycle_loss(hypotheses: Hypotheses, truth: Tensor, config: CycleConfig) -> Tensor:
+    """Section 3.4: distance of predicted viewpoints from the viewpoints `truth` (N, 3) that images were rendered from.
 
     The head that the network selects is pulled (the released code), or the closest one; either way the selection is
     taught which was the closest.
     """
     with torch.no_grad():
-        closest = (found.vectors - truth[:, None]).square().sum(-1).argmin(1)
-        pulled = closest if config.head == "closest" else found.logits.argmax(1)
-    return F.mse_loss(found.of_heads(pulled), truth) + F.cross_entropy(found.logits, closest)
+        closest = (hypotheses.vectors - truth[:, None]).square().sum(-1).argmin(1)  # (N,)
+        pulled = closest if config.head == "closest" else hypotheses.logits.argmax(1)
+    return F.mse_loss(hypotheses.of_heads(pulled), truth) + F.cross_entropy(hypotheses.logits, closest)

@@ -1,6 +1,6 @@
 """The networks: encoder, AdaIN generator and the decoders of the ablation (the supplement's architecture tables).
 
-Where the paper is silent or contradicts itself, docs/decisions.md names what was chosen and why.
+Where the paper is silent or contradicts itself, docs/decisions.md says what was chosen and why.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _normalised(layer: _BatchNorm, x: Tensor) -> Tensor:
         return F.relu(layer(x), inplace=True)
     assert layer.momentum is not None and layer.running_mean is not None and layer.running_var is not None
     assert layer.num_batches_tracked is not None
-    flat = x.movedim(1, -1).flatten(0, -2)[None]
+    flat = x.movedim(1, -1).flatten(0, -2)[None]  # (1, N P, C): one batch, every place alike
     out, mean, variance = norm_relu_cpu.norm_relu(flat, layer.weight[None], layer.bias[None], layer.eps)
     with torch.no_grad():
         count = flat.shape[1]
@@ -100,10 +100,10 @@ class AdaIN(nn.Module):
 
     def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
         """Features (N, C, ...) and appearances (N, A) -> features (N, C, ...), 0 or more."""
-        scale, shift = self.affine(appearance).chunk(2, dim=1)
+        scale, shift = self.affine(appearance).chunk(2, dim=1)  # (N, C) each
         if norm_relu_cpu.usable(x):
             last = x.movedim(1, -1)
-            out, _, _ = norm_relu_cpu.norm_relu(last.flatten(1, -2), scale, shift)
+            out, _, _ = norm_relu_cpu.norm_relu(last.flatten(1, -2), scale, shift)  # (N, P, C)
             return out.view(last.shape).movedim(-1, 1)
         shape = (*scale.shape, *[1] * (x.dim() - 2))
         return F.relu(torch.addcmul(shift.to(x.dtype).view(shape), F.instance_norm(x), scale.to(x.dtype).view(shape)))
@@ -131,7 +131,7 @@ class Stage(nn.Module):
         """Features (N, inputs, ...), or (1, ...) for all, and appearances (N, A) -> features (N, outputs, ...)."""
         x = self.convolution(x)
         if len(x) < len(appearance):
-            x = x.expand(len(appearance), *x.shape[1:])
+            x = x.expand(len(appearance), *x.shape[1:])  # (N, outputs, ...)
         return self.norm(x, appearance) if isinstance(self.norm, AdaIN) else _normalised(self.norm, x)
 
 
@@ -147,7 +147,7 @@ class Opening(nn.ConvTranspose3d):
     def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
         """(N, C, 1, 1, 1) -> (N, outputs, 4, 4, 4)."""
         with torch.autocast(x.device.type, enabled=False):
-            flat = x.flatten(1).float() @ self.weight.permute(0, 2, 3, 4, 1).flatten(1)
+            flat = x.flatten(1).float() @ self.weight.permute(0, 2, 3, 4, 1).flatten(1)  # (N, 4 4 4 outputs)
         return flat.view(len(x), 4, 4, 4, self.out_channels).movedim(-1, 1)
 
 
@@ -167,7 +167,7 @@ class Doubling(nn.ConvTranspose3d):
         """(N, inputs, n, n, n) -> the eight of every voxel, (N, n, n, n, 2, 2, 2, 4)."""
         weight = self.weight.permute(0, 2, 3, 4, 1).flatten(1)  # (inputs, 2 2 2 4)
         bias = self.bias.repeat(8) if self.bias is not None else None
-        eight = F.linear(x.permute(0, 2, 3, 4, 1), weight.T, bias)
+        eight = F.linear(x.permute(0, 2, 3, 4, 1), weight.T, bias)  # (N, n, n, n, 2 2 2 4)
         return eight.view(*eight.shape[:4], 2, 2, 2, 4)
 
 
@@ -205,13 +205,13 @@ class Generator(nn.Module):
 
     def blocks(self, appearance: Tensor) -> Tensor:
         """The logits as viewnet.model.volume.squash takes them."""
-        # What the first layer makes of the code is the same for all objects.
-        x = self.code if self.adain else appearance[:, :, None, None, None]
+        # The fixed code is one for all objects; the first layer's result is shared until AdaIN tells them apart.
+        x = self.code if self.adain else appearance[:, :, None, None, None]  # (1 or N, C, 1, 1, 1)
         for stage in self.stages:
             x = stage(x.contiguous(memory_format=torch.channels_last_3d), appearance)
         if isinstance(self.last, Doubling):
             return self.last.blocks(x)
-        logits = self.last(x).permute(0, 2, 3, 4, 1)
+        logits = self.last(x).permute(0, 2, 3, 4, 1)  # (N, n, n, n, 4)
         return logits.reshape(*logits.shape[:4], 1, 1, 1, 4)
 
     def forward(self, appearance: Tensor) -> Tensor:
@@ -223,7 +223,7 @@ class HoloGANDecoder(nn.Module):
     """Appearance (N, A) and camera frames -> images with learned layers after the rotation (Table 2, last row).
 
     Features at a quarter of the image's size are rotated rigidly, their depth is folded into channels, and 2-D
-    transposed convolutions paint the image: nothing ties one view's pixels to another's.
+    transposed convolutions make the image: nothing ties one view's pixels to another's.
     """
 
     def __init__(self, config: ModelConfig):
@@ -261,7 +261,7 @@ class HoloGANDecoder(nn.Module):
         # A volume's views are sampled as one grid, one behind the other, which spares a copy of the volume for each.
         grid = torch.einsum("nij,dhwj->ndhwi", world_from_camera, points).unflatten(0, (-1, share)).flatten(1, 2)
         rotated = F.grid_sample(features, grid.to(features.dtype), padding_mode="border", align_corners=False)
-        views = rotated.unflatten(2, (share, self.size)).transpose(1, 2).flatten(0, 1)
+        views = rotated.unflatten(2, (share, self.size)).transpose(1, 2).flatten(0, 1)  # (N, C, s, s, s)
         x = F.relu(self.fold(views.flatten(1, 2).contiguous(memory_format=torch.channels_last)))
         for stage in self.paint:
             x = stage(x, appearance.repeat_interleave(share, dim=0))
@@ -276,5 +276,5 @@ def gaussian_prior(size: int, width: float = 0.05) -> Tensor:
 
 
 def parameters(module: nn.Module) -> int:
-    """How many numbers a module learns."""
+    """Number of learned parameters."""
     return sum(math.prod(p.shape) for p in module.parameters())

@@ -1,4 +1,4 @@
-"""ViewNet: appearance from one image, viewpoint hypotheses from another, and the second image reconstructed (figure 2)."""
+"""ViewNet: appearance from one image, viewpoints from another, and the second image reconstructed (figure 2)."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ class ViewpointNetwork(nn.Module):
         """The hypotheses for images (N, 3, S, S), as `ViewNet.composite` gives them."""
         out = self.encoder(images).float()
         logits, rest = out[:, : self.heads], out[:, self.heads :].unflatten(1, (-1, self.heads, 3))  # (N, 1 or 2, M, 3)
-        vectors = self._on_sphere(rest[:, 0] + self.offset)
+        vectors = self.on_sphere(rest[:, 0] + self.offset)
         # A learned up starts near the world's: the network only has to predict how far it is tilted.
         ups = F.normalize(rest[:, 1] + rest.new_tensor([0.0, 0.0, 1.0]), dim=-1) if self.in_plane else None
         return Hypotheses(vectors, logits, ups)
 
-    def _on_sphere(self, raw: Tensor) -> Tensor:
+    def on_sphere(self, raw: Tensor) -> Tensor:
         """Unit vectors of raw ones (..., 3), their elevation squashed into the limits where there are any."""
         if self.limits is None:
             return F.normalize(raw, dim=-1)
@@ -79,8 +79,8 @@ class ViewpointNetwork(nn.Module):
 class ViewNet(nn.Module):
     """The paper's f^v (`viewpoint`), f^a (`appearance`) and f^d (`decoder` and the volume renderer).
 
-    Images of objects are (N, 4, S, S): RGB times mask, and mask, in [0, 1]. The HoloGAN ablation has no mask: the fourth
-    channel of what it renders is 1 everywhere.
+    Images of objects are (N, 4, S, S): RGB times mask, and mask, in [0, 1]. The HoloGAN ablation has no mask: the
+    fourth channel of what it renders is 1 everywhere.
     """
 
     prior: Tensor
@@ -98,7 +98,7 @@ class ViewNet(nn.Module):
         self.register_buffer("prior", prior, persistent=False)
 
     def composite(self, images: Tensor, background: Tensor | None = None) -> Tensor:
-        """Images (N, 4, S, S) over backgrounds (N, 3, S, S), or over the backdrop: (N, 3, S, S), as encoders take them."""
+        """Images (N, 4, S, S) over backgrounds (N, 3, S, S) or the backdrop: (N, 3, S, S), as encoders take them."""
         return images[:, :3] + (self.config.backdrop if background is None else background) * (1 - images[:, 3:])
 
     def encode(self, images: Tensor, own_shape: float = 1.0, background: Tensor | None = None) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""Drawing a coloured volume: rotation, perspective and ray stopping in one pass (section 3.3).
+"""The volume renderer: rotation, perspective and ray stopping in one pass (section 3.3).
 
 A volume fills the cube [-1, 1]^3 of the object frame with red, green, blue and occupancy Q; voxel i of n along an axis
 has its centre at (2 i + 1) / n - 1. The camera looks at the centre. In camera coordinates (x right, y up, z towards the
@@ -12,9 +12,9 @@ is the cube's edge at z = 0. f = 0 is orthographic. A ray stops at step k with p
 object's mask.
 
 `render_reference` is the definition, in plain PyTorch. `render` gives the same image and gradients by the fastest way
-the tensors' device has: viewnet.model.kernels.volume_cpu on processors, viewnet.model.kernels.volume_gpu on GPUs, and the definition where these
-cannot be used, after a warning that says why. The environment variable VIEWNET_RENDERER forces a way: `fused` is the
-device's own or an error, `reference` the definition, `auto` (or nothing) the choice described.
+the tensors' device has: viewnet.model.kernels.volume_cpu on CPUs, viewnet.model.kernels.volume_gpu on GPUs, and the
+definition where these cannot be used, after a warning that says why. The environment variable VIEWNET_RENDERER forces
+a way: `fused` is the device's own or an error, `reference` the definition, `auto` (or nothing) the choice described.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def halved(volume: Tensor) -> Tensor:
 
 def joined(blocks: Tensor) -> Tensor:
     """Volumes (B, 4, s z, s y, s x) of blocks (B, z, y, x, s, s, s, 4), each the s^3 voxels of one place."""
-    return blocks.permute(0, 7, 1, 4, 2, 5, 3, 6).flatten(6, 7).flatten(4, 5).flatten(2, 3)
+    return blocks.permute(0, 7, 1, 4, 2, 5, 3, 6).flatten(6, 7).flatten(4, 5).flatten(2, 3)  # (B, 4, s z, s y, s x)
 
 
 def squash(blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
@@ -73,7 +73,7 @@ def squash(blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tenso
         return volume_cpu.squash(blocks, colour, prior)
     logits = joined(blocks).float()
     if colour is not None:
-        logits = logits + F.pad(colour, (0, 1))[:, :, None, None, None]
+        logits = logits + F.pad(colour, (0, 1))[:, :, None, None, None]  # (B, 4, n, n, n)
     values = torch.sigmoid(logits)
     occupancy = 2 * values[:, 3:] - 1 + (0 if prior is None else prior)
     return torch.cat([values[:, :3], _Clamp.apply(occupancy)], 1)
@@ -110,11 +110,11 @@ def render_reference(volume: Tensor, world_from_camera: Tensor, focal: Tensor, s
     (tensor([0., 0., 1., 1.]), True, False)
     """
     points = ray_points(size, steps, focal)
-    grid = torch.einsum("nij,dhwj->ndhwi", world_from_camera, points)
-    volume = volume.repeat_interleave(len(world_from_camera) // len(volume), dim=0)
+    grid = torch.einsum("nij,dhwj->ndhwi", world_from_camera, points)  # (N, steps, size, size, 3)
+    volume = volume.repeat_interleave(len(world_from_camera) // len(volume), dim=0)  # (N, 4, Z, Y, X)
     sampled = F.grid_sample(volume, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
     colour, occupancy = sampled[:, :3], sampled[:, 3:]
-    passing = torch.cumprod(1 - occupancy, dim=2)
+    passing = torch.cumprod(1 - occupancy, dim=2)  # the light left behind each step
     reaching = torch.cat([torch.ones_like(passing[:, :, :1]), passing[:, :, :-1]], dim=2)
     stopping = occupancy * reaching  # equation 3
     return torch.cat([(stopping * colour).sum(2), stopping.sum(2)], dim=1)  # equation 4
@@ -147,12 +147,12 @@ def render(
 
 def _fused(device: torch.device) -> ModuleType | None:
     """The device's own renderer, if it can be used and is not refused."""
-    wanted = os.environ.get("VIEWNET_RENDERER") or "auto"
-    if wanted not in ("auto", "reference", "fused"):
-        raise ViewnetError(f"VIEWNET_RENDERER is {wanted!r}: set it to auto, reference or fused, or unset it")
-    module = None if wanted == "reference" else FUSED.get(device.type)
+    choice = os.environ.get("VIEWNET_RENDERER") or "auto"
+    if choice not in ("auto", "reference", "fused"):
+        raise ViewnetError(f"VIEWNET_RENDERER is {choice!r}: set it to auto, reference or fused, or unset it")
+    module = None if choice == "reference" else FUSED.get(device.type)
     if module is not None and module.available():
         return module
-    if wanted == "fused":
+    if choice == "fused":
         raise ViewnetError(f"VIEWNET_RENDERER is fused, which cannot be had on {device.type} here: set it to auto")
     return None

@@ -1,4 +1,4 @@
-"""Which viewpoints a training step reconstructs from: the heads', their neighbours, and a search around the object (ours).
+"""Which viewpoints a training step reconstructs from: the heads', their neighbours, a search around the object (ours).
 
 Early on the viewpoint network answers from what little it has learned, and the volume settles on its mistakes: turned
 inside out, or with two sides folded into one. Viewpoints of a search do not depend on it.
@@ -104,8 +104,8 @@ def compare_grid(
 ) -> tuple[Tensor, Tensor]:
     """Of viewpoints all around (N, T, 3) the best in each sector, (N, SECTORS, 3), and their errors (N, SECTORS).
 
-    Within a sector half the resolution is enough. Sectors are compared at the full one: at half of it the fin that tells
-    an aeroplane's tail from its nose is gone, and a group of aeroplanes that is laid wrong then stays so.
+    Within a sector half the resolution is enough. Sectors are compared at the full one: at half of it the fin that
+    tells an aeroplane's tail from its nose is gone, and a group of aeroplanes that is laid wrong then stays so.
     """
     coarse, small = half_resolution(model, objects, target)
     if coarse is objects or grid.shape[1] <= SECTORS:
@@ -127,8 +127,8 @@ def balanced(score: Tensor, views: Tensor, shares: Tensor, limits: tuple[float, 
     """Scores (N, T) of viewpoints (N, T, 3) with a penalty on parts of the sphere chosen more often than their share.
 
     A volume that has grown alike on two sides explains images of either from one of them, is never reconstructed from
-    the other, and would stay as it is. Images are taken from all around and from all elevations within the limits, so no
-    part of the sphere is due more than its share of `shares` (12, bands).
+    the other, and would stay as it is. Images are taken from all around and from all elevations within the limits, so
+    no part of the sphere is due more than its share of `shares` (12, bands).
     """
     smooth = (2 * shares + shares.roll(1, 0) + shares.roll(-1, 0)) / 4
     excess = torch.log(smooth * smooth.numel() + 0.05).flatten()[_part(views, limits, shares.shape[1])]  # (N, T)

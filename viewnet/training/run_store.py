@@ -158,7 +158,7 @@ def _backgrounds_identity(config: RunConfig, progress: bool) -> str:
         return ""
     from viewnet.data import augment
 
-    backgrounds = augment.wanted(config.data, config.model.input_size, progress)
+    backgrounds = augment.made(config.data, config.model.input_size, progress)
     return "" if backgrounds is None else backgrounds.identity
 
 

@@ -60,26 +60,26 @@ def step_loss(
     small = target if target.shape[-1] == size else resize(target, size)
     own_shape = min(1.0, progress / config.shared_shape) if config.shared_shape else 1.0
     choose = pose_search(config, progress, generator)
-    found = reconstruct(model, appearance, small, viewpoint_input, config, choose, own_shape, background)
+    result = reconstruct(model, appearance, small, viewpoint_input, config, choose, own_shape, background)
 
     # ---- losses on images
     if config.target == "mask":
-        image, wanted = found.rendered[:, 3:], found.target[:, 3:]  # (N, 1, S, S)
+        image, reference = result.rendered[:, 3:], result.target[:, 3:]  # (N, 1, S, S)
     else:
         colour = background_colours(config, len(target), generator, device)
-        image, wanted = composite(found.rendered, colour), composite(found.target, colour)
+        image, reference = composite(result.rendered, colour), composite(result.target, colour)
     terms: dict[str, Tensor] = {}
     if perceptual is not None:
-        terms["perceptual"] = perceptual(image.expand(-1, 3, -1, -1), wanted.expand(-1, 3, -1, -1))
+        terms["perceptual"] = perceptual(image.expand(-1, 3, -1, -1), reference.expand(-1, 3, -1, -1))
     # Relative to how much of the image objects fill, or thin ones would count for less than other terms.
     filled = distributed.mean(target[:, 3].mean()).clamp(min=0.01)
     if config.pixel_weight:
-        terms["pixels"] = config.pixel_weight * pixel_loss(image, wanted) / filled
+        terms["pixels"] = config.pixel_weight * pixel_loss(image, reference) / filled
     if config.mask_weight:
-        terms["masks"] = config.mask_weight * pixel_loss(found.rendered[:, 3:], found.target[:, 3:]) / filled
+        terms["masks"] = config.mask_weight * pixel_loss(result.rendered[:, 3:], result.target[:, 3:]) / filled
 
     # ---- losses on viewpoints
-    choice, hypotheses = found.choice, found.hypotheses
+    choice, hypotheses = result.choice, result.hypotheses
     if config.comparison.pull_weight:
         pulled = hypotheses.of_heads(choice.head)
         terms["pull"] = config.comparison.pull_weight * (choice.viewpoint - pulled).square().sum(-1).mean()
@@ -88,11 +88,11 @@ def step_loss(
         terms["selection"] = config.selection.weight * selection_loss(
             hypotheses, choice.label, right, config.selection.angle
         )
-    if len(found.repeated.logits):
-        terms["repeated_views"] = repeated_views_loss(found, config)
+    if len(result.repeated.logits):
+        terms["repeated_views"] = repeated_views_loss(result, config)
     ramp = min(1.0, (progress - config.cycle.start) / 0.1) if config.cycle.start else 1.0
     if config.cycle.on and ramp > 0:
-        terms["cycle"] = ramp * config.cycle.weight * _cycle(model, found, config, generator, backgrounds)
+        terms["cycle"] = ramp * config.cycle.weight * _cycle(model, result, config, generator, backgrounds)
     return terms
 
 
@@ -115,16 +115,16 @@ def background_colours(config: TrainConfig, count: int, generator: RandomSource,
     return rand(count, 3, generator=generator).to(device)
 
 
-def repeated_views_loss(found: Reconstruction, config: TrainConfig) -> Tensor:
+def repeated_views_loss(result: Reconstruction, config: TrainConfig) -> Tensor:
     """What one reconstruction teaches of a target's other images: its viewpoint, and which head to select.
 
     As for the image it was made for, the closest head is pulled, and the one closest to the head to select is selected.
     """
-    hypotheses, choice = found.repeated, found.choice
+    hypotheses, choice = result.repeated, result.choice
     times = len(hypotheses.logits) // len(choice.label)
     viewpoint, right = (
         view.detach().repeat(times, 1)  # (K N, 3)
-        for view in (choice.viewpoint, found.hypotheses.of_heads(choice.label))
+        for view in (choice.viewpoint, result.hypotheses.of_heads(choice.label))
     )
     closest, label = ((hypotheses.vectors - view[:, None]).square().sum(-1).argmin(1) for view in (viewpoint, right))
     loss = config.comparison.pull_weight * (viewpoint - hypotheses.of_heads(closest)).square().sum(-1).mean()
@@ -147,19 +147,19 @@ def selection_loss(hypotheses: Hypotheses, label: Tensor, right: Tensor, angle: 
 
 def _cycle(
     model: ViewNet,
-    found: Reconstruction,
+    result: Reconstruction,
     config: TrainConfig,
     generator: RandomSource,
     backgrounds: Tensor | None,
 ) -> Tensor:
     """Section 3.4: the same objects rendered from random viewpoints, which the viewpoint network is to predict."""
-    count = len(found.objects.code)
+    count = len(result.objects.code)
     low, high = config.cycle.elevation
     azimuth = 360 * rand(count, generator=generator)
     elevation = low + (high - low) * rand(count, generator=generator)
-    truth = view_vector(azimuth, elevation).to(found.objects.code.device)  # (B, 3)
+    truth = view_vector(azimuth, elevation).to(result.objects.code.device)  # (B, 3)
     with torch.no_grad(), autocast(truth.device, config):
-        novel = model.render(found.objects.volume, found.objects.code, look_at(truth), model.config.input_size)
+        novel = model.render(result.objects.volume, result.objects.code, look_at(truth), model.config.input_size)
         if model.config.crop != "none":
             novel = tight_crop(novel, model.config.input_size, model.config.crop == "stretched")
         if backgrounds is not None:

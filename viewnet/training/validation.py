@@ -1,4 +1,4 @@
-"""What training measures on validation views: how well they are reconstructed, and how well their viewpoints are known."""
+"""What training measures on validation views: their reconstruction error, and the accuracy of their viewpoints."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def validate(
             viewpoint_input = augment.photograph(viewpoint_input, backgrounds, config.photo, generator)
             background = augment.windows(backgrounds, len(part), size, generator, device)
         target = target if size == small else resize(target, small)
-        found = reconstruct(model, appearance, target, viewpoint_input, config, background=background)
-        error += found.choice.errors.amin(1).sum().item()
-        vectors.append(found.hypotheses.of_heads(found.hypotheses.logits.argmax(1)))
+        result = reconstruct(model, appearance, target, viewpoint_input, config, background=background)
+        error += result.choice.errors.amin(1).sum().item()
+        vectors.append(result.hypotheses.of_heads(result.hypotheses.logits.argmax(1)))
     predicted = torch.cat(vectors).cpu().double()  # (N, 3)
     annotated = ~views.truth[rows].isnan().any(1)
     accuracy = math.nan

@@ -1,4 +1,4 @@
-"""Normalisation, scale, shift and ReLU in one pass over the features, for processors.
+"""Normalisation, scale, shift and ReLU in one pass over the features, for CPUs.
 
 PyTorch takes a dozen passes for them, forwards and backwards, and in bfloat16 rounds after each; here statistics are
 of float32 and what is stored between forward and backward is the input alone.

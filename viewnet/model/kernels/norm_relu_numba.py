@@ -1,4 +1,6 @@
-"""Numba kernels of viewnet.model.kernels.norm_relu_cpu: normalisation, scale, shift and ReLU in one, on float32 or bfloat16's bits.
+"""Numba kernels of viewnet.model.kernels.norm_relu_cpu: normalisation, scale, shift and ReLU in one pass.
+
+On float32, or on bfloat16's bits.
 
 Features are (N, P, C): P places, the channels of one side by side. Each (n, c) is normalised over its places.
 """

@@ -1,4 +1,4 @@
-"""The volume renderer for processors: one compiled pass a ray, forward and backward, with nothing stored in between.
+"""The volume renderer for CPUs: one compiled pass a ray, forward and backward, with nothing stored in between.
 
 The plain PyTorch renderer writes the rotated volume to memory and reads it back several times. Here each ray is
 walked once: sample, weigh, stop; the backward pass walks it again. Numba compiles it without a C compiler.
@@ -46,8 +46,8 @@ def halved(volume: Tensor) -> Tensor:
     shape = tuple(volume.shape[2:])
     small = tuple(side // 2 for side in shape)
     halves = torch.zeros(len(volume), math.prod(side + 2 for side in small), 4)
-    _run("halve", _framed(volume.detach()), shape, halves)
-    return _inside(halves, small)
+    _run("halve", padded(volume.detach()), shape, halves)
+    return unpadded(halves, small)
 
 
 class _Squash(torch.autograd.Function):
@@ -63,20 +63,20 @@ class _Squash(torch.autograd.Function):
         voxels = torch.empty(count, (nz + 2) * (ny + 2) * (nx + 2), 4)
         _run("squash", blocks, added, offset, voxels)
         ctx.save_for_backward(blocks, added, offset)
-        return _inside(voxels, (nz, ny, nx))
+        return unpadded(voxels, (nz, ny, nx))
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
         blocks, added, offset = ctx.saved_tensors
         grad = torch.empty_like(blocks)
-        _run("squash_backward", blocks, added, offset, _framed(grads[0]), grad)
+        _run("squash_backward", blocks, added, offset, padded(grads[0]), grad)
         return grad, None, None
 
 
 class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
-        voxels, frames = _framed(volume.detach(), empty=True), frames.detach().contiguous()
+        voxels, frames = padded(volume.detach(), empty=True), frames.detach().contiguous()
         image = torch.empty(len(frames), size, size, 4)
         shape = tuple(volume.shape[2:])
         cells, boxes = _occupied(volume, voxels, shape)
@@ -97,7 +97,7 @@ class _Render(torch.autograd.Function):
         found = (grad_voxels, grad_frames, grad_focal)
         arguments = (voxels, cells, boxes, ctx.shape, frames, focal, ctx.steps, grad, *found)
         _run("backward", *arguments)
-        grad_volume = _inside(grad_voxels, ctx.shape)
+        grad_volume = unpadded(grad_voxels, ctx.shape)
         return grad_volume, grad_frames, grad_focal.sum().reshape(focal.shape), None, None, None
 
 
@@ -107,7 +107,7 @@ _known: tuple[weakref.ref[Tensor], int, tuple[Tensor, Tensor]] | None = None
 def _occupied(volume: Tensor, voxels: Tensor, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
     """Which cells of `voxels` (B, P, 4) hold anything, (B, P), and the box around them, (B, 6).
 
-    Remembered for the volume drawn last.
+    Remembered for the volume rendered last.
     """
     global _known
     # Tensors made under inference_mode do not count their changes.
@@ -120,13 +120,13 @@ def _occupied(volume: Tensor, voxels: Tensor, shape: tuple[int, ...]) -> tuple[T
     return found
 
 
-def _inside(voxels: Tensor, shape: tuple[int, ...]) -> Tensor:
+def unpadded(voxels: Tensor, shape: tuple[int, ...]) -> Tensor:
     """The volume (B, 4, Z, Y, X) in `voxels` (B, P, 4), without the voxel all around."""
     nz, ny, nx = shape
     return voxels.view(-1, nz + 2, ny + 2, nx + 2, 4)[:, 1:-1, 1:-1, 1:-1].permute(0, 4, 1, 2, 3)
 
 
-def _framed(volume: Tensor, empty: bool = False) -> Tensor:
+def padded(volume: Tensor, empty: bool = False) -> Tensor:
     """(B, 4, Z, Y, X) -> (B, P, 4): a voxel more all around, and the four values of a voxel side by side.
 
     A volume that lies inside such a frame already is not copied; with `empty` only where the frame holds zeros.

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from viewnet.model.kernels.volume_cpu import _inside
+from viewnet.model.kernels.volume_cpu import unpadded
 
 CHOICES = {"draw": ((1, 2), (1, 4), (4, 4)), "draw_backward": ((1, 1), (1, 2), (4, 1))}
 """Warps, of 32 rays each, in a program and steps in a chunk; the fastest is found on the device at the first call."""
@@ -36,7 +36,9 @@ def available() -> bool:
             return True
         except Exception as error:  # no Triton, no C compiler for its launchers, a GPU it has no code for
             problem = f"{type(error).__name__}: {error}".splitlines()[0]
-    warnings.warn(f"Triton has no usable GPU ({problem}): volumes are drawn by the slower PyTorch path", stacklevel=2)
+    warnings.warn(
+        f"Triton has no usable GPU ({problem}): volumes are rendered by the slower PyTorch path", stacklevel=2
+    )
     return False
 
 
@@ -71,7 +73,7 @@ class _Render(torch.autograd.Function):
         _launch("draw_backward", *arguments, size=size)
         turned = partial.sum(1)
         grad_frames, grad_focal = turned[:, :9].view(-1, 3, 3), turned[:, 9].sum().reshape(focal.shape)
-        return _inside(grad_voxels, tuple(shape)), grad_frames, grad_focal, None, None, None
+        return unpadded(grad_voxels, tuple(shape)), grad_frames, grad_focal, None, None, None
 
 
 def _packed(volume: Tensor) -> tuple[Tensor, Tensor]:

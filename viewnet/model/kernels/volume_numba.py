@@ -10,9 +10,7 @@ from numba import njit, prange
 from viewnet.model.kernels.bfloat16_numba import FLAGS, compiled, narrowed, sigmoid, widened
 from viewnet.model.kernels.trilinear_llvm import deposit, sampled, slopes
 
-OPAQUE = np.float32(
-    1e-5
-)  # a ray that so little light passes has stopped: what lies behind cannot change a pixel visibly
+OPAQUE = np.float32(1e-5)  # a ray with so little light left has stopped: nothing behind can change a pixel visibly
 ONE = np.float32(1.0)
 HALF = np.float32(0.5)
 ZERO = np.float32(0.0)
