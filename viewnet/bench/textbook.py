@@ -139,7 +139,7 @@ class TextbookViewNet(nn.Module):
     def generate(self, images: Tensor) -> Tensor:
         """Volumes (N, 4, n, n, n) of the objects in images (N, 3, S, S)."""
         values = torch.sigmoid(self.decoder(self.appearance(images)))
-        occupancy: Tensor = Clamp.apply(2 * values[:, 3:] - 1 + self.prior)
+        occupancy: Tensor = _Clamp.apply(2 * values[:, 3:] - 1 + self.prior)
         return torch.cat([values[:, :3], occupancy], 1)
 
     def viewpoints(self, images: Tensor) -> tuple[Tensor, Tensor]:
@@ -149,7 +149,7 @@ class TextbookViewNet(nn.Module):
         return F.normalize(out[:, heads:].unflatten(1, (-1, 3)), dim=-1), out[:, :heads]
 
 
-class Clamp(torch.autograd.Function):
+class _Clamp(torch.autograd.Function):
     """To [0, 1]; values outside still take the gradient that pulls them back in, as in the package."""
 
     @staticmethod
