@@ -1,4 +1,4 @@
-"""Images for a page that is one file: as WebP in data URIs, with a caption and what those are told who do not see."""
+"""Images of a page that is a single file: WebP in data URIs, with captions and alternative texts."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 
@@ -14,78 +15,67 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import opened
 
 SUFFIXES = (".png", ".gif")
-MOVING_QUALITY = 70
+MOVING: dict[str, Any] = {"quality": 70, "method": 2, "loop": 0, "save_all": True}
+"""Options of animations as WebP."""
 SHOWN = 0.55
-"""CSS pixels for a pixel of a figure: figures are saved with twice as many as a page in print needs."""
+"""CSS pixels per pixel of a figure: figures are saved at twice the resolution of a screen."""
 
-ABOUT: tuple[tuple[str, str, str], ...] = (
-    (
-        "figure3_azimuth",
+CAPTIONS = {
+    "figure3_azimuth": (
         "Predicted over true azimuth of test views, after alignment",
-        "Scatter plots, one for each category: the predicted azimuth of test views over the true one, 0 to 360 degrees",
+        "Scatter plots, one for each category: predicted over true azimuth of test views, 0 to 360 degrees",
     ),
-    (
-        "figure3_candidates",
-        "What each head draws, by rising reconstruction error; below each that error and the angle to the truth",
-        "A row of small images for each category: the test view, and the drawings of the heads",
+    "figure3_candidates": (
+        "Reconstructions by each head, by rising error; below each that error and the angle to the truth",
+        "A row of small images for each category: the test view, and the reconstructions by each head",
     ),
-    (
-        "alignment_calibration",
+    "alignment_calibration": (
         "Scores by the number of calibration photographs",
         "Line charts of accuracy, median error and DVA over the number of calibration photographs, for each category",
     ),
-    (
-        "alignment_collapse",
-        "What the linear alignment does the more one-sided photographs are",
+    "alignment_collapse": (
+        "Effect of the linear alignment as photographs become one-sided",
         "Three line charts over the share of the commonest side: spread that is left, accuracy added, DVA added",
     ),
-    (
-        "novel_views_",
-        "All around one {} at constant elevation, by each model; the image that its appearance is from stands first",
-        "A grid of drawings of one {}: a row for each model, turning from left to right",
+    "novel_views_": (
+        "All around one {} at constant elevation, by each model; the appearance image stands first",
+        "A grid of rendered views ({}): a row for each model, turning from left to right",
     ),
-    (
-        "volumes_",
-        "Images of test objects ({}), and the volumes made of them, all from one viewpoint",
-        "Pairs of images: a {} as it was seen, and below it the volume drawn from a common viewpoint",
+    "volumes_": (
+        "Images of test objects ({}), and their volumes, all from one viewpoint",
+        "Pairs of images: test images ({}), and below each its volume rendered from a common viewpoint",
     ),
-    (
-        "turntable_",
-        "A test object ({}) and its volume on a turntable, from the predicted viewpoint on",
-        "An animation: left an image of a {}, right its volume, turning once",
+    "turntable_": (
+        "A test object ({}) and its volume on a turntable, starting at the predicted viewpoint",
+        "An animation: left a test image ({}), right its volume, turning once",
     ),
-    (
-        "reconstructions",
-        "Photographs, and what ViewNet with and without cycles makes of them",
-        "A grid of images: photographs as the networks see them, and the reconstructions of each model",
+    "reconstructions": (
+        "Photographs, and their reconstructions by ViewNet with and without cycles",
+        "A grid of images: photographs as the networks take them, and the reconstructions by each model",
     ),
-    (
-        "failures_",
-        "The worst errors of each cause ({}): the view, and what is drawn at the predicted viewpoint",
-        "Pairs of images of a {} whose viewpoint is wrong, in groups by cause",
+    "failures_": (
+        "The worst errors of each cause ({}): the view, and its reconstruction at the predicted viewpoint",
+        "Pairs of images ({}) whose predicted viewpoint is wrong, in groups by cause",
     ),
-    (
-        "training_curves",
+    "training_curves": (
         "Validation accuracy, reconstruction error and losses over training",
-        "Line charts over the steps of training, a colour for each variant and a dash for each category",
+        "Line charts over the epochs of training, a colour for each variant and a dash for each category",
     ),
-    (
-        "bench",
-        "Speed and memory beside a textbook version",
+    "bench": (
+        "Speed and memory compared with a textbook version",
         "Bar and line charts of how many times faster, and how much smaller in memory, than a textbook version",
     ),
-    (
-        "switches",
-        "Accuracy over training time, with parts of the recipe switched off",
-        "Line charts of validation accuracy over seconds of training, one line for each part switched off",
+    "switches": (
+        "Accuracy over training, with parts of the recipe switched off",
+        "Line charts of validation accuracy over epochs of training, one line for each part switched off",
     ),
-)
-"""What a file's name begins with, its caption, and its text for those who do not see it; {} is the rest of the name."""
+}
+"""Start of a file's name -> caption and alternative text; {} is the rest of the name."""
 
 
 @dataclass(frozen=True)
 class EmbeddedImage:
-    """An image to embed, shown `width` by `height` CSS pixels large; `still` is the first frame of one that moves."""
+    """An image to embed, `width` by `height` CSS pixels; `still` is the first frame of an animation."""
 
     name: str
     caption: str
@@ -94,65 +84,53 @@ class EmbeddedImage:
     height: int
     uri: str
     still: str | None
-    files: Sequence[Path]  # itself and what has the same name, such as a PDF
+    files: Sequence[Path]  # itself and files of the same name, such as a PDF
 
 
 def embedded(path: Path, widest: int, files: Sequence[Path] = ()) -> EmbeddedImage:
-    """A PNG or GIF file, shrunk where it is wider than `widest`. ViewnetError naming what cannot be read."""
+    """A PNG or GIF file, shrunk where it is wider than `widest`. ViewnetError naming a file that cannot be read."""
     try:
         with opened(path) as image:
-            frames, wait = [], image.info.get("duration", 60)
+            frames, duration = [], image.info.get("duration", 60)
             for number in range(getattr(image, "n_frames", 1)):
                 image.seek(number)
-                frames.append(_shown(image, widest))
+                frames.append(_on_white(image, widest))
     except ViewnetError as error:
         raise ViewnetError(f"{path}: {error}: make it again") from None
     moving = len(frames) > 1
-    caption, alt = _about(path.stem)
+    caption, alt = _captions(path.stem)
     share = 1.0 if moving else SHOWN
+    still = encode(frames[0], lossless=True, method=4)
     return EmbeddedImage(
         path.stem,
         caption,
         alt,
         width=round(share * frames[0].width),
         height=round(share * frames[0].height),
-        uri=_moving(frames, wait) if moving else _uri(frames[0]),
-        still=_uri(frames[0]) if moving else None,
+        uri=encode(frames[0], append_images=frames[1:], duration=duration, **MOVING) if moving else still,
+        still=still if moving else None,
         files=tuple(files) or (path,),
     )
 
 
-def _shown(image: Image.Image, widest: int) -> Image.Image:
-    """Over white, as on paper."""
-    flat = Image.new("RGB", image.size, "white")
-    drawn = image.convert("RGBA")
-    flat.paste(drawn, mask=drawn)
+def _on_white(image: Image.Image, widest: int) -> Image.Image:
+    flat, rgba = Image.new("RGB", image.size, "white"), image.convert("RGBA")
+    flat.paste(rgba, mask=rgba)
     if flat.width > widest:
         flat = flat.resize((widest, max(1, round(flat.height * widest / flat.width))), Image.Resampling.LANCZOS)
     return flat
 
 
-def _uri(frame: Image.Image) -> str:
+def encode(frame: Image.Image, **options: Any) -> str:
+    """A data URI of an image as WebP."""
     data = io.BytesIO()
-    frame.save(data, "WEBP", lossless=True, method=4)
-    return _encoded(data)
-
-
-def _moving(frames: Sequence[Image.Image], wait: int) -> str:
-    data = io.BytesIO()
-    frames[0].save(
-        data, "WEBP", save_all=True, append_images=frames[1:], duration=wait, loop=0, quality=MOVING_QUALITY, method=2
-    )
-    return _encoded(data)
-
-
-def _encoded(data: io.BytesIO) -> str:
+    frame.save(data, "WEBP", **options)
     return "data:image/webp;base64," + base64.b64encode(data.getvalue()).decode()
 
 
-def _about(stem: str) -> tuple[str, str]:
-    for begins, caption, alt in ABOUT:
-        if stem.startswith(begins):
-            rest = stem.removeprefix(begins).replace("_", " ").strip()
-            return caption.format(rest), alt.format(rest)
+def _captions(stem: str) -> tuple[str, str]:
+    for start, texts in CAPTIONS.items():
+        if stem.startswith(start):
+            rest = stem.removeprefix(start).replace("_", " ").strip()
+            return texts[0].format(rest), texts[1].format(rest)
     return stem.replace("_", " "), f"The figure {stem}"
