@@ -44,7 +44,7 @@ class Views:
         return start + (rows - start + 1) % count
 
     def viewpoint_input(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
-        """What the viewpoint network sees (n, 4, size, size): the crops where there are any, else the views themselves."""
+        """The viewpoint network's input (n, 4, size, size): the crops where there are any, else the views themselves."""
         if self.crops is None:
             return self.images(rows, size, device)
         return self.crops[rows].to(device).float().div_(255)
