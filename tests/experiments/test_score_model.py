@@ -23,7 +23,7 @@ from viewnet.evaluation import evaluate, metrics
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import NOT_SCORED
 from viewnet.experiments import score_model
-from viewnet.experiments.score_model import Elsewhere, scores
+from viewnet.experiments.score_model import ScoredData, scores
 from viewnet.geometry import view_vector
 from viewnet.recipes import make_config
 from viewnet.training import make_run, other_views, run_store
@@ -97,8 +97,8 @@ def photographs(folder: Path, store, turn: float) -> Path:
 
 def test_labels_of_what_is_scored_have_no_part_in_the_alignment(run, store, tmp_path, monkeypatch):
     monkeypatch.setattr("viewnet.evaluation.features.SIZE", 32)
-    as_it_is = scores(KEY, Elsewhere(str(photographs(tmp_path / "photos", store, 0))))
-    turned = scores(KEY, Elsewhere(str(photographs(tmp_path / "turned", store, 77))))
+    as_it_is = scores(KEY, ScoredData(str(photographs(tmp_path / "photos", store, 0))))
+    turned = scores(KEY, ScoredData(str(photographs(tmp_path / "turned", store, 77))))
     assert as_it_is["on"] == "photographs of photos"
     assert list(as_it_is["alignments"]) == ["own", "procrustes", "robust", "linear"]
     assert as_it_is["alignments"].pop("own")["alignment"]["kind"] == "none"
@@ -110,7 +110,7 @@ def test_labels_of_what_is_scored_have_no_part_in_the_alignment(run, store, tmp_
 def test_photographs_are_scored_by_the_rotation_of_the_estimator_s_answers(run, store, tmp_path, monkeypatch):
     monkeypatch.setattr("viewnet.evaluation.features.SIZE", 32)
     place = photographs(tmp_path / "photos", store, 0)
-    found = scores(KEY, Elsewhere(str(place)))["alignments"]["own"]
+    found = scores(KEY, ScoredData(str(place)))["alignments"]["own"]
     listed = pd.read_csv(place / "viewpoints.csv")
     listed = listed[listed["split"] == "test"]
     said = ViewpointEstimator.from_pretrained(KEY, device="cpu").predict([place / "images" / f for f in listed["file"]])
@@ -137,7 +137,7 @@ def test_the_card_of_a_saved_model_tells_scores_on_photographs(run, store, tmp_p
     (kept,) = ViewpointEstimator.from_pretrained(tmp_path / "saved").about["scores"]
     assert kept["alignments"]["robust"]["intervals"] == found["alignments"]["robust"]["intervals"]
     # Scores name their run, also after saving.
-    again = scores(str(tmp_path / "saved"), Elsewhere(str(place)))
+    again = scores(str(tmp_path / "saved"), ScoredData(str(place)))
     assert again["key"] == KEY
     assert close(again["alignments"]["procrustes"], found["alignments"]["procrustes"])
 
@@ -169,7 +169,7 @@ def test_another_collection_is_scored_whole_and_aligned_on_own_views(tmp_path, m
         monkeypatch.setenv(f"VIEWNET_{name}", str(tmp_path / name.lower()))
     (run,) = run_store.ensure([make_config(profile="smoke")], workers=1, progress=False, steps=STEPS)
     (tmp_path / "cad" / "02958343").mkdir(parents=True)
-    found = scores(run.key, Elsewhere(str(tmp_path / "cad")), steps=STEPS)
+    found = scores(run.key, ScoredData(str(tmp_path / "cad")), steps=STEPS)
     other = STEPS.views(make_config(profile="smoke", data_root=str(tmp_path / "cad")).data)
     for score in found["alignments"].values():
         assert score["images"] == len(other.index)
@@ -180,10 +180,10 @@ def test_another_collection_is_scored_whole_and_aligned_on_own_views(tmp_path, m
 @pytest.mark.parametrize(
     ("where", "on", "message"),
     [
-        ("nowhere", Elsewhere(), "nowhere: no model there"),
-        (KEY, Elsewhere("nowhere"), "data_root nowhere: no such folder"),
-        (KEY, Elsewhere(subset="imagenet10"), "unknown subset 'imagenet10': choose one of imagenet, pascal, both"),
-        (KEY, Elsewhere(cad_root="nowhere"), "cad_root nowhere: no such folder"),
+        ("nowhere", ScoredData(), "nowhere: no model there"),
+        (KEY, ScoredData("nowhere"), "data_root nowhere: no such folder"),
+        (KEY, ScoredData(subset="imagenet10"), "unknown subset 'imagenet10': choose one of imagenet, pascal, both"),
+        (KEY, ScoredData(cad_root="nowhere"), "cad_root nowhere: no such folder"),
     ],
 )
 def test_what_cannot_be_scored_is_said(run, where, on, message):
@@ -196,7 +196,7 @@ def test_folders_without_viewpoints_are_not_scored_on(run, tmp_path):
     (tmp_path / "pictures").mkdir()
     Image.new("RGB", (8, 8)).save(tmp_path / "pictures" / "a.jpg")
     with pytest.raises(ViewnetError, match="is backgrounds, whose viewpoints are not scored"):
-        scores(KEY, Elsewhere(str(tmp_path / "pictures")))
+        scores(KEY, ScoredData(str(tmp_path / "pictures")))
 
 
 def test_a_run_without_scores_says_so(tmp_path, monkeypatch):

@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
     """Print the scores of each model."""
     from viewnet.experiments import score_model
 
-    data = score_model.Elsewhere(options.data_root, options.stand_in, options.subset, options.cad_root)
+    data = score_model.ScoredData(options.data_root, options.stand_in, options.subset, options.cad_root)
     scores = [score_model.scores(where, data, options.calibration) for where in options.models]
     if options.json:
         print_json(scores)

@@ -1,4 +1,4 @@
-"""Running the project's notebooks, one or all: parameters are checked before a kernel starts, errors fit in one line."""
+"""Running the project's notebooks, one or all: parameters are checked before a kernel starts."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def plan(only: Sequence[str] | None = None, profile: str | None = None, seeds: s
 
 
 def run_all(planned: Sequence[Planned]) -> Iterator[Outcome]:
-    """Run notebooks one after the other; each outcome as soon as it is there. One that fails does not stop the others."""
+    """Run notebooks one after the other; each outcome as soon as it is known. Failures do not stop it."""
     for notebook in planned:
         start, copy, error = time.monotonic(), None, None
         try:

@@ -1,4 +1,4 @@
-"""The parameters of notebooks, in one table: their defaults, how they are checked, and their part of the folder's name.
+"""The parameters of notebooks in one table: defaults, checks, meanings, and their part of the output folder's name.
 
 Values arrive plain, as papermill and the command line give them: names, whole numbers, "car,chair" or lists.
 """
@@ -6,7 +6,7 @@ Values arrive plain, as papermill and the command line give them: names, whole n
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,18 +16,16 @@ from viewnet.config import CATEGORIES, known
 from viewnet.data.readers import objectron
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, features
-from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.model import checkpoint
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS
 
 SHAPENET = "shapenet"
 """The value of `start` for which ViewNet is first trained on CAD models of the category, with the same seed."""
+SUBSETS = ("imagenet", "pascal", "both")
+"""Of PASCAL3D+."""
 MOST_SEEDS = 1000
 LEAST_CALIBRATION = 4
 """Photographs that an alignment can be fitted on, at least."""
-
-Check = Callable[[Any, str], Any]
-"""(plain value, parameter's name) -> checked value. Raises ViewnetError naming the parameter and its valid values."""
 
 
 @dataclass(frozen=True)
@@ -35,16 +33,19 @@ class Parameter:
     """One parameter.
 
     default  the plain value where none is given
-    check    turns a plain value into the one that a Request holds
+    check    (plain value, name) -> the value that a Request holds; raises ViewnetError naming the parameter and its
+             valid values
     help     its meaning, in a line
-    label    checked value -> its part of the output folder's name, where the value is not the notebook's usual one
+    label    format of its part of the output folder's name, where the value is not the notebook's usual one; "": none
+    text     what `label` formats, of a checked value
     field    the field of Request that it fills, where that is named differently
     """
 
     default: Any
-    check: Check
+    check: Callable[[Any, str], Any]
     help: str
-    label: Callable[[Any], str] | None = None
+    label: str = ""
+    text: Callable[[Any], Any] = lambda value: value
     field: str = ""
 
 
@@ -70,25 +71,8 @@ def _path(value: str, what: str) -> Path:
     return path
 
 
-def _one_of(*choices: str) -> Check:
-    return lambda value, what: known(value, choices, what)
-
-
 def _is_whole(value: Any, least: int = 0) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= least
-
-
-def _number(accepts: Callable[[float], bool], expected: str) -> Check:
-    def check(value: Any, what: str) -> float:
-        try:
-            number = float(value)
-        except (TypeError, ValueError):
-            raise ViewnetError(f"{what} {value!r}: expected a number") from None
-        if not accepts(number):
-            raise ViewnetError(f"{what} {value}: expected {expected}")
-        return number
-
-    return check
 
 
 def _categories(value: Any, what: str) -> tuple[str, ...]:
@@ -131,150 +115,115 @@ def _calibration(value: Any, what: str) -> int | None:
     return value or None
 
 
+def _number(default: float, accepts: Callable[[float], bool], expected: str, help: str, label: str) -> Parameter:
+    def check(value: Any, what: str) -> float:
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            raise ViewnetError(f"{what} {value!r}: expected a number") from None
+        if not accepts(number):
+            raise ViewnetError(f"{what} {value}: expected {expected}")
+        return number
+
+    return Parameter(default, check, help, label)
+
+
 def _backbone(value: Any, what: str) -> str:
     if value != "auto":
         features.choose(value)
     return value
 
 
-def _categories_label(names: Sequence[str]) -> str:
-    return "everything" if set(names) == set(CATEGORIES) else "-".join(names)
+def _start(value: Any, what: str) -> str:
+    return value if value in ("", SHAPENET) else str(checkpoint.locate(value))
 
 
-def _start_label(start: str) -> str:
-    return start if start == SHAPENET else f"start_{Path(start).parent.name}"
+def _one_of(default: str, choices: Collection[str], help: str, label: str = "{}") -> Parameter:
+    return Parameter(default, lambda value, what: known(value, choices, what), help, label)
 
 
-def _folder_parameter(name: str, help: str) -> Parameter:
-    return Parameter("", folder_named, help, label=name.format)
+def _one_name(default: str, choices: Collection[str], help: str, field: str, label: str = "") -> Parameter:
+    """Fills a field of several names with one."""
+    return Parameter(default, lambda value, what: (known(value, choices, what),), help, label, field=field)
+
+
+def _folder(name: str, help: str) -> Parameter:
+    return Parameter("", folder_named, help, name)
 
 
 PARAMETERS: dict[str, Parameter] = {
-    "profile": Parameter(
-        "default",
-        _one_of(*PROFILES),
-        "how large: smoke, tiny, small or paper; default: environment variable VIEWNET_PROFILE, else the notebook's",
-        label="{}".format,
-    ),
-    "recipe": Parameter(
-        "default",
-        _one_of(*RECIPES),
-        "how models are trained, a name of config.RECIPES; default: the profile's",
-        label="{}".format,
-    ),
-    "variant": Parameter(
+    "profile": _one_of("default", PROFILES, "smoke, tiny, small or paper; default: $VIEWNET_PROFILE or the notebook's"),
+    "recipe": _one_of("default", RECIPES, "how models are trained (viewnet.recipes); default: the profile's"),
+    "variant": _one_name(
         "",
-        lambda value, what: (known(value, (*VARIANTS, *UNTRAINED), what),),
-        "the row that a figure shows; empty: the notebook's",
-        label="{0[0]}".format,
-        field="variants",
+        (*VARIANTS, *baselines.UNTRAINED),
+        "the row of a figure; empty: the notebook's",
+        "variants",
+        "{0[0]}",
     ),
     "categories": Parameter(
         "all",
         _categories,
         "car, or car,chair, or a list; all: the notebook's; everything: all twelve of PASCAL3D+",
-        label=_categories_label,
+        "{}",
+        lambda names: "everything" if set(names) == set(CATEGORIES) else "-".join(names),
     ),
-    "category": Parameter(
-        "chair",
-        lambda value, what: (known(value, objectron.CLASSES, what),),
-        "of Objectron: chair, as reported, bicycle or bottle",
-        field="categories",
-    ),
+    "category": _one_name("chair", objectron.CLASSES, "of Objectron: chair, bicycle or bottle", "categories"),
     "seeds": Parameter(1, _seeds, "how many (3: seeds 0, 1, 2), or which (0,2 or a list)"),
-    "video_root": _folder_parameter("video_root", "the videos to train on; empty: a stand-in is made"),
+    "video_root": _folder("video_root", "the videos to train on; empty: a stand-in is made"),
+    # Within video_root or anywhere, so that it is looked for with the videos.
     "weak_masks": Parameter(
         "",
         lambda value, what: value,
-        "a folder of weakly supervised masks, laid out as masks/, within video_root or anywhere; empty: the stand-in's "
-        "own, and none for Objectron",
-        label="weak_masks".format,
+        "weak masks, laid out as masks/; empty: the stand-in's",
+        "weak_masks",
     ),
-    "data_root": _folder_parameter(
-        "data_root",
-        "without photographs: ShapeNetCore (v1 or v2), empty: the built-in models; else the photographs, PASCAL3D+ 1.1 "
-        "or a folder with images/ and viewpoints.csv, empty: a stand-in is made",
+    "data_root": _folder("data_root", "photographs, empty: a stand-in; or ShapeNetCore, empty: the built-in models"),
+    "cad_root": _folder("cad_root", "ShapeNetCore to train on; empty: the built-in models"),
+    "eval_root": _folder("eval_root", "ShapeNetCore to score on; empty: the own test models"),
+    "extra_cad": _folder("extra_cad", "a second ShapeNetCore, all of whose models join training; empty: none"),
+    "splits": Parameter("", folder_named, "<synset>_{train,val,test}.txt lists for CAD models; empty: their own"),
+    "split_rule": _one_of(
+        "all", ("all", "45/2/rest"), "Freiburg's sequences to train on: all or 45/2/rest", "held_out"
     ),
-    "cad_root": _folder_parameter("cad_root", "ShapeNetCore to train on; empty: the built-in models"),
-    "eval_root": _folder_parameter("eval_root", "ShapeNetCore to score on; empty: the own test models"),
-    "extra_cad": _folder_parameter("extra_cad", "a second ShapeNetCore folder, all of whose models join training"),
-    "splits": Parameter(
-        "",
-        folder_named,
-        "a folder of <synset>_{train,val,test}.txt lists for the CAD models; empty: their all.csv, else a seeded split",
-    ),
-    "split_rule": Parameter(
-        "all",
-        _one_of("all", "45/2/rest"),
-        "which sequences are trained on: all, as reported, or 45/2/rest, by number, so that some are held out",
-        label="held_out".format,
-    ),
-    "masks": Parameter(
-        "files",
-        _one_of("files", "alpha", "maskrcnn", "deeplabv3"),
-        "what cuts objects out of frames: files (in masks/ of video_root), alpha, maskrcnn or deeplabv3",
-        label="{}".format,
-    ),
+    "masks": _one_of("files", ("files", "alpha", "maskrcnn", "deeplabv3"), "files (in masks/), alpha, maskrcnn ..."),
     "start": Parameter(
         "",
-        lambda value, what: value if value in ("", SHAPENET) else str(checkpoint.locate(value)),
-        "weights to start from; empty: random, as reported; shapenet: ViewNet trained on CAD models; else the key or "
-        "folder of a run",
-        label=_start_label,
+        _start,
+        "weights to start from; empty: random; shapenet: trained on CAD models; else a run's key or folder",
+        "{}",
+        lambda start: start if start == SHAPENET else f"start_{Path(start).parent.name}",
     ),
     "viewpoints": Parameter(
         "",
         lambda value, what: _path(value, what) if value else None,
-        "a CSV of annotated viewpoints (viewnet.data.annotated_viewpoints); empty: a stand-in is generated",
-        label="viewpoints".format,
+        "a CSV of viewpoints (viewnet.data.annotated_viewpoints); empty: a stand-in",
+        "viewpoints",
     ),
     "backgrounds": Parameter(
         "",
         lambda value, what: value if value == "drawn" else folder_named(value, what) or "drawn",
         "a folder of images (SUN397) to composite training views over; empty: generated ones",
-        label="backgrounds".format,
+        "backgrounds",
     ),
-    "subset": Parameter(
-        "imagenet",
-        _one_of("imagenet", "pascal", "both"),
-        "of PASCAL3D+: imagenet, pascal or both",
-        label="{}".format,
+    "subset": _one_of("imagenet", SUBSETS, "of PASCAL3D+: imagenet, pascal or both"),
+    "keep": _one_of("all", ("all", "easy", "first"), "all, easy (not truncated or occluded), first (of an image)"),
+    "margin": _number(
+        0.0, lambda x: 0 <= x <= 2, "0 to 2 sides of the box", "cropped beyond a box's longer side", "margin{:g}"
     ),
-    "keep": Parameter(
-        "all",
-        _one_of("all", "easy", "first"),
-        "photographs: all, easy (neither difficult, truncated nor occluded) or first (one object an image)",
-        label="{}".format,
-    ),
-    "margin": Parameter(
-        0.0,
-        _number(lambda x: 0 <= x <= 2, "0 to 2 sides of the box"),
-        "how much of a box's longer side is cropped beyond it, 0 to 2",
-        label="margin{:g}".format,
-    ),
-    "backbone": Parameter(
-        "auto",
-        _backbone,
-        "of the view regression: vgg16, squeezenet1_1, another of torchvision's, or pixels; auto: the first of vgg16, "
-        "squeezenet1_1 and pixels that is available",
-        label="{}".format,
-    ),
-    "ridge": Parameter(
+    "backbone": Parameter("auto", _backbone, "of the view regression: vgg16, pixels ...; or auto", "{}"),
+    "ridge": _number(
         baselines.RIDGE,
-        _number(lambda x: 0 < x < math.inf, "more than 0"),
-        "strength of the view regression's ridge penalty",
-        label="ridge{:g}".format,
+        lambda x: 0 < x < math.inf,
+        "more than 0",
+        "of the view regression",
+        "ridge{:g}",
     ),
-    "calibration": Parameter(
-        0,
-        _calibration,
-        "number of photographs that predictions are aligned, and baselines fitted, on; 0: all",
-        label="calibration{}".format,
-    ),
+    "calibration": Parameter(0, _calibration, "photographs to align and fit on; 0: all there are", "calibration{}"),
     "output": Parameter(
         "",
         lambda value, what: _path(value, what) if value else paths.tables(),
-        "where tables and figures go; empty: paper_tables",
+        "for tables; empty: paper_tables",
     ),
     "workers": Parameter(0, _workers, "trainings side by side; 0: what the machine has room for"),
 }

@@ -153,7 +153,7 @@ class Request:
                 values[parameter.field or key] = parameter.check(plain, key)
         usual = design.usual(values["profile"])
         parts = [
-            parameter.label(values[at])
+            parameter.label.format(parameter.text(values[at]))
             for at, parameter in ((p.field or key, p) for key, p in PARAMETERS.items())
             if parameter.label and at in values and values[at] != usual[at]
         ]
