@@ -16,7 +16,7 @@ from viewnet.data.build import video_views, view_store
 from viewnet.data.clip_store import Limits, clip_store, describe, sharpness, summary
 from viewnet.data.clips import Clip, Frame
 from viewnet.data.crop import Crop, bounds
-from viewnet.data.masks import FromAlpha, FromFiles
+from viewnet.data.masks import from_alpha, from_files
 from viewnet.data.store import ViewStore, check_index
 from viewnet.data.synthetic import freiburg_standin
 from viewnet.errors import ViewnetError
@@ -50,7 +50,7 @@ def store_of(root: Path, clips: list[Clip], masks=None, crop: Crop = CROP, **set
 
 def test_frames_are_cut_out_by_their_masks(tmp_path):
     clips = [make_clip(tmp_path, "b", "val"), make_clip(tmp_path, "a")]
-    store = store_of(tmp_path, clips, FromFiles())
+    store = store_of(tmp_path, clips, from_files())
     assert store.images.shape == (6, 8, 8, 4)
     assert (store.images == (0, 200, 0, 255)).all()
     assert store.index["model_id"].tolist() == ["a"] * 3 + ["b"] * 3
@@ -59,11 +59,11 @@ def test_frames_are_cut_out_by_their_masks(tmp_path):
     assert store.index["azimuth"].tolist() == [0, 10, 20] * 2 and (store.index["elevation"] == 5).all()
     assert store.index["source"].tolist()[:2] == ["a#0", "a#1"]
     assert summary(store) == "car: 6 views of 2 clips (1 train, 1 val); 0.0 % of the frames without a usable mask"
-    assert store.meta["made_by"] == describe(clips, FromFiles(), CROP)
+    assert store.meta["made_by"] == describe(clips, from_files(), CROP)
 
 
 def test_around_the_mask_there_is_nothing_and_colours_stay_straight(tmp_path):
-    store = store_of(tmp_path, [make_clip(tmp_path, "a")], FromFiles(), Crop(12, margin=0.3))
+    store = store_of(tmp_path, [make_clip(tmp_path, "a")], from_files(), Crop(12, margin=0.3))
     view = store.images[0].astype(int)
     assert (view[0] == 0).all() and (view[6, 6] == (0, 200, 0, 255)).all()
     edge = (view[..., 3] > 20) & (view[..., 3] < 235)
@@ -88,16 +88,16 @@ def extent(view: np.ndarray) -> tuple[int, int]:
 
 def test_an_object_is_as_high_in_all_views_of_its_clip_however_far_and_however_turned(tmp_path):
     clip = turning(tmp_path, [(320, 80), (160, 80), (80, 80), (160, 40), (48, 96)])
-    levelled = [extent(view) for view in store_of(tmp_path, [clip], FromFiles(), Crop(40)).images]
+    levelled = [extent(view) for view in store_of(tmp_path, [clip], from_files(), Crop(40)).images]
     assert np.allclose(levelled, [(40, 10), (20, 10), (10, 10), (40, 10), (5, 10)], atol=1)
-    store = store_of(tmp_path, [clip], FromFiles(), Crop(40), scale="view")
+    store = store_of(tmp_path, [clip], from_files(), Crop(40), scale="view")
     assert [extent(view) for view in store.images] == [(40, 10), (40, 20), (40, 40), (40, 10), (20, 40)]
     boxed = replace(clip, frames=tuple(replace(frame, box=(3, 4, 83, 84)) for frame in clip.frames))
     assert {extent(view) for view in store_of(tmp_path, [boxed], None, Crop(40)).images} == {(40, 40)}
 
 
 def test_a_mask_that_is_a_sliver_does_not_make_the_others_small(tmp_path):
-    store = store_of(tmp_path, [turning(tmp_path, [(80, 80)] * 39 + [(320, 20)])], FromFiles(), Crop(40))
+    store = store_of(tmp_path, [turning(tmp_path, [(80, 80)] * 39 + [(320, 20)])], from_files(), Crop(40))
     assert {extent(view) for view in store.images[:-1]} == {(40, 40)}
     assert extent(store.images[-1])[0] == 40
 
@@ -110,8 +110,8 @@ def test_a_mask_counts_within_its_box_only(tmp_path):
         mask.paste(255, (34, 0, 40, 5))
         mask.save(file)
     boxed = replace(clip, frames=tuple(replace(frame, box=(5, 6, 22, 22)) for frame in clip.frames))
-    assert (store_of(tmp_path, [boxed], FromFiles()).images[..., :3] == (0, 200, 0)).all()
-    assert not (store_of(tmp_path, [clip], FromFiles()).images[..., :3] == (0, 200, 0)).all()
+    assert (store_of(tmp_path, [boxed], from_files()).images[..., :3] == (0, 200, 0)).all()
+    assert not (store_of(tmp_path, [clip], from_files()).images[..., :3] == (0, 200, 0)).all()
 
 
 def test_without_masks_a_box_is_cut_and_nothing_is_transparent(tmp_path):
@@ -148,7 +148,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_used(tmp_path):
     for k in range(3):
         (tmp_path / f"masks/lone/{k}.png").unlink()
     gone = Clip("gone", "car", "train", tmp_path / "gone.mp4", ())
-    store = store_of(tmp_path, [good, half, lone, gone], FromFiles(), rejected=[("x", "x", "no reason")])
+    store = store_of(tmp_path, [good, half, lone, gone], from_files(), rejected=[("x", "x", "no reason")])
     assert store.index.groupby("model_id")["view"].apply(list).to_dict() == {"good": [0, 2, 3], "half": [1, 3]}
     assert [(row.model_id, row.path, row.reason.split(" (")[0]) for row in store.rejected.itertuples()] == [
         ("x", "x", "no reason"),
@@ -177,10 +177,10 @@ def test_small_and_blurred_objects_are_left_out(tmp_path):
     small = Image.new("L", (40, 30))
     small.paste(255, (5, 6, 30, 16))
     small.save(tmp_path / "masks/a/4.png")
-    store = store_of(tmp_path, [clip], FromFiles(), limits=Limits(side=12, blur=0.5))
+    store = store_of(tmp_path, [clip], from_files(), limits=Limits(side=12, blur=0.5))
     assert store.index["view"].tolist() == [0, 1, 3]
     assert set(store.rejected["reason"]) == {"object is too small (25 x 10 pixels)", "blurred"}
-    assert len(store_of(tmp_path, [clip], FromFiles(), limits=Limits(side=0))) == 5
+    assert len(store_of(tmp_path, [clip], from_files(), limits=Limits(side=0))) == 5
     for wrong, message in ((Limits, "side"), (lambda side: Limits(blur=side), "blur")):
         with pytest.raises(ViewnetError, match=f"limits: {message} -1"):
             wrong(side=-1)
@@ -202,7 +202,7 @@ def test_clips_that_cannot_be_a_store(tmp_path):
     with pytest.raises(ViewnetError, match="clip 'a' is there twice"):
         store_of(tmp_path, [clip, clip])
     with pytest.raises(ViewnetError, match=r"no clip to train on can be used .*: a/0: a: mask is missing"):
-        store_of(tmp_path, [clip], FromAlpha())
+        store_of(tmp_path, [clip], from_alpha())
     with pytest.raises(ViewnetError, match="no clip to train on can be used"):
         store_of(tmp_path, [replace(clip, split="val")])
     assert not list((tmp_path / "stores").iterdir())
@@ -212,18 +212,18 @@ def test_clips_that_cannot_be_a_store(tmp_path):
 
 def test_the_store_is_known_by_what_decides_it(tmp_path):
     clip = make_clip(tmp_path, "a")
-    base = describe([clip], FromFiles(), CROP)
-    assert base == describe([clip], FromFiles(), CROP, Limits())
+    base = describe([clip], from_files(), CROP)
+    assert base == describe([clip], from_files(), CROP, Limits())
     others = [
         describe([clip], None, CROP),
-        describe([clip], FromFiles(), Crop(9)),
-        describe([clip], FromFiles(), CROP, Limits(side=3)),
-        describe([clip], FromFiles(), CROP, scale="view"),
-        describe([replace(clip, frames=clip.frames[:2])], FromFiles(), CROP),
-        describe([replace(clip, split="val")], FromFiles(), CROP),
+        describe([clip], from_files(), Crop(9)),
+        describe([clip], from_files(), CROP, Limits(side=3)),
+        describe([clip], from_files(), CROP, scale="view"),
+        describe([replace(clip, frames=clip.frames[:2])], from_files(), CROP),
+        describe([replace(clip, split="val")], from_files(), CROP),
     ]
     Image.new("L", (40, 30)).save(tmp_path / "masks/a/0.png")
-    assert base not in [*others, describe([clip], FromFiles(), CROP)]
+    assert base not in [*others, describe([clip], from_files(), CROP)]
 
 
 # -- unknown viewpoints

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from viewnet.data.masks import FromFiles
+from viewnet.data.masks import from_files
 from viewnet.data.readers import freiburg
 from viewnet.data.synthetic.freiburg_standin import SEQUENCES, describe, write_stand_in
 from viewnet.errors import ViewnetError
@@ -21,7 +21,7 @@ def test_sequences_are_read_as_the_data_set_is(tmp_path, monkeypatch):
         azimuths = np.array([frame.azimuth for frame in clip.frames])
         turns = np.diff(azimuths) % 360
         assert (abs(turns - 60) <= 1).all() or (abs(turns - 300) <= 1).all()
-        follow = FromFiles().follow(clip)
+        follow = from_files().follow(clip)
         for frame, file in zip(clip.frames, sorted(clip.source.iterdir()), strict=True):
             with Image.open(file) as image:
                 mask = follow(frame.number, file.stem, image) > 127

@@ -13,7 +13,7 @@ from torchvision.models import detection, segmentation
 
 from viewnet.data import masks
 from viewnet.data.clips import Clip
-from viewnet.data.masks import FromAlpha, FromFiles, Predicted, predicted, regions
+from viewnet.data.masks import from_alpha, from_files, from_segmenter, predicted, regions, segmenter
 from viewnet.errors import ViewnetError
 
 IMAGE = Image.new("RGB", (6, 4), (50, 60, 70))
@@ -38,21 +38,21 @@ def clip(folder: Path | None = None) -> Clip:
 )
 def test_files_of_any_kind_are_read(tmp_path, image):
     image.save(tmp_path / "frame7.png")
-    assert (FromFiles().follow(clip(tmp_path))(0, "frame7", IMAGE) == HALF).all()
+    assert (from_files().follow(clip(tmp_path))(0, "frame7", IMAGE) == HALF).all()
 
 
 def test_a_palette_holds_numbers_of_classes_and_soft_edges_stay(tmp_path):
     labelled = Image.fromarray(HALF // 255 * 7).convert("P")
     labelled.putpalette([0] * 768)
     labelled.save(tmp_path / "000003.png")
-    follow = FromFiles().follow(clip(tmp_path))
+    follow = from_files().follow(clip(tmp_path))
     assert (follow(3, "other name", IMAGE) == HALF).all()
     Image.fromarray(HALF // 2).save(tmp_path / "soft.png")
     assert set(np.unique(follow(0, "soft", IMAGE))) == {0, 127}
 
 
 def test_files_that_cannot_be_used(tmp_path):
-    follow = FromFiles().follow(clip(tmp_path))
+    follow = from_files().follow(clip(tmp_path))
     Image.new("L", (4, 6)).save(tmp_path / "turned.png")
     (tmp_path / "broken.png").write_bytes(b"?")
     for name, reason in (
@@ -63,13 +63,13 @@ def test_files_that_cannot_be_used(tmp_path):
         with pytest.raises(ViewnetError, match=f"^{reason}"):
             follow(0, name, IMAGE)
     with pytest.raises(ViewnetError, match="mask is missing"):
-        FromFiles().follow(clip(None))(0, "none", IMAGE)
+        from_files().follow(clip(None))(0, "none", IMAGE)
 
 
 def test_the_images_own_alpha():
     image = IMAGE.copy()
     image.putalpha(Image.fromarray(HALF))
-    follow = FromAlpha().follow(clip())
+    follow = from_alpha().follow(clip())
     assert (follow(0, "", image) == HALF).all()
     with pytest.raises(ViewnetError, match=r"mask is missing \(the image has no alpha"):
         follow(0, "", IMAGE)
@@ -89,7 +89,7 @@ def test_the_largest_object_is_followed_even_when_another_becomes_larger():
         objects((8, 14), (14, 20)),
         objects((0, 2), (18, 19)),  # nothing at the old place: the larger
     ])  # fmt: skip
-    follow = Predicted(lambda image: next(frames), {}).follow(clip())
+    follow = from_segmenter(lambda image: next(frames), {}).follow(clip())
     found = []
     for number in range(5):
         try:
@@ -146,9 +146,9 @@ def test_mask_rcnn_gives_instances_of_the_category(tmp_path, monkeypatch):
         roi_heads__mask_predictor__mask_fcn_logits__bias=torch.full((91,), 9.0),
     )
     monkeypatch.setattr(detection.mask_rcnn.MaskRCNN, "forward", _at_a_small_size(detection.mask_rcnn.MaskRCNN.forward))
-    found = predicted("maskrcnn", "sofa", file).segment(IMAGE.resize((60, 40)))
+    found = segmenter("maskrcnn", "sofa", file)(IMAGE.resize((60, 40)))
     assert found.dtype == bool and found.shape[1:] == (40, 60) and len(found) and found.any((1, 2)).all()
-    assert not len(predicted("maskrcnn", "car", file).segment(IMAGE.resize((60, 40))))
+    assert not len(segmenter("maskrcnn", "car", file)(IMAGE.resize((60, 40))))
 
 
 def _at_a_small_size(forward):

@@ -23,7 +23,7 @@ from viewnet.config import SYNSETS, DataConfig
 from viewnet.data import build, rendered_store
 from viewnet.data.build import view_store
 from viewnet.data.readers.shapenet import ModelFile, find_models
-from viewnet.data.rendered_store import render_views, sample_viewpoints
+from viewnet.data.rendered_store import Rendering, render_views, sample_viewpoints
 from viewnet.data.store import ViewStore, check_index, identity_of, write_store
 from viewnet.errors import ViewnetError
 
@@ -216,14 +216,16 @@ def test_seeds_and_settings_change_images_and_identity(models: list[ModelFile], 
 
 def test_viewpoints_are_uniform_in_their_ranges() -> None:
     models = [ModelFile(f"m{i}", "car", Path("x"), "v2", "train") for i in range(4000)]
-    azimuth, elevation, light = sample_viewpoints(models, 1, (0.0, 360.0), (-20.0, 40.0), 0)
+    azimuth, elevation, light = sample_viewpoints(models, Rendering(views=1))
     assert azimuth.shape == (4000, 1) and light.shape == (4000, 1, 3)
     for values, low, high in ((azimuth, 0, 360), (elevation, -20, 40), (light[..., 2], 0, 1)):
         counts = np.histogram(values, 10, (low, high))[0]
         assert counts.sum() == 4000 and np.abs(counts - 400).max() < 100
     assert np.allclose(np.linalg.norm(light, axis=-1), 1)
     assert abs(np.corrcoef(azimuth[:, 0], elevation[:, 0])[0, 1]) < 0.06
-    azimuth, _, _ = sample_viewpoints(models, 1, (-30.0, 30.0), (0.0, 0.0), 0)
+    azimuth, _, _ = sample_viewpoints(
+        models, Rendering(views=1, azimuth_range=(-30.0, 30.0), elevation_range=(0.0, 0.0))
+    )
     assert ((azimuth <= 30) | (azimuth >= 330)).all() and (azimuth < 360).all()
 
 
@@ -288,7 +290,7 @@ def test_what_is_done_of_another_request_is_thrown_away(
 ) -> None:
     draw(models, tmp_path / "undisturbed", seed=2)
     with monkeypatch.context() as patch:
-        patch.setattr(rendered_store, "_assemble", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt()))
+        patch.setattr(rendered_store, "assemble", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt()))
         with pytest.raises(KeyboardInterrupt):
             draw(models, tmp_path / "views", seed=1)
     draw(models, tmp_path / "views", seed=2)

@@ -18,7 +18,7 @@ from viewnet.data.readers import freiburg, objectron, pascal3d
 from viewnet.data.readers.photo_folder import LIST
 from viewnet.data.readers.registry import READERS
 from viewnet.data.readers.shapenet import ModelFile, find_models, take
-from viewnet.data.rendered_store import describe, digest, partial_folder, render_views
+from viewnet.data.rendered_store import Rendering, digest, partial_folder, render_views
 from viewnet.data.store import Rejected, ViewStore, identity_of
 from viewnet.data.synthetic import freiburg_standin, objectron_standin, pascal3d_standin
 from viewnet.errors import ViewnetError
@@ -46,16 +46,9 @@ def view_store(
         return video_views(config.video, workers, progress)
     if config.models < 0:
         raise ViewnetError(f"models {config.models}: expected 1 or more, or 0 for all of a collection")
-    settings: dict[str, Any] = {
-        "views": config.views,
-        "image_size": config.image_size,
-        "supersample": config.supersample,
-        "azimuth_range": config.azimuth_range,
-        "elevation_range": config.elevation_range,
-        "seed": config.seed,
-        "backend": choose_backend(config.renderer),
-    }
-    made_by = describe(**settings)
+    names = ("views", "image_size", "supersample", "azimuth_range", "elevation_range", "seed")
+    settings = {name: getattr(config, name) for name in names} | {"backend": choose_backend(config.renderer)}
+    made_by = Rendering(**settings).describe()
     extra = [] if config.extra is None else as_training_models(find_models(config.extra, config.category), config)
     models: list[ModelFile] | None = None
     if config.root is None:

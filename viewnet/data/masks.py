@@ -9,9 +9,9 @@ from __future__ import annotations
 import hashlib
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -55,45 +55,29 @@ Segmenter = Callable[[Image.Image], np.ndarray]
 """An image -> masks (K, H, W) bool of the K objects of a class in it."""
 
 
-class MaskSource(Protocol):
-    """Where masks come from."""
-
-    @property
-    def described(self) -> dict[str, Any]:
-        """What decides the masks but for the clips' own files, as JSON values."""
-        ...
-
-    @property
-    def parallel(self) -> bool:
-        """Whether clips are better worked on side by side."""
-        ...
-
-    def follow(self, clip: Clip) -> Follower:
-        """A follower for the frames of one clip."""
-        ...
-
-
 @dataclass(frozen=True)
-class FromFiles:
-    """PNG files in each clip's folder of masks, named like its images, or 000000.png by the frame's number.
+class MaskSource:
+    """Where masks come from.
 
-    Pixels are shares of coverage up to the deepest white, or numbers of classes: in files of a palette, and where no
-    value is above 1, all but 0 is the object.
+    described   what decides the masks but for the clips' own files, as JSON values
+    follow      a new follower for the frames of a clip
+    parallel    whether clips are better worked on side by side
     """
 
-    parallel: bool = field(default=True, init=False)
+    described: dict[str, Any]
+    follow: Callable[[Clip], Follower]
+    parallel: bool = True
 
-    @property
-    def described(self) -> dict[str, Any]:
-        """What decides the masks but for the files themselves."""
-        return {"masks": "files", "version": VERSION}
 
-    def follow(self, clip: Clip) -> Follower:
-        """Reads the file of each frame. The follower raises ViewnetError where there is none."""
+def from_files() -> MaskSource:
+    """PNG files in each clip's folder of masks, named like its images, or 000000.png by the frame's number.
 
+    See `crop.coverage` for their pixels. Followers raise ViewnetError where there is no file.
+    """
+
+    def follow(clip: Clip) -> Follower:
         def read(number: int, name: str, image: Image.Image) -> np.ndarray:
-            folder = clip.masks
-            files = [] if folder is None else [folder / f"{name}.png", folder / f"{number:06d}.png"]
+            files = [clip.masks / f"{name}.png", clip.masks / f"{number:06d}.png"] if clip.masks else []
             file = next((path for path in files if path.is_file()), None)
             if file is None:
                 raise ViewnetError("mask is missing")
@@ -101,50 +85,40 @@ class FromFiles:
 
         return read
 
-
-@dataclass(frozen=True)
-class FromAlpha:
-    """The alpha of the images themselves."""
-
-    parallel: bool = field(default=True, init=False)
-
-    @property
-    def described(self) -> dict[str, Any]:
-        """What decides the masks but for the files themselves."""
-        return {"masks": "alpha", "version": VERSION}
-
-    def follow(self, clip: Clip) -> Follower:
-        """Takes the alpha of each frame. The follower raises ViewnetError for an image without."""
-
-        def read(number: int, name: str, image: Image.Image) -> np.ndarray:
-            if not image.has_transparency_data:
-                raise ViewnetError("mask is missing (the image has no alpha)")
-            return np.array(image.convert("RGBA").getchannel("A"))
-
-        return read
+    return MaskSource({"masks": "files", "version": VERSION}, follow)
 
 
-@dataclass(frozen=True)
-class Predicted:
-    """Masks by a network: the largest object of the class at first, then the one that overlaps most with the last."""
+def from_alpha() -> MaskSource:
+    """The alpha of the images themselves. Followers raise ViewnetError for an image without."""
 
-    segment: Segmenter
-    described: dict[str, Any]
-    parallel: bool = field(default=False, init=False)
+    def read(number: int, name: str, image: Image.Image) -> np.ndarray:
+        if not image.has_transparency_data:
+            raise ViewnetError("mask is missing (the image has no alpha)")
+        return np.array(image.convert("RGBA").getchannel("A"))
 
-    def follow(self, clip: Clip) -> Follower:
-        """Keeps to one object from frame to frame. The follower raises ViewnetError where none is seen."""
+    return MaskSource({"masks": "alpha", "version": VERSION}, lambda clip: read)
+
+
+def from_segmenter(segment: Segmenter, described: dict[str, Any]) -> MaskSource:
+    """Masks by a network: the largest object of the class at first, then the one that overlaps most with the last.
+
+    Followers raise ViewnetError where there is no object of the class.
+    """
+
+    def follow(clip: Clip) -> Follower:
         last: np.ndarray | None = None
 
         def find(number: int, name: str, image: Image.Image) -> np.ndarray:
             nonlocal last
-            found = self.segment(image.convert("RGB"))
-            if not len(found) or not found.any():
+            objects = segment(image.convert("RGB"))
+            if not len(objects) or not objects.any():
                 raise ViewnetError("mask is missing (nothing of the class is seen)")
-            last = found[chosen(found, last)]
+            last = objects[continuing(objects, last)]
             return last.astype(np.uint8) * 255
 
         return find
+
+    return MaskSource(described, follow, parallel=False)
 
 
 def mask_source(name: str, category: str) -> MaskSource | None:
@@ -152,21 +126,21 @@ def mask_source(name: str, category: str) -> MaskSource | None:
 
     Raises ViewnetError for another name, and as `predicted` does.
     """
-    plain: dict[str, MaskSource | None] = {"none": None, "files": FromFiles(), "alpha": FromAlpha()}
+    plain: dict[str, MaskSource | None] = {"none": None, "files": from_files(), "alpha": from_alpha()}
     return plain[name] if name in plain else predicted(name, category)
 
 
-def chosen(found: np.ndarray, last: np.ndarray | None) -> int:
+def continuing(objects: np.ndarray, last: np.ndarray | None) -> int:
     """Which of the masks (K, H, W) bool continues the mask before (H, W); the largest where none does."""
-    if last is not None and last.shape == found.shape[1:]:
-        union = (found | last).sum((1, 2))
-        overlap = (found & last).sum((1, 2)) / np.maximum(union, 1)
+    if last is not None and last.shape == objects.shape[1:]:
+        union = (objects | last).sum((1, 2))
+        overlap = (objects & last).sum((1, 2)) / np.maximum(union, 1)
         if overlap.max() >= FOLLOW:
             return int(overlap.argmax())
-    return int(found.sum((1, 2)).argmax())
+    return int(objects.sum((1, 2)).argmax())
 
 
-def predicted(network: str, category: str, weights: Path | None = None) -> Predicted:
+def predicted(network: str, category: str, weights: Path | None = None) -> MaskSource:
     """Masks of a category by torchvision's network for COCO: "maskrcnn" or "deeplabv3".
 
     Weights are those of `weights`, else of the file that VIEWNET_MASKRCNN_RESNET50_FPN_WEIGHTS or
@@ -174,17 +148,24 @@ def predicted(network: str, category: str, weights: Path | None = None) -> Predi
     file, or it holds something else.
     """
     full = NETWORKS[known(network, NETWORKS, "network for masks")]
-    known(category, CATEGORIES, "category")
     path = weights or torchvision_weights.weights_file(full)
+    segment = segmenter(network, category, path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    described = {"masks": network, "category": category, "weights": digest, "version": VERSION}
+    return from_segmenter(segment, described)
+
+
+def segmenter(network: str, category: str, path: Path) -> Segmenter:
+    """The network of `predicted` with the weights of a file."""
+    full = NETWORKS[network]
+    known(category, CATEGORIES, "category")
     if not path.is_file():
         raise ViewnetError(
             f"no {network} weights at {path}: download {weights_url(full)} to that place, name another file by "
             f"{torchvision_weights.variable(full)}, or use masks from files or from the images' alpha"
         )
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    segment = (_maskrcnn if network == "maskrcnn" else _deeplab)(category, path, device)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    return Predicted(segment, {"masks": network, "category": category, "weights": digest, "version": VERSION})
+    return (_maskrcnn if network == "maskrcnn" else _deeplab)(category, path, device)
 
 
 def regions(covered: np.ndarray) -> np.ndarray:
