@@ -83,7 +83,7 @@ def test_larger_drawings_show_the_same(store):
 def test_photographs_are_drawn_cut_to_their_object(tmp_path):
     drawer = untrained_renderer(make_photos(tmp_path / "photos"), recipe="photos", backgrounds=None)
     drawn = drawer.reconstruct([0, 1])
-    assert drawer.partners([0, 1]) == [0, 1]
+    assert drawer.next_views([0, 1]) == [0, 1]
     covered = drawn[:, 3] > 0.5
     assert covered.any()
     sides = torch.stack([covered.any(axis).sum(1) for axis in (1, 2)], 1).amax(1)

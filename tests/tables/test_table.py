@@ -40,9 +40,14 @@ def runs(tmp_path_factory):
         return ensure(wanted, workers=1, progress=False, steps=STEPS)
 
 
+def build(name, runs, *arguments, **options) -> Table:
+    """A table of finished runs, on their own predictions."""
+    return Table.of(name, entries(name, runs), *arguments, **options)
+
+
 @pytest.fixture(scope="module")
 def table(runs):
-    return Table.build("table2_ablation", runs, note="made-up 100 % & more")
+    return build("table2_ablation", runs, note="made-up 100 % & more")
 
 
 def cell(table, row, category, metric):
@@ -140,7 +145,7 @@ def test_a_run_fills_its_starred_row_too(runs):
 def test_latex_compiles(runs, name, tmp_path):
     layout = LAYOUTS[name]
     mine = [run for run in runs if run.config.variant in layout.variants and run.config.category in layout.categories]
-    compiles(Table.build(name, mine).latex(), tmp_path)
+    compiles(build(name, mine).latex(), tmp_path)
 
 
 @pytest.mark.skipif(not any(map(shutil.which, ("pdflatex", "tectonic"))), reason="no TeX engine on this machine")
@@ -184,7 +189,7 @@ def test_files_are_written_whole_and_name_what_is_behind_each_cell(table, runs, 
     assert cells["HoloGAN-Decoder", "car", "acc30"]["runs"] == []
     assert cells["ViewNet", "car", "median"]["seeds"] == 2
     before = [f.read_bytes() for f in files]
-    Table.build("table2_ablation", runs, note=table.note).write(tmp_path / "smoke")
+    build("table2_ablation", runs, note=table.note).write(tmp_path / "smoke")
     assert [f.read_bytes() for f in files] == before
 
 
@@ -193,7 +198,7 @@ def test_checks_tell_what_is_missing(table, runs):
     assert not checks["every row of ours is measured in every category"]
     assert sum(checks.values()) == len(checks) - 1
     few = [r for r in runs if r.config.variant == "viewnet"]
-    cycle = Table.build("table1_shapenet", few)
+    cycle = build("table1_shapenet", few)
     assert list(cycle.frame().index) == ["MVC", "Pointcloud", "ViewNet", "ViewNet + cycle"]
     assert cycle.frame().loc["MVC", ("acc30", "car", "ours")] == DASH
 
@@ -227,13 +232,13 @@ def test_the_audit_sets_every_definition_beside_the_print(runs):
 
 def test_what_has_no_place_is_said(runs):
     with pytest.raises(ViewnetError, match="unknown row of table1_shapenet 'single_head'"):
-        Table.build("table1_shapenet", runs)
+        build("table1_shapenet", runs)
     with pytest.raises(ViewnetError, match="unknown column of table2_ablation 'aeroplane': choose one of car"):
-        Table.build("table2_ablation", runs, ["car"])
+        build("table2_ablation", runs, ["car"])
     with pytest.raises(ViewnetError, match="two runs of ViewNet, car have the same seed"):
-        Table.build("table1_shapenet", [runs[1], runs[1]])
+        build("table1_shapenet", [runs[1], runs[1]])
     with pytest.raises(ViewnetError, match="unknown table 'table9'"):
-        Table.build("table9", runs)
+        build("table9", runs)
 
 
 def test_escape():

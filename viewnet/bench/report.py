@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -46,11 +46,8 @@ def write(result: dict[str, Any], folder: Path) -> list[Path]:
     """`bench.json`, `bench.csv`, `bench.tex`, `bench.png` and `bench.pdf`."""
     files = [folder / f"bench{suffix}" for suffix in (".json", ".csv", ".tex")]
     write_json(files[0], result)
-    table = io.StringIO()
-    writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(result["rows"])
-    write_text(files[1], table.getvalue())
+    table = pd.DataFrame(result["rows"], columns=list(COLUMNS), dtype=object)
+    write_text(files[1], table.to_csv(index=False, lineterminator="\n"))
     write_text(files[2], as_latex(result))
     return files + plots.save(figure(result), folder, "bench")
 

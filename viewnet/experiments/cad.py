@@ -17,7 +17,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.request import Request
 from viewnet.recipes import make_config
-from viewnet.tables.table import Entry, Table, own_predictions
+from viewnet.tables.table import Entry, Table, entries, own_predictions
 from viewnet.training.other_views import transferred
 from viewnet.training.run_store import ensure, untrained
 
@@ -75,7 +75,8 @@ class Experiment(Request):
         `added` are entries of other methods (viewnet.experiments.own_method), `remarks` further lines under the table.
         """
         predictions = self._transferred if self.eval_root else own_predictions
-        return Table.build(self.name, runs, self.categories, predictions, self.note, remarks, added)
+        own = entries(self.name, runs, predictions)
+        return Table.of(self.name, own, self.categories, self.note, remarks, added=added)
 
     def _transferred(self, run: Run) -> Predictions:
         return transferred(run, build.view_store(self.eval_data(run.config)))

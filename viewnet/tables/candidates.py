@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -12,59 +11,55 @@ import torch
 from matplotlib.figure import Figure
 
 from viewnet.data import augment
-from viewnet.data.pairs import model_views, resize
+from viewnet.data.pairs import resize
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.run import Run
-from viewnet.model.checkpoint import load_model
 from viewnet.model.reconstruction import reconstruct
 from viewnet.model.rendering import to_uint8
 from viewnet.tables.plots import STYLE
-from viewnet.tables.run_renderer import Stores, own_views
+from viewnet.tables.run_renderer import RunRenderer, Stores, own_views
+
+Ranked = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Views (N, H, W, 3), reconstructions (N, M, H, W, 3) uint8, their errors and the heads, (N, M)."""
 
 
 @torch.no_grad()
-def ranked_reconstructions(
-    folder: Path, store: ViewStore, rows: list[int], split: str = "test"
-) -> tuple[np.ndarray, ...]:
-    """Some views of a split, reconstructed by each head and ranked by reconstruction error (figure 3 d).
+def ranked_reconstructions(folder: Path, store: ViewStore, rows: list[int]) -> Ranked:
+    """Some test views of a run, each reconstructed by every head, by rising reconstruction error; see Ranked.
 
-    Returns the views themselves (N, H, W, 3) uint8, the reconstructions (N, M, H, W, 3) uint8, their errors (N, M)
-    ascending and the heads' numbers (N, M). The appearance comes from the next view of the same object, the background
-    is white. Raises ViewnetError as viewnet.model.checkpoint.load_model does.
+    The appearance comes from the next view of the same object, the background is white. Raises ViewnetError as
+    RunRenderer.of does.
     """
-    network, config = load_model(folder)
-    device, size = network.focal.device, network.config.render_size
-    small = network.config.input_size
-    views = model_views(store, split, max(size, small), network.config)
-    index = torch.tensor(rows)
-    others = views.next_views(index)
-    images, background = views.viewpoint_input(index, small, device), None
-    backgrounds = augment.load(config.data, small, device)
-    if backgrounds is not None:
+    renderer = RunRenderer.of(folder, store)
+    network, train, views = renderer.network, renderer.config.train, renderer.views
+    size, small, index = network.config.render_size, network.config.input_size, torch.tensor(rows)
+    images, background = views.viewpoint_input(index, small, renderer.device), None
+    if renderer.backgrounds is not None:
         generator = torch.Generator().manual_seed(0)
-        images = augment.photograph(images, backgrounds, config.train.photo, generator)
-        background = augment.windows(backgrounds, len(others), small, generator, device)
-    target = views.images(index, small, device)
+        images = augment.photograph(images, renderer.backgrounds, train.photo, generator)
+        background = augment.windows(renderer.backgrounds, len(rows), small, generator, renderer.device)
+    target = renderer.images(rows, small)
     target = target if size == small else resize(target, size)
-    appearance = views.images(others, small, device)
-    found = reconstruct(network, appearance, target, images, config.train, background=background)
-    cameras = found.hypotheses.world_from_camera.flatten(0, 1)  # (N M, 3, 3)
-    rendered = to_uint8(network.render(found.objects.volume, found.objects.code, cameras))
-    errors, heads = found.choice.errors.sort(1)
+    appearance = renderer.images(renderer.next_views(rows), small)
+    result = reconstruct(network, appearance, target, images, train, background=background)
+    cameras = result.hypotheses.world_from_camera.flatten(0, 1)  # (N M, 3, 3)
+    rendered = to_uint8(network.render(result.objects.volume, result.objects.code, cameras))
+    errors, heads = (x.cpu().numpy() for x in result.choice.errors.sort(1))
     by_head = rendered.reshape(len(rows), -1, *rendered.shape[1:])  # (N, M, H, W, 3)
-    ranked = by_head[np.arange(len(rows))[:, None], heads.cpu().numpy()]
-    return to_uint8(views.images(index, size, device)), ranked, errors.cpu().numpy(), heads.cpu().numpy()
+    return to_uint8(renderer.images(rows, size)), by_head[np.arange(len(rows))[:, None], heads], errors, heads
 
 
 def candidate_figure(
-    runs: Sequence[Run], stores: Stores = own_views, render: Callable[..., Any] = ranked_reconstructions, count: int = 1
+    runs: Sequence[Run],
+    stores: Stores = own_views,
+    ranked: Callable[[Path, ViewStore, list[int]], Ranked] = ranked_reconstructions,
+    count: int = 1,
 ) -> Figure:
     """Figure 3 (d) of trained runs of the same number of heads, `count` test images of each, evenly spaced.
 
-    `stores` gives the views of a run, `render` what `ranked_reconstructions` returns. Raises ViewnetError without runs, for
-    untrained ones and for images of different sizes.
+    Raises ViewnetError without runs, for untrained ones and for images of different sizes.
     """
     parts, labels = [], []
     for run in runs:
@@ -72,7 +67,7 @@ def candidate_figure(
             raise ViewnetError(f"figure 3: {run.config.variant} renders nothing: choose a trained variant")
         aligned = align(run.predictions, run.alignment)
         rows = np.linspace(0, len(aligned.predictions) - 1, count + 2).round().astype(int)[1:-1]
-        inputs, rendered, errors, heads = render(run.folder, stores(run), rows.tolist())
+        inputs, rendered, errors, heads = ranked(run.folder, stores(run), rows.tolist())
         parts.append((inputs, rendered, errors, np.take_along_axis(aligned.errors[rows], heads, axis=1)))
         labels += [run.config.category] * len(rows)
     if not parts:

@@ -25,7 +25,7 @@ class Row:
     """
 
     name: str
-    variant: str | None
+    variant: str | None = None
     alignment: str | None = None
 
     @property
@@ -84,16 +84,15 @@ def _aligned(name: str, variant: str = "viewnet") -> tuple[Row, ...]:
 
 
 _ON_PHOTOGRAPHS = (*_aligned("ViewNet"), *_aligned("ViewNet + cycle", "viewnet_cycle"))
+_CONSTANTS = (
+    Row("Constant", "constant"),
+    Row("Constant (rotation)", "constant_rotation"),  # not in the paper: mean of frames, not of view vectors
+)
 
 LAYOUTS = {
     "table1_shapenet": Layout(
         "ShapeNet results of unsupervised methods",
-        (
-            Row("MVC", None),
-            Row("Pointcloud", None),
-            Row("ViewNet", "viewnet"),
-            Row("ViewNet + cycle", "viewnet_cycle"),
-        ),
+        (Row("MVC"), Row("Pointcloud"), Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle")),
     ),
     "table2_ablation": Layout(
         "Ablation study",
@@ -111,14 +110,13 @@ LAYOUTS = {
     "table3_pascal3d": Layout(
         "PASCAL3D+ results",
         (
-            Row("Constant", "constant"),
-            Row("Constant (rotation)", "constant_rotation"),  # not in the paper: mean of frames, not of view vectors
+            *_CONSTANTS,
             Row("VGG view*", "view_regression"),
-            Row("SSV*", None),
+            Row("SSV*"),
             *_ON_PHOTOGRAPHS,
-            Row("Liao (withdrawn)", None),
-            Row("Liao (corrected)", None),
-            Row("Grabner", None),
+            Row("Liao (withdrawn)"),
+            Row("Liao (corrected)"),
+            Row("Grabner"),
         ),
         reported_as={"Liao (withdrawn)": "Liao"},
         blocks=True,
@@ -130,7 +128,7 @@ LAYOUTS = {
             # Reported with Table 3's numbers, so fitted as there, on calibration photographs.
             Row("VGG view", "view_regression"),
             Row("VGG view, videos", "video_regression"),  # not in the paper: fitted on the videos' viewpoints
-            Row("VpDR-Net + FrC", None),
+            Row("VpDR-Net + FrC"),
             Row("ViewNet", "viewnet"),
             Row("ViewNet + cycle", "viewnet_cycle"),
         ),
@@ -155,8 +153,7 @@ LAYOUTS = {
         "Discretized viewpoint accuracy",
         (
             Row("Confidence index", "photographs"),
-            Row("Constant", "constant"),
-            Row("Constant (rotation)", "constant_rotation"),
+            *_CONSTANTS,
             Row("VGG view*", "view_regression"),
             *_ON_PHOTOGRAPHS,
         ),

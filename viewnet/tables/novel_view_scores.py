@@ -40,8 +40,6 @@ from viewnet.tables.columns import COLUMNS, DASH, FIDELITY, HEADLINE, NOVEL_VIEW
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, renderers
 
-VARIANTS = ("viewnet", "viewnet_cycle", "segmentation_target", "no_shape_prior", "encoder_decoder", "hologan_decoder")
-"""The rows of the table, below COPY."""
 COPY = "Appearance view"
 """The row of the appearance view itself, in the place of a rendered view."""
 HIGHEST = 100.0
@@ -65,7 +63,7 @@ def fidelity(renderer: RunRenderer, copy: bool = False) -> pd.DataFrame:
     frames = renderer.in_own_frame(look_at(torch.from_numpy(true_vectors(ids))))
     parts = []
     for rows in _batches(len(renderer)):
-        other = renderer.partners(rows)
+        other = renderer.next_views(rows)
         rendered = renderer.images(other) if copy else renderer.render(renderer.encode(other), frames[rows])
         parts.append(compare(rendered, renderer.images(rows)))
     scores = pd.concat([ids[["model_id", "view"]], pd.concat(parts, ignore_index=True)], axis=1)
@@ -149,7 +147,7 @@ def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -
         raise ViewnetError("novel views: two runs of one variant and category have the same seed: choose one")
     for run in runs:
         if run.config.variant not in LABELS:
-            raise ViewnetError(f"novel views: {run.name} is no row: choose one of {', '.join(VARIANTS)}")
+            raise ViewnetError(f"novel views: {run.name} is no row: choose one of {', '.join(LABELS)}")
     lines: list[dict[str, object]] = []
     for category in dict.fromkeys(run.config.category for run in runs):
         of_category = [run for run in runs if run.config.category == category]

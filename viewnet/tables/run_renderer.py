@@ -85,7 +85,8 @@ class RunRenderer(ObjectRenderer):
         return model_views(self.store, SPLIT, max(model.input_size, model.render_size), model)
 
     @cached_property
-    def _backgrounds(self) -> Tensor | None:
+    def backgrounds(self) -> Tensor | None:
+        """The backgrounds that the run was trained with, if any; None for photographs, which have their own."""
         if self.views.opaque:
             return None
         return augment.load(self.config.data, self.network.config.input_size, self.device)
@@ -99,18 +100,17 @@ class RunRenderer(ObjectRenderer):
         """Test views (N, S, S, 3) uint8 on white, of the network's input size."""
         return to_uint8(self.images(rows, self.network.config.input_size))
 
-    def partners(self, rows: Sequence[int]) -> list[int]:
+    def next_views(self, rows: Sequence[int]) -> list[int]:
         """The next view of each view's object, or the view itself where there is no other."""
-        partners: list[int] = self.views.next_views(torch.as_tensor(rows)).tolist()
-        return partners
+        return list(map(int, self.views.next_views(torch.as_tensor(rows))))
 
     @torch.no_grad()
     def encode(self, rows: Sequence[int]) -> Encoded:
         """The objects in test views; on fixed backgrounds where the run was trained with backgrounds."""
         size, background = self.network.config.input_size, None
-        if self._backgrounds is not None:
+        if self.backgrounds is not None:
             generator = torch.Generator().manual_seed(0)
-            background = augment.windows(self._backgrounds, len(rows), size, generator, self.device)
+            background = augment.windows(self.backgrounds, len(rows), size, generator, self.device)
         return Encoded(*self.network.encode(self.images(rows, size), background=background))
 
     def level(self, azimuth: Tensor, elevation: Tensor) -> Tensor:

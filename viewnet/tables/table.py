@@ -99,20 +99,6 @@ class Table:
     added: tuple[str, ...] = ()  # rows of other methods, below the layout's
 
     @classmethod
-    def build(
-        cls,
-        name: str,
-        runs: Sequence[Run],
-        categories: Sequence[str] | None = None,
-        predictions: Callable[[Run], Predictions] = own_predictions,
-        note: str = "",
-        remarks: Sequence[str] = (),
-        added: Sequence[Entry] = (),
-    ) -> Table:
-        """From finished runs. Raises ViewnetError as `entries` and `of` do."""
-        return cls.of(name, entries(name, runs, predictions), categories, note, remarks, added=added)
-
-    @classmethod
     def of(
         cls,
         name: str,
