@@ -3,6 +3,7 @@
 `ViewpointEstimator.from_pretrained` loads a trained one. This one has random weights:
 
 >>> from viewnet.recipes import make_config
+>>> from viewnet.model.viewnet import ViewNet
 >>> config = make_config(profile="smoke", recipe="photos", backgrounds=None)
 >>> estimator = ViewpointEstimator(ViewNet(config.model).eval(), config)
 >>> photograph = np.full((300, 400, 3), 128, np.uint8)
