@@ -1,18 +1,19 @@
 """ViewNet: unsupervised viewpoint estimation from conditional generation.
 
-Where to begin:
+`config`, `recipes`, `geometry`, `errors` and `paths` are settings, conventions, the one exception that users see
+(`viewnet.errors.ViewnetError`) and folders. The rooms import each other in one direction, from below to above:
 
-- own images: `viewnet.estimator`, which returns `viewnet.estimator.viewpoints`
-- a method of one's own in the tables: `viewnet.experiments.own_method`, or a file of its predictions,
-  `viewnet.evaluation.submitted_predictions`
-- tables and figures, as notebooks make them: `viewnet.experiments`, `viewnet.tables.table`, `viewnet.tables.plots`
-- training: `viewnet.config` and `viewnet.recipes` configure a run, `viewnet.training.run_store` trains what is missing,
-  `viewnet.evaluation.run` reads it
-- from predictions to numbers: `viewnet.evaluation.predictions`, `viewnet.evaluation.alignment`,
-  `viewnet.evaluation.metrics`, `viewnet.evaluation.evaluate`
-- rendering volumes: `viewnet.model.volume`; images of a finished run: `viewnet.tables.run_renderer`
-- conventions of angles and camera frames: `viewnet.geometry`
-- real data: `viewnet.data.catalogue` lists what can be read, `viewnet.data` reads it
+    runtime      files, processes, random numbers, provenance
+    cad          built-in CAD models            render    images of meshes
+    model        networks, losses, the volume renderer, checkpoints
+    data         view stores, pairs, augmentation, readers of data sets
+    evaluation   predictions, alignment, metrics, finished runs
+    training     the training step, the loop, the store of runs
+    tables       tables, figures and images of finished runs
+    estimator    viewpoints of people's own images (`from viewnet.estimator import ViewpointEstimator`)
+    bench        speed and memory beside a textbook version
+    experiments  what each notebook asks for, own methods, the page of all tables
+    commands     the commands of `viewnet`, which `cli` lists
 
-A user's mistake raises `viewnet.errors.ViewnetError`, one line that says what to do. Angles are in degrees.
+Angles are in degrees.
 """

@@ -9,13 +9,12 @@ Examples:
     viewnet audit --viewpoints annotations.csv -o numbers/ --json
 """
 
-import argparse
 from pathlib import Path
 
-from viewnet.commands.options import add_json, print_json, records
+from viewnet.commands.options import Options, Parser, add_json, print_json, records
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet audit."""
     columns = "category, azimuth_deg, elevation_deg, and optionally subset, split, easy, annotated"
     parser.add_argument("--viewpoints", type=Path, required=True, metavar="FILE", help=f"a CSV with {columns}")
@@ -23,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """Print the verdicts, and write the numbers where --output says."""
     from viewnet.experiments.reported_constants import audit_file
 

@@ -10,13 +10,12 @@ Examples:
     viewnet bench --quick --json                                    checks that it works, in seconds
 """
 
-import argparse
 from pathlib import Path
 
-from viewnet.commands.options import add_json, print_json
+from viewnet.commands.options import Options, Parser, add_json, print_json
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet bench."""
     add = parser.add_argument
     add("--sizes", type=int, nargs="+", metavar="N", help="voxels along a side (default: 32 64 128)")
@@ -31,19 +30,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """Measure, write the reports and print them."""
     from viewnet import paths
     from viewnet.bench import measure, report
 
-    settings = measure.Settings.default(
-        sizes=None if options.sizes is None else tuple(options.sizes),
-        batch=options.batch,
-        repeat=options.repeat,
-        threads=options.threads,
-        accuracy=options.accuracy,
-        quick=options.quick,
-    )
+    names = ("batch", "repeat", "threads", "accuracy", "quick")
+    sizes = None if options.sizes is None else tuple(options.sizes)
+    settings = measure.Settings.default(sizes=sizes, **{name: getattr(options, name) for name in names})
     measured = measure.measure(settings)
     files = report.write(measured, options.output or paths.tables() / "benchmarks")
     if options.json:

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from viewnet import paths
+from viewnet.commands.options import Options, Parser
 from viewnet.config import CATEGORIES
 from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS
@@ -25,12 +26,12 @@ FILES, FOLDERS = ("FILE", "IMAGE", "WHERE"), ("FOLDER",)
 """Metavars of arguments that take files and folders."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet completion."""
     parser.add_argument("shell", choices=SHELLS)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """Print the script for `options.parser`, the parser of the whole command line."""
     import shtab
 
@@ -46,7 +47,7 @@ def run(options: argparse.Namespace) -> None:
     print(shtab.complete(options.parser, options.shell))
 
 
-def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+def _actions(parser: Parser) -> Iterator[argparse.Action]:
     """The arguments of a parser and of its commands."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

@@ -10,21 +10,20 @@ Examples:
     viewnet data check /data/ShapeNetCore.v1 --json
 """
 
-import argparse
 from pathlib import Path
 
-from viewnet.commands.options import add_json, print_json
+from viewnet.commands.options import Options, Parser, add_json, print_json
 from viewnet.errors import ViewnetError
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet data."""
     parser.add_argument("what", nargs="?", choices=["check"], help="check: read a folder instead")
     parser.add_argument("folder", nargs="?", type=Path, metavar="FOLDER", help="the folder to check")
     add_json(parser)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """List data sets or check a folder. ViewnetError without a folder to check, and where nothing in it can be used."""
     from viewnet.data import catalogue
 

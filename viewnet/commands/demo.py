@@ -10,17 +10,17 @@ Examples:
     viewnet demo --model saved/car --host 0.0.0.0 --port 8080         for everybody who can reach this machine
 """
 
-import argparse
 import socket
 from typing import Any
 
-from viewnet.commands.options import add_model
+from viewnet.commands.options import Options, Parser, add_model
 from viewnet.errors import ViewnetError
 
-LARGEST_FILE = "20mb"
+LAUNCH: dict[str, Any] = {"prevent_thread_lock": True, "quiet": True, "show_error": False, "max_file_size": "20mb"}
+LAUNCH |= {"footer_links": [], "run_history": False, "ssr_mode": False}
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet demo."""
     add = parser.add_argument
     add_model(parser)
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--open", action="store_true", help="open the page in the browser")
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """Serve the page until it is interrupted."""
     page = start(options)
     print(f"viewnet demo: {page.local_url} (Ctrl+C ends it)", flush=True)
@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> None:
     page.block_thread()
 
 
-def start(options: argparse.Namespace) -> Any:
+def start(options: Options) -> Any:
     """The page (gradio.Blocks), served by a thread.
 
     ViewnetError without gradio or a model, and for an address where it cannot listen or does not answer.
@@ -63,15 +63,9 @@ def start(options: argparse.Namespace) -> Any:
             server_port=options.port,
             share=options.share == "yes",
             inbrowser=options.open,
-            prevent_thread_lock=True,
-            quiet=True,
-            show_error=False,
-            max_file_size=LARGEST_FILE,
             theme=app.theme(),
             css=app.STYLE,
-            footer_links=[],
-            run_history=False,
-            ssr_mode=False,
+            **LAUNCH,
         )
     except ValueError:  # gradio could not reach its own page
         page.close()

@@ -11,12 +11,10 @@ Examples:
     viewnet evaluate 0123456789ab --data-root /data/MoreCAD         on all models of another CAD collection
 """
 
-import argparse
-
-from viewnet.commands.options import add_json, print_json
+from viewnet.commands.options import Options, Parser, add_json, print_json
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet evaluate."""
     add = parser.add_argument
     models = "a finished run's key or folder, or a saved model's folder"
@@ -33,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """Print the scores of each model."""
     from viewnet.experiments import score_model
 

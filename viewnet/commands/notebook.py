@@ -10,14 +10,13 @@ Examples:
     viewnet notebook table2_ablation --parameters                   what can be set
 """
 
-import argparse
 from pathlib import Path
 
-from viewnet.commands.options import add_cluster, choose_cluster
+from viewnet.commands.options import Options, Parser, add_cluster, choose_cluster
 from viewnet.errors import ViewnetError
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet notebook."""
     add = parser.add_argument
     add("name", metavar="NOTEBOOK", help="for example table2_ablation")
@@ -29,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_cluster(parser)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """Run the notebook and print the path of its copy. ViewnetError for --refresh with other values."""
     from viewnet.experiments import notebooks
 

@@ -10,13 +10,17 @@ from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS, make_config
 from viewnet.training.dask_cluster import VARIABLE
 
+Parser = argparse.ArgumentParser
+"""What a command adds its arguments to."""
+Options = argparse.Namespace
+"""The parsed arguments that a command is run with."""
 MODEL = (
     "the category of a model that comes with viewnet, a finished run's key or folder (viewnet train prints it), "
     "a saved model's folder, or NAME/MODEL of the hub"
 )
 
 
-def add_json(parser: argparse.ArgumentParser, help: str = "print the results as JSON") -> None:
+def add_json(parser: Parser, help: str = "print the results as JSON") -> None:
     """The option --json."""
     parser.add_argument("--json", action="store_true", help=help)
 
@@ -31,13 +35,13 @@ def records(frame: Any) -> list[dict[str, Any]]:
     return json.loads(frame.to_json(orient="records"))
 
 
-def add_model(parser: argparse.ArgumentParser) -> None:
+def add_model(parser: Parser) -> None:
     """The options --model and --device."""
     parser.add_argument("--model", required=True, metavar="WHERE", help=MODEL)
     parser.add_argument("--device", help="cpu, cuda, cuda:1 ... (default: a GPU if there is one)")
 
 
-def add_configuration(parser: argparse.ArgumentParser) -> None:
+def add_configuration(parser: Parser) -> None:
     """The arguments that `configurations` reads."""
     parser.add_argument("categories", nargs="+", metavar="CATEGORY", help=f"of {', '.join(CATEGORIES)}")
     parser.add_argument("--variant", default="viewnet", help=f"{', '.join(VARIANTS)} (default: viewnet)")
@@ -48,7 +52,7 @@ def add_configuration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--splits", metavar="FOLDER", help="lists <synset>_train.txt, _val.txt and _test.txt for it")
 
 
-def configurations(options: argparse.Namespace, seed: int = 0) -> list[RunConfig]:
+def configurations(options: Options, seed: int = 0) -> list[RunConfig]:
     """One configuration for each category. Raises ViewnetError as make_config does."""
     from viewnet.experiments.parameters import folder_named
 
@@ -71,7 +75,7 @@ def _setting(text: str) -> tuple[str, Any]:
         return name, value
 
 
-def add_cluster(parser: argparse.ArgumentParser) -> None:
+def add_cluster(parser: Parser) -> None:
     """The option --cluster."""
     address = "tcp://HOST:PORT or scheduler-file:PATH"
     parser.add_argument(
@@ -81,7 +85,7 @@ def add_cluster(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def choose_cluster(options: argparse.Namespace) -> None:
+def choose_cluster(options: Options) -> None:
     """Set the cluster for this process and the kernels that it starts."""
     if options.cluster:
         os.environ[VARIABLE] = options.cluster

@@ -13,15 +13,14 @@ Examples:
     viewnet predict *.png --json --model saved/car                  cut-outs: transparency is a mask
 """
 
-import argparse
 from pathlib import Path
 
-from viewnet.commands.options import add_json, add_model, print_json
+from viewnet.commands.options import Options, Parser, add_json, add_model, print_json
 
 BOX = ("X0", "Y0", "X1", "Y1")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet predict."""
     parser.add_argument("images", nargs="+", type=Path, metavar="IMAGE")
     parser.add_argument("--masks", nargs="+", type=Path, metavar="FILE", help="one for each image, in their order")
@@ -32,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model(parser)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """Print a line for each image, or JSON: {"frame": "annotated" or "own", "pictures": [...]}."""
     from viewnet.estimator import ViewpointEstimator
 

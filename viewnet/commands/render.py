@@ -10,16 +10,16 @@ Examples:
     viewnet render car --profile paper --data-root /data/ShapeNetCore.v1 --cluster tcp://HOST:8786
 """
 
-import argparse
 import contextlib
 from pathlib import Path
 from typing import Any
 
 from viewnet.commands import options as shared
+from viewnet.commands.options import Options, Parser
 from viewnet.config import RunConfig
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet render."""
     shared.add_configuration(parser)
     processes = "processes that render (default: the machine's cores)"
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     shared.add_json(parser)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """Render what is missing and print what is there."""
     from viewnet.training import dask_cluster, make_run
 

@@ -11,11 +11,12 @@ Examples:
     viewnet save 0123456789ab saved/car --scores scores.json        adds these scores to the card
 """
 
-import argparse
 from pathlib import Path
 
+from viewnet.commands.options import Options, Parser
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet save."""
     parser.add_argument("model", metavar="WHERE", help="a finished run's key or folder, or another saved model's")
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where to write it")
@@ -27,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--push", metavar="NAME/MODEL", help="send the folder to the Hugging Face hub")
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """Write the folder and print its path, or its address on the hub."""
     from viewnet.estimator import ViewpointEstimator
     from viewnet.runtime.files import read_json
@@ -37,12 +38,8 @@ def run(options: argparse.Namespace) -> None:
     for path in options.scores:
         values = read_json(path)
         scores += values if isinstance(values, list) else [values]
+    push = {"push_to_hub": options.push is not None, "repo_id": options.push}
     address = estimator.save_pretrained(
-        options.folder,
-        license=options.license,
-        half=options.half,
-        scores=scores,
-        push_to_hub=options.push is not None,
-        repo_id=options.push,
+        options.folder, license=options.license, half=options.half, scores=scores, **push
     )
     print(address or options.folder)

@@ -13,14 +13,12 @@ Examples:
     viewnet tables --cluster tcp://HOST:8786                        rendered and trained on a Dask cluster
 """
 
-import argparse
-
-from viewnet.commands.options import add_cluster, add_json, choose_cluster, print_json
+from viewnet.commands.options import Options, Parser, add_cluster, add_json, choose_cluster, print_json
 from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet tables."""
     add = parser.add_argument
     add("--profile", help=f"{', '.join(PROFILES)}, for every notebook that trains (default: each notebook's own)")
@@ -31,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_json(parser, "what was made, and what failed, as JSON")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Run the notebooks and write the page; 1 where some failed. ViewnetError for --page with other options."""
     from viewnet import paths
     from viewnet.experiments import notebooks

@@ -12,12 +12,11 @@ Examples:
     viewnet train car chair boat --cluster tcp://HOST:8786          many runs on a Dask cluster
 """
 
-import argparse
-
 from viewnet.commands import options as shared
+from viewnet.commands.options import Options, Parser
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet train."""
     shared.add_configuration(parser)
     parser.add_argument("--seed", type=int, default=0, metavar="N")
@@ -26,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     shared.add_json(parser)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """Train what is missing and print the runs; of several processes the first one prints."""
     from viewnet.evaluation.run import NOT_SCORED
     from viewnet.runtime import distributed

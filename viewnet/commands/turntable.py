@@ -9,13 +9,12 @@ Examples:
     viewnet turntable car.jpg --box 40 60 380 250 --model saved/car -o car.mp4 --size 256
 """
 
-import argparse
 from pathlib import Path
 
-from viewnet.commands.options import add_model
+from viewnet.commands.options import Options, Parser, add_model
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet turntable."""
     parser.add_argument("image", type=Path, metavar="IMAGE")
     parser.add_argument("--mask", type=Path, metavar="FILE")
@@ -26,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model(parser)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: Options) -> None:
     """Write the animation and print its path."""
     from viewnet.estimator import ViewpointEstimator
 
