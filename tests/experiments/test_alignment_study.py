@@ -15,12 +15,12 @@ from viewnet.experiments.alignment_study import (
     RANDOM_SEED,
     Predictor,
     Study,
-    collapsing,
+    collapse_rows,
     one_sided,
-    scored,
+    score_rows,
     side,
     spread,
-    study,
+    study_alignment,
 )
 from viewnet.tables import plots
 
@@ -44,7 +44,7 @@ def predictor(said: Predictions, fitted: bool = False) -> Predictor:
 
 def test_every_draw_is_the_alignment_of_that_many_photographs(index):
     said = noisy(index)
-    rows = pd.DataFrame(scored(predictor(said), (16, 32, 5000), draws=2))
+    rows = pd.DataFrame(score_rows(predictor(said), (16, 32, 5000), draws=2))
     assert set(rows["images"]) == {16, 32, 600}
     assert len(rows) == 4 * (2 * 2 + 1)
     one = rows[(rows["images"] == 32) & (rows["draw"] == 1) & (rows["alignment"] == "linear")].iloc[0]
@@ -63,7 +63,7 @@ def test_what_is_fitted_is_fitted_anew_for_each_number_and_draw(index):
         rows = baselines.calibrating(index, count, seed)
         return baselines.constant(index[rows], source="val")
 
-    rows = pd.DataFrame(scored(Predictor("Constant", "car", 0, said, True), (16,), draws=2))
+    rows = pd.DataFrame(score_rows(Predictor("Constant", "car", 0, said, True), (16,), draws=2))
     assert asked[1:] == [(16, 0), (16, 1), (600, 0)]
     assert set(rows["alignment"]) == {"none", "procrustes", "robust", "linear", "per_angle"}
     assert rows.groupby(["images", "draw"])["median"].nunique().min() >= 1
@@ -97,8 +97,8 @@ def test_every_predictor_is_left_with_the_same_photographs(index):
 
 
 def test_random_predictions_collapse_to_the_constant_and_good_ones_do_not(index):
-    good = pd.DataFrame(collapsing(predictor(noisy(index))))
-    none = pd.DataFrame(collapsing(predictor(baselines.random(index, seed=RANDOM_SEED))))
+    good = pd.DataFrame(collapse_rows(predictor(noisy(index))))
+    none = pd.DataFrame(collapse_rows(predictor(baselines.random(index, seed=RANDOM_SEED))))
     assert (good["spread_linear"] > 0.8).all()
     assert (none["spread_linear"] < 0.3).all()
     assert np.allclose(none["acc30_linear"], none["acc30_constant"], atol=12)
@@ -114,8 +114,8 @@ def found(index):
     said = {"ViewNet": noisy(index), RANDOM: baselines.random(index, seed=RANDOM_SEED)}
     mine = [Predictor(name, "car", 0, lambda c, s, p=p: p, False) for name, p in said.items()]
     fitted = Predictor("Constant", "car", 0, lambda c, s: baselines.constant(index, source="val"), True)
-    scores = pd.DataFrame([row for p in (*mine, fitted) for row in scored(p, (16, 64), 2)])
-    return Study("made up", scores, pd.DataFrame([row for p in mine for row in collapsing(p)]))
+    scores = pd.DataFrame([row for p in (*mine, fitted) for row in score_rows(p, (16, 64), 2)])
+    return Study("made up", scores, pd.DataFrame([row for p in mine for row in collapse_rows(p)]))
 
 
 def test_the_study_reads_as_tables(found, tmp_path):
@@ -188,7 +188,7 @@ def test_the_study_of_an_experiment_has_every_predictor_of_the_table(tmp_path, m
     monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
     monkeypatch.setattr("viewnet.evaluation.features.SIZE", 16)
     asked = experiment("alignment_study", profile="smoke", categories="car", backbone="pixels", seeds=2)
-    found = study(asked, ensure(asked.configs, workers=1, progress=False, steps=STEPS))
+    found = study_alignment(asked, ensure(asked.configs, workers=1, progress=False, steps=STEPS))
     assert all(found.checks().values()), found.checks()
     assert set(found.scores["predictor"]) == {
         "ViewNet", "ViewNet + cycle", RANDOM, "Constant", "Constant (rotation)", "VGG view*",

@@ -1,15 +1,16 @@
-"""What alignment is worth on photographs: which kind, on how many, and whether the linear kind collapses.
+"""How alignment affects scores on photographs: which kind, fitted on how many, and whether the linear kind collapses.
 
 The paper finds the linear regression of the starred rows ahead of the rigid rotation where photographs are taken from
-few sides, and reasons that its weights go to zero and leave the common viewpoint (section 4.3). Both halves of that are
-measured here: the accuracy that linear alignment adds, and how far the predictions that it leaves are spread, for
-ViewNet and for predictions drawn at random, on the photographs as they are and on ever more one-sided parts of them.
+few sides, and argues that its weights go to zero and leave the commonest viewpoint (section 4.3). Both are measured
+here, the accuracy that linear alignment adds and the spread of the predictions that it leaves, for ViewNet and for
+random predictions, on all photographs and on increasingly one-sided subsets of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import pandas as pd
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, metrics
 from viewnet.evaluation.alignment import Linear
-from viewnet.evaluation.evaluate import align
+from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.photos import PhotoExperiment
@@ -29,32 +30,34 @@ from viewnet.tables.layouts import LAYOUTS
 
 TABLE = "table3_pascal3d"
 KINDS = ("procrustes", "robust", "linear", "per_angle")
-MEASURES = (*HEADLINE, "dva")
+METRICS = (*HEADLINE, "dva")
 COUNTS = (16, 32, 64, 128, 256, 512)
 """Calibration photographs, as far as there are so many; all of them as well."""
 DRAWS = 5
 CONCENTRATIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""How one-sided a part is taken; 0: all photographs, 8: hardly any from beyond 45 degrees of the commonest side."""
+"""How one-sided a subset is; 0: all photographs, 8: hardly any from beyond 45 degrees of the commonest side."""
 FEWEST = 16
-"""Photographs that a part must have to calibrate, and to score."""
+"""Photographs that a subset must have to calibrate, and to score."""
 EXPECTED = ("spread_linear", "acc30_gain", "dva_gain")
 RANDOM = "Random"
 RANDOM_SEED = 20211011
-"""One that nothing else starts from: a stand-in drawn with the same numbers would be predicted by them."""
+"""Used nowhere else: a stand-in sampled from the same seed would be predicted by them."""
+FITTED = ("constant", "constant_rotation", "view_regression")
+"""Predictors fitted on calibration photographs."""
 
 
 @dataclass(frozen=True)
 class Predictor:
-    """What is aligned: `said` gives predictions for so many calibration photographs (None: all) and a draw's seed.
+    """A row of Table 3 for one category.
 
-    `fitted` predictors have learned from those photographs and speak in the annotated frame; they are scored as they
-    are, too.
+    `predict` gives predictions, for predictors that are `fitted` after fitting on calibration photographs: their number
+    (None: all) and the seed they are sampled from. Those predict in the annotated frame and are scored unaligned, too.
     """
 
     label: str
     category: str
     seed: int
-    said: Callable[[int | None, int], Predictions]
+    predict: Callable[[int | None, int], Predictions]
     fitted: bool
 
     @property
@@ -62,10 +65,15 @@ class Predictor:
         """The alignments to score it by."""
         return ("none", *KINDS) if self.fitted else KINDS
 
+    @property
+    def row(self) -> dict[str, Any]:
+        """What identifies it in the tables of a study."""
+        return {"predictor": self.label, "category": self.category, "seed": self.seed}
+
 
 @dataclass(frozen=True)
 class Study:
-    """What was found.
+    """The result.
 
     scores    a row for each predictor, category, seed, alignment, number of calibration photographs and draw of them:
               acc30, median, dva on the same test photographs
@@ -92,14 +100,12 @@ class Study:
         """Each predictor by each alignment, calibrated on all photographs: means over seeds."""
         most = self.scores.groupby("category")["images"].transform("max")
         whole = self.scores[self.scores["images"] == most]
-        wide = whole.pivot_table(
-            index=["category", "predictor"], columns="alignment", values=list(MEASURES), sort=False
-        )
-        columns = [(m, kind) for m in MEASURES for kind in ("none", *KINDS)]
+        wide = whole.pivot_table(index=["category", "predictor"], columns="alignment", values=list(METRICS), sort=False)
+        columns = [(m, kind) for m in METRICS for kind in ("none", *KINDS)]
         return wide[columns].round(1).rename_axis(columns=[None, None])
 
     def collapsed(self) -> pd.DataFrame:
-        """`collapse` for reading: means over seeds, and what linear alignment adds to rigid."""
+        """Means of `collapse` over seeds, and the gain of linear over rigid alignment, rounded."""
         keys = ["category", "predictor", "concentration"]
         means = self.collapse.drop(columns="seed").groupby(keys, sort=False).mean()
         for metric in ("acc30", "dva"):
@@ -108,21 +114,21 @@ class Study:
         return means.round({name: digits.get(name, 1) for name in means.columns})
 
     def verdict(self) -> pd.DataFrame:
-        """For each category and predictor, over its parts: rank correlation of one-sidedness with what the paper says.
+        """For each category and predictor, rank correlations over subsets of one-sidedness with what the paper says.
 
         spread_linear  expected below 0: the more one-sided, the closer linear alignment comes to a constant
         acc30_gain     expected above 0: the more one-sided, the more accuracy it adds to a rotation
-        dva_gain       the same with every side counting alike
+        dva_gain       the same with equal weight for every side
         """
         parts = self.collapsed().reset_index()
-        found: dict[tuple[str, str], dict[str, Any]] = {}
+        lines: dict[tuple[str, str], dict[str, Any]] = {}
         for (category, predictor), rows in parts.groupby(["category", "predictor"], sort=False):
             ranks = rows[["side", *EXPECTED]].rank()
-            found[category, predictor] = {
+            lines[category, predictor] = {
                 "parts": len(rows),
                 **{name: _correlation(ranks["side"], ranks[name]) for name in EXPECTED},
             }
-        frame = pd.DataFrame.from_dict(found, orient="index").round(2)
+        frame = pd.DataFrame.from_dict(lines, orient="index").round(2)
         frame.index = pd.MultiIndex.from_tuples(frame.index, names=["category", "predictor"])
         return frame
 
@@ -151,86 +157,80 @@ class Study:
         return files
 
 
-def study(asked: PhotoExperiment, runs: Sequence[Run]) -> Study:
-    """Every predictor of Table 3, and a random one, on the photographs of an experiment."""
-    found = list(predictors(asked, runs))
-    scores = pd.DataFrame([row for predictor in found for row in scored(predictor)])
-    collapse = pd.DataFrame([row for predictor in found if not predictor.fitted for row in collapsing(predictor)])
-    return Study(asked.note, scores, collapse)
+def study_alignment(experiment: PhotoExperiment, runs: Sequence[Run]) -> Study:
+    """The study of every predictor of Table 3, and a random one, on the photographs of an experiment."""
+    rows = list(predictors(experiment, runs))
+    scores = pd.DataFrame([line for predictor in rows for line in score_rows(predictor)])
+    collapse = pd.DataFrame([line for predictor in rows if not predictor.fitted for line in collapse_rows(predictor)])
+    return Study(experiment.note, scores, collapse)
 
 
-def predictors(asked: PhotoExperiment, runs: Sequence[Run]) -> Iterator[Predictor]:
+def predictors(experiment: PhotoExperiment, runs: Sequence[Run]) -> Iterator[Predictor]:
     """The runs, then what needs no training, category by category."""
-    stores, layout = asked.stores(), LAYOUTS[TABLE]
-    for entry in asked.entries(runs, stores, TABLE):
+    stores = experiment.stores()
+
+    def fixed(predictions: Predictions, count: int | None, seed: int) -> Predictions:
+        return predictions
+
+    def fitted(variant: str, category: str, count: int | None, seed: int) -> Predictions:
+        return experiment.fitted(variant, stores[category], count, seed)[0]
+
+    for entry in experiment.entries(runs, stores, TABLE):
         if entry.alignment == "procrustes":
-            yield Predictor(entry.row, entry.category, entry.seed, _always(entry.predictions), fitted=False)
+            yield Predictor(entry.row, entry.category, entry.seed, partial(fixed, entry.predictions), fitted=False)
     for category, store in stores.items():
-        yield Predictor(RANDOM, category, 0, _always(baselines.random(store.index, seed=RANDOM_SEED)), fitted=False)
-        for row in layout.rows:
-            if row.variant in ("constant", "constant_rotation", "view_regression"):
-                yield Predictor(row.label, category, 0, _refitted(asked, row.variant, store), fitted=True)
+        random = baselines.random(store.index, seed=RANDOM_SEED)
+        yield Predictor(RANDOM, category, 0, partial(fixed, random), fitted=False)
+        for row in LAYOUTS[TABLE].rows:
+            if row.variant in FITTED:
+                yield Predictor(row.label, category, 0, partial(fitted, row.variant, category), fitted=True)
 
 
-def scored(predictor: Predictor, counts: Sequence[int] = COUNTS, draws: int = DRAWS) -> Iterator[dict[str, Any]]:
+def score_rows(predictor: Predictor, counts: Sequence[int] = COUNTS, draws: int = DRAWS) -> Iterator[dict[str, Any]]:
     """The rows of Study.scores for one predictor: `draws` of each number of photographs, and all of them once."""
-    there = len(predictor.said(None, 0).subset("val"))
-    tries = [(count, draw) for count in counts if count < there for draw in range(draws)]
-    for count, draw in [*tries, (there, 0)]:
-        said = predictor.said(count, draw)
+    total = len(predictor.predict(None, 0).subset("val"))
+    tries = [(count, draw) for count in counts if count < total for draw in range(draws)]
+    for count, draw in [*tries, (total, 0)]:
+        predictions = predictor.predict(count, draw)
         for kind in predictor.kinds:
-            # What was fitted on drawn photographs comes with those alone.
-            aligned = align(said, kind, min(count, len(said.subset("val"))), draw)
-            azimuths = aligned.predictions.ids["azimuth"].to_numpy()
-            yield {
-                "predictor": predictor.label,
-                "category": predictor.category,
-                "seed": predictor.seed,
-                "alignment": kind,
-                "images": count,
-                "draw": draw,
-                **_measured(aligned.selected_errors, azimuths),
-            }
+            # A fitted predictor's calibration photographs are those it was fitted on.
+            aligned = align(predictions, kind, min(count, len(predictions.subset("val"))), draw)
+            yield {**predictor.row, "alignment": kind, "images": count, "draw": draw, **_scores(aligned)}
 
 
-def collapsing(predictor: Predictor, concentrations: Sequence[float] = CONCENTRATIONS) -> Iterator[dict[str, Any]]:
-    """The rows of Study.collapse for one predictor, without parts of fewer than FEWEST photographs."""
-    said = predictor.said(None, 0)
+def collapse_rows(predictor: Predictor, concentrations: Sequence[float] = CONCENTRATIONS) -> Iterator[dict[str, Any]]:
+    """The rows of Study.collapse for one predictor, without subsets of fewer than FEWEST photographs."""
+    predictions = predictor.predict(None, 0)
     for concentration in concentrations:
-        part = one_sided(said, concentration)
-        if part is None:
+        subset = one_sided(predictions, concentration)
+        if subset is None:
             continue
-        val, test = part.subset("val"), part.subset("test")
+        val, test = subset.subset("val"), subset.subset("test")
         azimuths = test.ids["azimuth"].to_numpy()
-        fitted = Linear.fit(val.selected, val.truth)
-        found = {
-            "predictor": predictor.label,
-            "category": predictor.category,
-            "seed": predictor.seed,
+        linear = Linear.fit(val.selected, val.truth)
+        row = {
+            **predictor.row,
             "concentration": concentration,
             "calibrating": len(val),
             "scored": len(test),
             "side": side(azimuths),
             "confidence_index": metrics.confidence_index(azimuths),
-            "weights": float(np.linalg.norm(fitted.weights)),
-            "bias": float(np.linalg.norm(fitted.bias)),
+            "weights": float(np.linalg.norm(linear.weights)),
+            "bias": float(np.linalg.norm(linear.bias)),
         }
-        constant = baselines.constant(part.ids, source="val")
-        for name, predictions, kind in (
-            ("rigid", part, "procrustes"),
-            ("linear", part, "linear"),
-            ("constant", constant, "none"),
-        ):
-            aligned = align(predictions, kind)
-            score = _measured(aligned.selected_errors, azimuths)
+        constant = baselines.constant(subset.ids, source="val")
+        kinds = (("rigid", subset, "procrustes"), ("linear", subset, "linear"), ("constant", constant, "none"))
+        for name, predicted, kind in kinds:
+            aligned = align(predicted, kind)
             if name != "constant":
-                found[f"spread_{name}"] = spread(aligned.selected) / spread(test.truth)
-            found |= {f"{metric}_{name}": score[metric] for metric in ("acc30", "dva")}
-        yield found
+                row[f"spread_{name}"] = spread(aligned.selected) / spread(test.truth)
+            scores = _scores(aligned)
+            row |= {f"{metric}_{name}": scores[metric] for metric in ("acc30", "dva")}
+        yield row
 
 
 def side(azimuths: np.ndarray) -> float:
-    """The share of azimuths (N,), degrees, that lie in the fullest of the twelve bins: from 1/12 to 1."""
+    """The share of azimuths (N,), degrees, in the fullest of the twelve bins: from 1/12 to 1."""
     return float(np.bincount(metrics.azimuth_bins(azimuths)).max() / len(azimuths))
 
 
@@ -240,7 +240,7 @@ def spread(vectors: np.ndarray) -> float:
 
 
 def one_sided(predictions: Predictions, concentration: float, seed: int = 0) -> Predictions | None:
-    """A part of the images around their commonest azimuth: all at concentration 0, fewer sides the larger it is.
+    """A random subset of images around their commonest azimuth: all at concentration 0, fewer sides the larger it is.
 
     An image at azimuth a is kept with probability exp(k (cos(a - m) - 1)), k the concentration and m the middle of the
     fullest bin of the split "val". None where a split is left with fewer than FEWEST images. Raises ViewnetError for a
@@ -253,7 +253,7 @@ def one_sided(predictions: Predictions, concentration: float, seed: int = 0) -> 
     width = 360 / metrics.AZIMUTH_BINS
     middle = (np.bincount(metrics.azimuth_bins(azimuths[calibrating])).argmax() + 0.5) * width
     probability = np.exp(concentration * (np.cos(np.deg2rad(azimuths - middle)) - 1))
-    # Drawn by name, so that every predictor is left with the same images whatever their order.
+    # Sampled in the order of names, so that every predictor keeps the same images whatever their order.
     rank = predictions.ids.sort_values(["model_id", "view"]).index.argsort()
     stays = np.random.default_rng(seed).random(len(azimuths))[rank] < probability
     if min(np.sum(stays & calibrating), np.sum(stays & ~calibrating)) < FEWEST:
@@ -261,24 +261,13 @@ def one_sided(predictions: Predictions, concentration: float, seed: int = 0) -> 
     return predictions.take(stays)
 
 
-def _always(predictions: Predictions) -> Callable[[int | None, int], Predictions]:
-    return lambda count, seed: predictions
-
-
-def _refitted(asked: PhotoExperiment, variant: str, store: Any) -> Callable[[int | None, int], Predictions]:
-    return lambda count, seed: asked.fitted(variant, store, count, seed)[0]
-
-
-def _measured(errors: np.ndarray, azimuths: np.ndarray) -> dict[str, float]:
-    return {
-        "acc30": metrics.accuracy(errors, 30),
-        "median": metrics.median(errors),
-        "dva": metrics.dva(errors, azimuths),
-    }
+def _scores(aligned: Aligned) -> dict[str, float]:
+    errors, azimuths = aligned.selected_errors, aligned.predictions.ids["azimuth"].to_numpy()
+    return {**{m: metrics.STATISTICS[m](errors) for m in HEADLINE}, "dva": metrics.dva(errors, azimuths)}
 
 
 def _correlation(one: pd.Series, other: pd.Series) -> float:
-    """Of ranks; NaN where there are fewer than three parts, or one side does not change."""
+    """Of ranks; NaN where there are fewer than three subsets, or one side does not change."""
     if len(one) < 3 or one.nunique() < 2 or other.nunique() < 2:
         return float("nan")
     return float(np.corrcoef(one, other)[0, 1])
