@@ -1,12 +1,11 @@
-"""Freiburg static cars 52, release 1.1: videos of parked cars, walked around, read in the data set's own layout.
+"""Freiburg static cars 52, release 1.1: videos of parked cars from all around, in the data set's own layout.
 
     car001/<frame>.png             the frames of a sequence (a folder may be called 001 too)
     annotations/1_annot.txt        a frame a line: name x1 y1 x2 y2 azimuth, or 001_annot.txt
-    masks/car001/<frame>.png       not of the release: masks that were made elsewhere
+    masks/car001/<frame>.png       not part of the release: masks made elsewhere
 
-A name is the frame's path or just its file's name; its suffix may differ from the file's. Boxes are in pixels, azimuths
-in degrees. Elevations were not annotated and are taken as 0. Of the 52 sequences those without annotations are not
-used, which leaves 48. Nothing is left out silently: whatever is not used is listed with the reason.
+A name is the frame's path or its file's name; suffixes may differ. Boxes are in pixels, azimuths in degrees; elevations
+are not annotated and taken as 0. 48 of the 52 sequences are annotated. Whatever is not used is listed with the reason.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ from viewnet.runtime.image_files import size
 
 CATEGORY = "car"
 AZIMUTH = (1.0, 0.0)
-"""Sense and offset: our azimuth is sense * theirs + offset. The release does not say how azimuths are counted; this
-assumes PASCAL3D+'s way, which is ours: 0 shows the front and 90 the left side. An offset would be taken up by
-alignment, the opposite sense (-1) would not."""
+"""Sense and offset: our azimuth is sense * theirs + offset. The release does not define its azimuths; PASCAL3D+'s
+convention is assumed, which is ours: 0 shows the front and 90 the left side. Alignment would correct an offset, but not
+the opposite sense (-1)."""
 ELEVATION = 0.0
 """Degrees."""
 ANNOTATIONS = "annotations"
@@ -39,11 +38,11 @@ SPLITS: dict[str, Callable[[int], str]] = {
     "45/2/rest": lambda number: "train" if number <= 45 else "val" if number <= 47 else "test",
     "all": lambda number: "train",
 }
-"""How sequences are split by their number: up to 45, 46 and 47, beyond; or all of them for training."""
+"""Split of a sequence by its number: up to 45, 46 and 47, beyond; or all of them for training."""
 
 
 def read(root: Path, split_rule: str = "45/2/rest") -> tuple[list[Clip], list[Rejected]]:
-    """The sequences by number, with the frames that can be used, and all that cannot: see SPLITS.
+    """The sequences by number with the frames that can be used, and what cannot be used.
 
     Frames are numbered by their place among all images of their folder. Boxes are cut at their image's edges.
     Raises ViewnetError where `root` is not this data set or no frame can be used.
@@ -67,10 +66,9 @@ def read(root: Path, split_rule: str = "45/2/rest") -> tuple[list[Clip], list[Re
         else:
             name = folders[number].name
             frames = _frames(lists[number], folders[number], root, rejected)
-            masks = root / MASKS / name
             if frames:
-                found = masks if masks.is_dir() else None
-                clips.append(Clip(name, CATEGORY, split(number), folders[number], tuple(frames), found))
+                masks = root / MASKS / name if (root / MASKS / name).is_dir() else None
+                clips.append(Clip(name, CATEGORY, split(number), folders[number], tuple(frames), masks))
     if not clips:
         reasons = in_words(tally(reason for *_, reason in rejected)) or "no sequences"
         raise ViewnetError(f"{root}: no usable frame ({reasons})")
@@ -85,13 +83,13 @@ def azimuth(theirs: float) -> float:
 
 
 def _number(name: str) -> int | None:
-    """Of a sequence, from car001, 001 or 1."""
-    found = re.fullmatch(r"(?:car_?)?0*([0-9]+)", name, re.IGNORECASE)
-    return int(found[1]) if found else None
+    """The number of a sequence, from car001, 001 or 1."""
+    match = re.fullmatch(r"(?:car_?)?0*([0-9]+)", name, re.IGNORECASE)
+    return int(match[1]) if match else None
 
 
 def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> list[Frame]:
-    """The usable frames of one sequence, in the order of time; all else goes to `rejected`."""
+    """The usable frames of one sequence, in the order of time; what cannot be used joins `rejected`."""
     where = _within(file, root)
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
@@ -100,7 +98,7 @@ def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> l
         return []
     files = images_in(folder)
     places = {path.stem: number for number, path in enumerate(files)}
-    found: dict[int, Frame] = {}
+    frames: dict[int, Frame] = {}
     annotated: set[int] = set()
     for row, line in enumerate(lines, start=1):
         if not line.strip():
@@ -113,13 +111,13 @@ def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> l
             if number in annotated:
                 raise ViewnetError(f"frame annotated twice ({stem})")
             annotated.add(number)
-            found[number] = Frame(number, azimuth(angle), ELEVATION, _cut(box, files[number]))
+            frames[number] = Frame(number, azimuth(angle), ELEVATION, _cut(box, files[number]))
         except ViewnetError as error:
             rejected.append((f"{folder.name}:{row}", where, str(error)))
     for number, path in enumerate(files):
         if number not in annotated:
             rejected.append((f"{folder.name}/{path.stem}", _within(path, root), "frame without a usable annotation"))
-    return [found[number] for number in sorted(found)]
+    return [frames[number] for number in sorted(frames)]
 
 
 def _parsed(line: str) -> tuple[str, Box, float]:

@@ -1,16 +1,14 @@
-"""Objectron: videos of single objects with the camera's and the object's poses, read in the data set's own layout.
+"""Objectron: videos of single objects with the poses of camera and object, in the data set's own layout.
 
     annotations/<class>/batch-N/M.pbdata        a record (viewnet.data.readers.objectron_record)
-    videos/<class>/batch-N/M/video.MOV          the video; or, taken out of it beforehand,
+    videos/<class>/batch-N/M/video.MOV          the video; or, extracted beforehand,
     videos/<class>/batch-N/M/<number>.jpg       its frames as images (.jpg, .jpeg or .png): <number> is the frame's
-                                                number in the record, from 0, with zeros before it so that names sort
+                                                number in the record, from 0, with leading zeros so that names sort
     masks/<class>/batch-N/M/<number>.png        masks, which are not part of the data set; or none
     index/<class>_annotations_{train,test}      one <class>/batch-N/M a line
 
-Only what is there is read: the lists may name videos that were not downloaded. Boxes are pixels of the image as it is
-shown, upright as the video's own turn says: of the images where there are some, else as the camera recorded its size.
-
-Nothing else is left out silently: whatever is not used is listed with the reason.
+The lists may name videos that were not downloaded. Boxes are pixels of the upright image: of the frames' images where
+there are some, else of the size that the camera recorded. Whatever else is not used is listed with the reason.
 """
 
 from __future__ import annotations
@@ -42,12 +40,11 @@ _IMAGES = (".jpg", ".jpeg", ".png")
 def read(
     root: Path, category: str, frames: int = 10, seed: int = 0, progress: bool = False
 ) -> tuple[list[Clip], list[Rejected]]:
-    """The videos of a category under `root`, each with up to `frames` of its usable frames, drawn by seed and video.
+    """The videos of a category under `root`, each with up to `frames` of its usable frames, sampled by seed and video.
 
-    The second value is (id, path within the data set, reason) of the videos, frames and further objects that were not
-    used; frames that were just not drawn are not in it. A frame's number is that of the video, or its image's place
-    among the images. The test split is the published one where the lists are there, and a seeded tenth of the train
-    list's videos is the val split; without lists a tenth and a fifth are val and test.
+    The second value lists the videos, frames and further objects that cannot be used, but not frames that were merely
+    not sampled. A frame's number is that of the video, or its image's place among the images. With the published lists,
+    their test split is used and a seeded tenth of their train split is val; without, a tenth is val and a fifth test.
 
     Raises ViewnetError where Objectron has no such category, `root` is not Objectron or nothing can be used.
     """
@@ -86,29 +83,29 @@ def read(
 def _clip(
     root: Path, path: Path, video: str, category: str, split: str, count: int, seed: int, rejected: list[Rejected]
 ) -> Clip:
-    """One video; what of it is not used joins `rejected`."""
+    """One video; what cannot be used joins `rejected`."""
     where = path.relative_to(root).as_posix()
     record = read_record(path)
     source = _source(root / "videos" / video, record)
     rejected += [(f"{video}/{number}", where, reason) for number, reason in record.rejected]
     rejected += [(f"{video}/object {name}", where, "object smaller than another one") for name in record.others]
     order = np.random.default_rng(list(seeded_rank(seed, "frames", video))).permutation(len(record.views))
-    drawn: list[Frame] = []
+    sampled: list[Frame] = []
     if isinstance(source, _Images):
-        gone = {view.number for view in record.views} - source.places.keys()
-        rejected += [(f"{video}/{number}", where, "no such image") for number in sorted(gone)]
+        missing = {view.number for view in record.views} - source.places.keys()
+        rejected += [(f"{video}/{number}", where, "no such image") for number in sorted(missing)]
     for view in (record.views[place] for place in order):
-        if len(drawn) == count:
+        if len(sampled) == count:
             break
         if isinstance(source, _Images) and view.number not in source.places:
             continue
         try:
-            drawn.append(_frame(view, source))
+            sampled.append(_frame(view, source))
         except ViewnetError as error:
             rejected.append((f"{video}/{view.number}", where, str(error)))
-    if not drawn:
+    if not sampled:
         raise ViewnetError("no usable frame")
-    frames = tuple(sorted(drawn, key=lambda frame: frame.number))
+    frames = tuple(sorted(sampled, key=lambda frame: frame.number))
     masks = root / MASKS / video
     place = source.folder if isinstance(source, _Images) else source
     return Clip(video, category, split, place, frames, masks if masks.is_dir() else None)
@@ -123,7 +120,7 @@ class _Images:
 
 
 def _source(folder: Path, record: Record) -> Path | _Images:
-    """The images of a video, or the video where there are none."""
+    """The images of a video, or the video file where there are none."""
     files = sorted(path for path in folder.glob("*") if path.stem.isdecimal() and path.suffix.lower() in _IMAGES)
     if not files:
         if (folder / VIDEO).is_file():
@@ -176,10 +173,10 @@ def _lists(root: Path, name: str) -> dict[str, set[str]] | None:
 def _split(listed: dict[str, set[str]] | None, video: str) -> str:
     if listed is None:
         return "train"
-    found = [split for split, videos in listed.items() if video in videos]
-    if len(found) != 1:
-        raise ViewnetError("video in both lists" if found else "video in neither list")
-    return found[0]
+    splits = [split for split, videos in listed.items() if video in videos]
+    if len(splits) != 1:
+        raise ViewnetError("video in both lists" if splits else "video in neither list")
+    return splits[0]
 
 
 def _read_videos(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]:

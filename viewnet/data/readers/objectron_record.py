@@ -1,7 +1,7 @@
-"""A record of Objectron: where the camera was as seen from the annotated object, and where the object is in each frame.
+"""A record of Objectron: the camera's viewpoint of the annotated object, and the object's box, in each frame.
 
-Objectron's objects have y up and z to the front, so that x is their left side, which is at the right for who stands
-before them. In this project x is the front, y the left side and z up (viewnet.geometry): the same axes, named in turn,
+Objectron's objects have y up, z to the front and x to their left side. In this project x is the front, y the left side
+and z up (viewnet.geometry): the same axes in another order,
 
     AXES = [[0, 0, 1],      ours x (front)  =  theirs z
             [1, 0, 0],      ours y (left)   =  theirs x
@@ -10,12 +10,12 @@ before them. In this project x is the front, y the left side and z up (viewnet.g
 and `AXES @ place` takes a place in the object's frame from theirs to ours. An object's pose (R, t) takes its own frame
 to the world. A camera's `view_matrix` takes the world to the camera, whose x is right and y up as its landscape sensor
 lies, and which looks along -z; its `transform` is the inverse of that. The phone was mostly held upright, so the sensor
-lies on its side; this turns the image and not the camera's place, which is all that a viewpoint is:
+lies on its side; this rotates the image and not the camera's place, which alone is the viewpoint:
 
     place = R^T (c - t),    c = the camera's place in the world
 
 Keypoints in the image are fractions of the image as it is shown, upright, and are used as they are. The nine
-keypoints in the camera's frame tell the same place again: a frame in which the two do not agree is not used.
+keypoints in the camera's frame give the camera's place again: a frame in which the two disagree is not used.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from viewnet.geometry import azimuth_elevation
 
 AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 LARGEST = 16 * 2**20
-"""Bytes of a record file: ten times a minute's record. What it becomes in memory can be 30 times as large."""
+"""Bytes of a record file: ten times a minute's record. In memory it can be 30 times as large."""
 MOST_FRAMES = 100_000
-"""Frames of a record, and objects annotated in all of them together: more are no video's."""
+"""Frames of a record, and objects annotated in all of them together, at most."""
 BEYOND = 0.1
-"""Keypoints may be so much of the image's side outside of it: the box reaches farther than the object within."""
+"""Keypoints may be outside of the image by this share of its side: the box extends beyond the object in it."""
 VISIBLE = 0.5
 """The share of an object that has to be visible, where that is annotated."""
 DISAGREE = 5.0
@@ -59,7 +59,7 @@ class View:
     azimuth, elevation  degrees
     box                 x0, y0, x1, y1 as fractions of the image as it is shown, within it
     size                width and height of that image, pixels, as the camera recorded it; None where it did not
-    upright             whether the image is the sensor's turned by a quarter; None where that cannot be told
+    upright             whether the image is the sensor's rotated by a quarter turn; None where that is unknown
     """
 
     number: int
@@ -72,7 +72,7 @@ class View:
 
 @dataclass(frozen=True)
 class Record:
-    """What a record tells of its main object, which is the one that is largest in the image on average.
+    """The views of a record's main object, which is the largest in the image on average.
 
     frames      the numbers of all frames in the record
     views       those that can be used, by number
@@ -92,7 +92,7 @@ def read_record(path: Path) -> Record:
 
 
 def interpret(sequence: Any) -> Record:
-    """What a `Sequence` tells. Raises ViewnetError as `read_record` does."""
+    """The views of a `Sequence`. Raises ViewnetError as `read_record` does."""
     count = len(sequence.frame_annotations)
     if not 1 <= count <= MOST_FRAMES:
         raise ViewnetError(f"record of too many frames ({count})" if count else "record without frames")
@@ -129,7 +129,7 @@ def _parse(path: Path) -> Any:
         raise ViewnetError(f"record larger than {LARGEST >> 20} MiB")
     try:
         return Sequence.FromString(content)
-    except Exception as error:  # Which class it is depends on the library's version and back end.
+    except Exception as error:  # Its class depends on the library's version and back end.
         raise ViewnetError(f"record is damaged ({type(error).__name__})") from None
 
 
@@ -142,8 +142,8 @@ def _main_object(frames: Many[Any]) -> tuple[int, tuple[int, ...]]:
                 continue
             points = _in_image(annotation).clip(0, 1)
             area = float(np.prod(points.max(axis=0) - points.min(axis=0)))
-            covered.setdefault(annotation.object_id, 0.0)
-            covered[annotation.object_id] += area if math.isfinite(area) else 0.0
+            before = covered.get(annotation.object_id, 0.0)
+            covered[annotation.object_id] = before + (area if math.isfinite(area) else 0.0)
     if not covered:
         raise ViewnetError("record without an annotated object")
     main = min(covered, key=lambda name: (-covered[name], name))
@@ -179,7 +179,7 @@ def _view(frame: Any, main: int, rotation: np.ndarray, translation: np.ndarray) 
         _check(in_camera, place)
     elif (to_camera[:3, :3] @ translation + to_camera[:3, 3])[2] >= 0:
         raise ViewnetError("object behind the camera")
-    # Proto 3 has no difference between nothing visible and nothing said; the keypoints decide then.
+    # Proto 3 does not distinguish zero from a missing value; the keypoints decide then.
     if 0 < annotation.visibility < VISIBLE:
         raise ViewnetError("object mostly hidden or outside of the image")
     low, high = points.min(axis=0), points.max(axis=0)
@@ -223,7 +223,7 @@ def _is_rotation(matrix: np.ndarray) -> bool:
 
 
 def _check(in_camera: np.ndarray, place: np.ndarray) -> None:
-    """Raise unless the keypoints (9, 3) in the camera's frame lie before it and tell the same place."""
+    """Raise unless the keypoints (9, 3) in the camera's frame lie before it and give the same place."""
     if not np.isfinite(in_camera).all():
         raise ViewnetError("keypoints are not finite")
     if (in_camera[:, 2] >= 0).any():
@@ -241,7 +241,7 @@ def _check(in_camera: np.ndarray, place: np.ndarray) -> None:
 
 
 def _is_upright(camera: Any, in_camera: np.ndarray, points: np.ndarray) -> bool | None:
-    """Whether the image is the sensor's turned by a quarter, by where the projection has the keypoints (9, 2)."""
+    """Whether the image is the sensor's rotated by a quarter turn, by the projection of the keypoints (9, 2)."""
     matrix = np.array(camera.projection_matrix, dtype=np.float64)
     if matrix.size != 16 or not np.isfinite(matrix).all() or not in_camera.any():
         return None
@@ -249,10 +249,11 @@ def _is_upright(camera: Any, in_camera: np.ndarray, points: np.ndarray) -> bool 
     if (np.abs(clip[:, 3]) < 1e-9).any():
         return None
     right, up = (clip[:, :2] / clip[:, 3:]).T
-    # Turned, the sensor's right points down and its up points right.
+    # When rotated, the sensor's right points down and its up points right.
     shown = {True: np.column_stack([1 + up, 1 + right]) / 2, False: np.column_stack([1 + right, 1 - up]) / 2}
-    apart = {turned: float(np.abs(places - points).mean()) for turned, places in shown.items()}
-    best = min(apart, key=lambda turned: apart[turned])
+    apart = {rotated: float(np.abs(places - points).mean()) for rotated, places in shown.items()}
+    best = min(apart, key=lambda rotated: apart[rotated])
+
     return best if apart[best] < 0.05 else None
 
 

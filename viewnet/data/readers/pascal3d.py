@@ -7,7 +7,7 @@
     Image_sets/<category>_imagenet_{train,val}.txt     one image a line
     PASCAL/VOCdevkit/VOC2012/ImageSets/Main/<category>_{train,val}.txt   image and -1, 0 or 1 a line
 
-Nothing is left out silently: whatever is not used is listed with the reason.
+Whatever is not used is listed with the reason.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Keep = Literal["all", "easy", "first"]
 OTHER_SCALE = "box in another scale than its picture"
 BEYOND_EDGES = "box beyond the picture's edges"
 
-# What copies of the data set call their images.
+# Suffixes of images in copies of the data set.
 _SUFFIXES = (".JPEG", ".jpg", ".jpeg", ".JPG", ".png", ".PNG")
 
 
@@ -74,11 +74,11 @@ class Annotation(Photograph):
 
 @dataclass
 class Report:
-    """What became of all that a list names.
+    """The entries of a list that are not among the annotations as they are.
 
-    rejected    (id, path within the data set, reason) of the objects and images that were not used
-    mended      (id, what) of those that were used though something was odd about them
-    others      objects of other categories in the same images, which were not asked for
+    rejected    objects and images that cannot be used
+    mended      (id, what) of those that are used after a correction
+    others      number of objects of other categories in the same images
     """
 
     rejected: list[Rejected] = field(default_factory=list)
@@ -87,7 +87,7 @@ class Report:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Reason -> how many objects or images were not used for it."""
+        """Reason -> number of objects or images that cannot be used."""
         return tally(reason for _, _, reason in self.rejected)
 
 
@@ -106,16 +106,16 @@ def read(
     known(split, SPLITS, "split")
     known(keep, KEEP, "filter")
     root, report = Path(root), Report()
-    found: list[Annotation] = []
+    annotations: list[Annotation] = []
     for part in parts(subset):
         names = listed(root, category, part, split)
         report.mended += [(f"{part}/{name}", "listed twice") for name, times in Counter(names).items() if times > 1]
         for image in dict.fromkeys(names):
-            found += _read_image(root, category, part, split, image, keep, coarse, report)
-    if not found:
+            annotations += _read_image(root, category, part, split, image, keep, coarse, report)
+    if not annotations:
         reasons = in_words(report.counts) or "the list is empty"
         raise ViewnetError(f"{root}: no usable {category} in {subset} {split} ({reasons})")
-    return found, report
+    return annotations, report
 
 
 def parts(subset: str) -> tuple[str, ...]:
@@ -143,7 +143,7 @@ def listed(root: Path, category: str, subset: str, split: str) -> list[str]:
 
 
 def _is_name(text: str) -> bool:
-    """Whether a text names a file of a folder, and none elsewhere."""
+    """Whether a text is the name of a file, without a folder."""
     return len(text) <= 200 and text.isprintable() and not set(text) & set("/\\") and text not in (".", "..")
 
 
@@ -169,30 +169,28 @@ def image_file(root: Path, category: str, subset: str, image: str) -> Path:
 def _read_image(
     root: Path, category: str, subset: str, split: str, image: str, keep: Keep, coarse: bool, report: Report
 ) -> list[Annotation]:
-    """The objects of one image that are asked for and can be used; all else goes to the report."""
+    """The objects of one image that are requested and can be used; all others go to the report."""
     path, image_path = annotation_file(root, category, subset, image), image_file(root, category, subset, image)
     name, where = f"{subset}/{image}", path.relative_to(root).as_posix()
+    file = image_path
     try:
-        size = image_files.size(image_path)
+        size = image_files.size(file)
+        file = path
+        objects, annotated = _record(file)
     except ViewnetError as error:
-        report.rejected.append((name, image_path.relative_to(root).as_posix(), str(error)))
+        report.rejected.append((name, file.relative_to(root).as_posix(), str(error)))
         return []
-    try:
-        objects, annotated = _record(path)
-    except ViewnetError as error:
-        report.rejected.append((name, where, str(error)))
-        return []
-    mine = [(number, item) for number, item in enumerate(objects) if _class(item) == category]
+    mine = [(n, item) for n, item in enumerate(objects) if str(getattr(item, "class", "")).strip() == category]
     report.others += len(objects) - len(mine)
     if not mine:
         report.rejected.append((name, where, "no object of the category"))
-    found = []
+    annotations = []
     for place, (number, item) in enumerate(mine):
-        odd: list[str] = []
+        corrections: list[str] = []
         try:
             if keep == "first" and place:
                 raise ViewnetError("not the first of its image")
-            box = _box(item, size, annotated, odd)
+            box = _box(item, size, annotated, corrections)
             annotation = _annotation(item, category, subset, split, image, number, image_path, box)
             if annotation.coarse and not coarse:
                 raise ViewnetError("only coarsely annotated")
@@ -201,22 +199,22 @@ def _read_image(
         except ViewnetError as error:
             report.rejected.append((f"{name}/{number}", where, str(error)))
             continue
-        found.append(annotation)
-        report.mended += [(annotation.id, what) for what in odd]
-    return found
+        annotations.append(annotation)
+        report.mended += [(annotation.id, what) for what in corrections]
+    return annotations
 
 
 def _record(path: Path) -> tuple[list[Any], tuple[float, float] | None]:
-    """The objects of a record, and the width and height of the image that was annotated where it has them."""
+    """The objects of a record, and where it has them the width and height of the annotated image."""
     if not path.is_file():
         raise ViewnetError("no such annotation")
     try:
-        found = matlab.load(path)
+        variables = matlab.load(path)
     except ViewnetError as error:
         raise ViewnetError(f"annotation cannot be read ({error})") from None
-    if "record" not in found:
+    if "record" not in variables:
         raise ViewnetError("annotation without a record")
-    record = found["record"]
+    record = variables["record"]
     if not hasattr(record, "objects"):
         raise ViewnetError("annotation without objects")
     # One object is a structure, several are an array of them, none is an empty array.
@@ -228,18 +226,14 @@ def _record(path: Path) -> tuple[list[Any], tuple[float, float] | None]:
     return objects, (width, height) if width > 0 and height > 0 else None
 
 
-def _class(item: Any) -> str:
-    return str(getattr(item, "class", "")).strip()
-
-
-def _box(item: Any, size: tuple[int, int], annotated: tuple[float, float] | None, odd: list[str]) -> Box:
-    """The object's box as edges within its image; what had to be mended joins `odd`."""
+def _box(item: Any, size: tuple[int, int], annotated: tuple[float, float] | None, corrections: list[str]) -> Box:
+    """The object's box as edges within its image; what had to be corrected joins `corrections`."""
     corners = np.asarray(getattr(item, "bbox", ()))
     if corners.size != 4 or corners.dtype.kind not in "fiu" or not np.isfinite(corners).all():
         raise ViewnetError("box is not four numbers")
     x0, y0, x1, y1 = (float(value) for value in corners.ravel())
     if x0 > x1 or y0 > y1:
-        odd.append("box with exchanged corners")
+        corrections.append("box with exchanged corners")
         x0, x1, y0, y1 = *sorted((x0, x1)), *sorted((y0, y1))
     # Pixels are counted from 1, and the last one belongs to the box.
     edges = np.array([x0 - 1, y0 - 1, x1, y1])
@@ -248,12 +242,12 @@ def _box(item: Any, size: tuple[int, int], annotated: tuple[float, float] | None
         scale = limits / [*annotated, *annotated]
         if abs(scale[0] / scale[1] - 1) < 0.02:
             edges = edges * scale
-            odd.append(OTHER_SCALE)
+            corrections.append(OTHER_SCALE)
     within = edges.clip(0, limits)
     if (within[2:] - within[:2] < 1).any():
         raise ViewnetError(f"box has no part in the image ({size[0]} x {size[1]})")
     if np.abs(within - edges).max() > 1:  # less is rounding
-        odd.append(BEYOND_EDGES)
+        corrections.append(BEYOND_EDGES)
     left, upper, right, lower = within.tolist()
     return left, upper, right, lower
 
@@ -277,9 +271,9 @@ def _annotation(
 
 
 def _is_coarse(viewpoint: Any) -> bool:
-    """Whether the closer viewpoint was never annotated: its fields are missing, or hold zeros, distance among them.
+    """Whether the closer viewpoint was never annotated: its fields are missing, or its distance is zero.
 
-    A camera has some distance; where that alone is missing, a viewpoint of nothing but zeros is none.
+    Without a distance, a viewpoint of zeros counts as missing.
     """
     if any(np.size(getattr(viewpoint, name, ())) == 0 for name in ("azimuth", "elevation")):
         return True
@@ -317,7 +311,8 @@ def digest(root: Path, category: str, subset: str) -> str:
 
 
 def settings(config: PhotoConfig) -> dict[str, Any]:
-    """What of a configuration chooses among a data set's photographs, as JSON values."""
+    """The settings that choose among a data set's photographs, as JSON values."""
+
     return {"subset": config.subset, "keep": config.keep, "coarse": config.coarse}
 
 

@@ -1,4 +1,4 @@
-"""CAD collections in the layouts of ShapeNetCore v1 and v2: their models, the splits of these, and a model's mesh."""
+"""CAD collections in the layouts of ShapeNetCore v1 and v2: their models with their splits, and a model's mesh."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ from viewnet.render.obj import read_obj
 from viewnet.runtime.files import read_csv
 from viewnet.runtime.splits import SPLITS, seeded_rank, seeded_splits
 
-# Rows are world axes (x front, y left, z up) in the file's axes. Both layouts are y up; v1 faces +x, v2 faces -z.
-FRAMES = {
+# world_from_file: rows are world axes (x front, y left, z up) in the file's axes. Both layouts are y up; v1 faces +x,
+# v2 faces -z.
+WORLD_FROM_FILE = {
     "v1": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "v2": np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
 }
 
-# This chair is missing from the validation list of the DPC release, but is in the table the lists were made from.
+# This chair is missing from the validation list of the DPC release, but is in the table that the lists come from.
 _DPC_CHAIR = ("03001627", 4744, 677, "901cab3f56c74894d7f7a4c4609b0913")
 
 log = logging.getLogger(__name__)
@@ -52,10 +53,9 @@ class ModelFile:
 def find_models(root: Path | str, category: str, splits: Path | str | None = None, seed: int = 0) -> list[ModelFile]:
     """The models of a category under `root`, sorted by id, each with its split (train, val or test).
 
-    Splits come from `splits` when given, a folder of lists `<synset>_{train,val,test}.txt` with one id a line; else
-    from `all.csv` at the root (columns id, synsetId, subSynsetId, modelId, split); else models are shuffled by `seed`
-    and their ids and cut at 0.7, 0.1 and 0.2 (section 4.2). Models that a list leaves out are not used, and listed
-    models that are not there are skipped; both are counted in the log.
+    Splits are those of `splits`, a folder of lists `<synset>_{train,val,test}.txt` with one id a line; else of
+    `all.csv` at the root (columns id, synsetId, subSynsetId, modelId, split); else seeded (runtime.splits). Models that
+    a list lacks and listed models that are missing are not used; the log has their numbers.
 
     Raises ViewnetError for a root that is not a collection, an unknown category, a category without models, and a
     malformed list, or one whose models of some split are all missing.
@@ -90,9 +90,9 @@ def find_models(root: Path | str, category: str, splits: Path | str | None = Non
 
 
 def take(models: Sequence[ModelFile], count: int, seed: int = 0) -> list[ModelFile]:
-    """About `count` of the models, in their order and the proportions of their splits; at least one of each split.
+    """About `count` of the models, chosen by seed and ids, in their order; their splits keep their shares.
 
-    Which ones depends on the seed and their ids only. A count of 0, or above their number, takes all.
+    At least one of each split is chosen. A count of 0, or above their number, takes all.
     """
     if count <= 0 or count >= len(models):
         return list(models)
@@ -109,13 +109,11 @@ def take(models: Sequence[ModelFile], count: int, seed: int = 0) -> list[ModelFi
 def load_model(model: ModelFile) -> Mesh:
     """The model's mesh in the world frame, its bounding box centred on the origin with a diagonal of 1.
 
-    Raises UnusableModel with the reason: no or an empty file, no faces, NaN or infinite vertices, no size, a broken or
-    missing texture or material library, a path that leads out of the model's folder, more than `obj.MAX_FACES` faces or
-    `obj.MAX_BYTES` bytes.
+    Raises UnusableModel with the reason: see `obj.read_obj`, and a model without a size.
     """
     mesh = read_obj(model.path, model.folder)
     used, faces = np.unique(mesh.faces, return_inverse=True)
-    vertices = mesh.vertices[used] @ FRAMES[model.layout].T
+    vertices = mesh.vertices[used] @ WORLD_FROM_FILE[model.layout].T  # (V, 3)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     with np.errstate(over="ignore"):
         diagonal = float(np.linalg.norm(high - low))
@@ -130,7 +128,7 @@ def load_model(model: ModelFile) -> Mesh:
 
 
 def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
-    """Every model folder of the category, sorted by id; also one without its .obj, which will be rejected."""
+    """Every model folder of the category, sorted by id; one without its .obj is rejected when it is rendered."""
     if not root.is_dir():
         raise ViewnetError(f"{root}: no such folder: give the folder of a ShapeNetCore collection")
     folder = root / synset
@@ -170,7 +168,8 @@ def _paths(folder: Path) -> dict[Literal["v1", "v2"], Path]:
 
 def _read_csv(file: Path, synset: str) -> dict[str, str]:
     """Model id -> split of one category of an official list."""
-    # Ids and synsets are text: as numbers they would lose leading zeros, and "1e5" its meaning.
+    # Ids and synsets are text: numbers have no leading zeros, and "1e5" is an id.
+
     table = read_csv(file, dtype=str, keep_default_na=False)
     if missing := [name for name in ("synsetId", "modelId", "split") if name not in table.columns]:
         raise ViewnetError(f"{file}: no column {missing[0]}: expected id, synsetId, subSynsetId, modelId, split")
