@@ -1,4 +1,4 @@
-"""Work that is killed at any moment, and work that two processes ask for at once: is the end always the same?
+"""Work killed at random moments, and work requested by two processes at once: is the result always the same?
 
     python benchmarks/crashes.py [--kills 50] [--pairs 20] [--seed 0] [-o paper_tables/trust]
 

@@ -1,4 +1,4 @@
-"""Every reader of the package on spoilt files: does it end in a result or in one error that names the file?
+"""Every reader of the package on damaged files: does it end in a result or in one error that names the file?
 
     python benchmarks/fuzz.py [--cases 300] [--seed 0] [--readers NAME ...] [-o paper_tables/trust/fuzz.csv]
 

@@ -1,4 +1,4 @@
-"""How soon an image's viewpoint is told, and how much the estimator adds to the network's own time.
+"""Time until an image's viewpoint is predicted, and the time that the estimator adds to the network's own.
 
     python benchmarks/predicting.py [--model car] [--image docs/car.jpg] [--times 9] [-o paper_tables/benchmarks]
 
@@ -28,15 +28,15 @@ from viewnet.runtime import provenance
 from viewnet.runtime.files import replacing, write_json
 
 IMAGES = 8 * BATCH
-"""So many are predicted at once: several batches."""
+"""The number of images predicted at once: several batches."""
 PHOTOGRAPH, BOX = (400, 300), (40, 60, 380, 250)
-"""Pixels of an image that has to be cut, and to what."""
+"""Size of an image to crop, and the box, in pixels."""
 BARE, READY = "the bare network", "the estimator, images of just the size"
 CUT = "the estimator, photographs of 400 x 300 cut to a box"
 
 
 def seconds(work: Callable[[], object]) -> float:
-    """What it takes."""
+    """Seconds of some work."""
     begun = time.perf_counter()
     work()
     return time.perf_counter() - begun
@@ -55,14 +55,14 @@ def in_turns(works: dict[str, Callable[[], object]], times: int) -> dict[str, li
 
 def fresh(*arguments: str) -> Callable[[], object]:
     """A call of Python with these arguments, which must succeed."""
-    hushed = {**os.environ, "TQDM_DISABLE": "1"}
-    return lambda: subprocess.run([sys.executable, *arguments], check=True, capture_output=True, env=hushed)
+    environment = {**os.environ, "TQDM_DISABLE": "1"}
+    return lambda: subprocess.run([sys.executable, *arguments], check=True, capture_output=True, env=environment)
 
 
 def cold(model: str, image: Path, box: list[str], times: int) -> list[dict[str, object]]:
-    """Rows of one answer from a fresh interpreter."""
-    told = ["-m", "viewnet", "predict", str(image), "--model", model, "--box", *box]
-    works = {"a fresh interpreter, import torch": fresh("-c", "import torch"), "viewnet predict": fresh(*told)}
+    """Rows of one prediction in a fresh interpreter."""
+    arguments = ["-m", "viewnet", "predict", str(image), "--model", model, "--box", *box]
+    works = {"a fresh interpreter, import torch": fresh("-c", "import torch"), "viewnet predict": fresh(*arguments)}
     return [row(name, "seconds", values) for name, values in in_turns(works, times).items()]
 
 

@@ -1,4 +1,4 @@
-"""How fast volumes are drawn on a GPU: the fused kernels against the definition, and against what the device can do.
+"""Speed of rendering on a GPU: the fused kernels against the definition, and against the device's ceilings.
 
     python benchmarks/renderer_gpu.py [--volumes 32 64 128] [--batch 64] [--views 3] [--occupied 0.1] [--seconds 1]
 

@@ -1,11 +1,11 @@
-"""Whether what makes training fast costs accuracy: the same training with one of the switches undone at a time.
+"""Do the optimisations of training cost accuracy? The same training with one of them undone at a time.
 
     python benchmarks/switches.py [--category car] [--epochs 6] [--seeds 2] [--usual 4] [--processes 2] [--switches ...]
 
 Trains on built-in models by the recipe `matting`, one thread a process, and validates after every epoch. Writes
 `switches.csv` (a row an epoch), `switches.json` (versions, machine) and `switches.{png,pdf}` to the output folder, and
-prints what each switch did at the end: accuracy, reconstruction error, seconds. The training as it is runs from more
-seeds, since what chance does is what the others are held against.
+prints the last accuracy, reconstruction error and seconds of each. The unchanged training runs from more seeds, since
+its spread is what the others are compared with.
 """
 
 from __future__ import annotations
@@ -77,11 +77,11 @@ SWITCHES: dict[str, tuple[dict[str, Any], Patch]] = {
     "normalisation in PyTorch": ({}, _plain_layers),
     "compared at full resolution": ({}, _full_resolution),
 }
-"""What is done without -> overrides of the configuration, and what is replaced in the package meanwhile."""
+"""Optimisation undone -> changes of the configuration, and a patch of the package."""
 
 
 def curve(switch: str, category: str, profile: str, epochs: int, seed: int) -> pd.DataFrame:
-    """The log of one training, which is not kept."""
+    """The log of one training, whose run is thrown away."""
     from viewnet.data.build import view_store
     from viewnet.training.train import train
 
