@@ -56,15 +56,15 @@ def test_every_draw_is_the_alignment_of_that_many_photographs(index):
 
 
 def test_what_is_fitted_is_fitted_anew_for_each_number_and_draw(index):
-    asked = []
+    calls = []
 
     def said(count, seed):
-        asked.append((count, seed))
+        calls.append((count, seed))
         rows = baselines.calibrating(index, count, seed)
         return baselines.constant(index[rows], source="val")
 
     rows = pd.DataFrame(score_rows(Predictor("Constant", "car", 0, said, True), (16,), draws=2))
-    assert asked[1:] == [(16, 0), (16, 1), (600, 0)]
+    assert calls[1:] == [(16, 0), (16, 1), (600, 0)]
     assert set(rows["alignment"]) == {"none", "procrustes", "robust", "linear", "per_angle"}
     assert rows.groupby(["images", "draw"])["median"].nunique().min() >= 1
     assert rows[rows["images"] == 16].groupby("draw")["median"].first().nunique() == 2
@@ -187,8 +187,8 @@ def test_the_study_of_an_experiment_has_every_predictor_of_the_table(tmp_path, m
     monkeypatch.setitem(sys.modules, "viewnet.data.photo_store", types.SimpleNamespace(summary=str))
     monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
     monkeypatch.setattr("viewnet.evaluation.features.SIZE", 16)
-    asked = experiment("alignment_study", profile="smoke", categories="car", backbone="pixels", seeds=2)
-    found = study_alignment(asked, ensure(asked.configs, workers=1, progress=False, steps=STEPS))
+    request = experiment("alignment_study", profile="smoke", categories="car", backbone="pixels", seeds=2)
+    found = study_alignment(request, ensure(request.configs, workers=1, progress=False, steps=STEPS))
     assert all(found.checks().values()), found.checks()
     assert set(found.scores["predictor"]) == {
         "ViewNet", "ViewNet + cycle", RANDOM, "Constant", "Constant (rotation)", "VGG view*",

@@ -123,13 +123,13 @@ def root(tmp_path, monkeypatch):
 def test_values_get_the_declared_types_and_nothing_is_guessed(root):
     source = 'profile: str = "default"\ncategories: str = "all"\nworkers: int = 0\nseeds: str = "1"\nother: str = ""'
     path = write(root, "table1_shapenet", source)
-    given, asked = notebooks.check(
+    given, request = notebooks.check(
         path, [("workers", "2"), ("categories", "car,chair"), ("seeds", "3"), ("other", "003"), ("profile", "smoke")]
     )
     assert given == {"workers": 2, "categories": "car,chair", "seeds": "3", "other": "003", "profile": "smoke"}
-    assert asked.categories == ("car", "chair")
-    assert asked.seeds == (0, 1, 2)
-    assert asked.workers == 2
+    assert request.categories == ("car", "chair")
+    assert request.seeds == (0, 1, 2)
+    assert request.workers == 2
 
 
 @pytest.mark.parametrize(

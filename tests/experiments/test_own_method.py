@@ -122,8 +122,8 @@ def drawn(tmp_path, monkeypatch):
     monkeypatch.setattr("viewnet.data.build.view_store", views)
 
 
-def finished(asked):
-    return ensure(asked.configs, workers=1, progress=False, steps=STEPS)
+def finished(request):
+    return ensure(request.configs, workers=1, progress=False, steps=STEPS)
 
 
 def of_cars(name="table3_pascal3d", **options):
@@ -131,8 +131,8 @@ def of_cars(name="table3_pascal3d", **options):
 
 
 def on_cars(name="table3_pascal3d", **options):
-    asked = of_cars(name, **options)
-    return asked, finished(asked)
+    request = of_cars(name, **options)
+    return request, finished(request)
 
 
 def alone(name, *submissions):
@@ -143,14 +143,14 @@ def alone(name, *submissions):
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
 @pytest.mark.slow
 def test_the_same_predictions_score_the_same_as_ours_to_the_last_bit(photographs, tmp_path, suffix):
-    asked, runs = on_cars(calibration=30)
-    ours = on_photographs(next(run for run in runs if run.config.variant == "viewnet"), held_store(asked))
+    request, runs = on_cars(calibration=30)
+    ours = on_photographs(next(run for run in runs if run.config.variant == "viewnet"), held_store(request))
     file = tmp_path / f"said{suffix}"
     ours.to_parquet(file)
     if suffix == ".csv":
         pd.read_parquet(file).sample(frac=1, random_state=0).to_csv(file, index=False)
     kinds = {"ViewNet": "procrustes", "ViewNet*": "linear", "ViewNet (robust)": "robust"}
-    table = with_methods(asked, runs, [Submission(f"By file, {kind}", file, kind) for kind in kinds.values()])
+    table = with_methods(request, runs, [Submission(f"By file, {kind}", file, kind) for kind in kinds.values()])
     for row, kind in kinds.items():
         for metric in ("acc30", "median"):
             mine, theirs = (table.cell(r, "car", metric) for r in (f"By file, {kind}", row))
@@ -159,20 +159,20 @@ def test_the_same_predictions_score_the_same_as_ours_to_the_last_bit(photographs
     assert all(table.checks().values()), table.checks()
 
 
-def held_store(asked, category="car"):
-    return asked.stores()[category]
+def held_store(request, category="car"):
+    return request.stores()[category]
 
 
 def test_table_1_scores_views_of_cad_models(drawn, tmp_path):
-    asked, runs = on_cars("table1_shapenet")
+    request, runs = on_cars("table1_shapenet")
     ours = next(run for run in runs if run.config.variant == "viewnet").predictions
     ours.to_parquet(tmp_path / "said.parquet")
     mine = [Submission("Straight", Says(straight), "none"), Submission("By file", tmp_path / "said.parquet")]
-    table = with_methods(asked, runs, mine)
+    table = with_methods(request, runs, mine)
     for metric in ("acc30", "median"):
         scores = [[table.cell(row, "car", metric)[s] for s in SCORES] for row in ("ViewNet", "By file")]
         assert scores[0] == scores[1]
-    ids = held_out(asked, "car").ids
+    ids = held_out(request, "car").ids
     expected = np.median(
         align(Predictions(ids, straight(len(ids))[:, None], np.zeros((len(ids), 1))), "none").selected_errors
     )
@@ -182,11 +182,11 @@ def test_table_1_scores_views_of_cad_models(drawn, tmp_path):
 
 
 def test_another_collection_is_scored_as_a_whole(drawn, tmp_path):
-    asked, runs = on_cars("table1_shapenet", eval_root=str(tmp_path))
-    images = held_out(asked, "car")
+    request, runs = on_cars("table1_shapenet", eval_root=str(tmp_path))
+    images = held_out(request, "car")
     assert images.ids["split"].value_counts().to_dict() == {"test": 120, "val": 32}
     assert images.ids.loc[images.ids["split"] == "test", "model_id"].str.startswith("other-").all()
-    table = with_methods(asked, runs, [Submission("Straight", Says(straight))])
+    table = with_methods(request, runs, [Submission("Straight", Says(straight))])
     assert table.cell("Straight", "car", "acc30")["images"] == table.cell("ViewNet", "car", "acc30")["images"] == 120
 
 
@@ -204,10 +204,10 @@ def test_the_dva_table_has_its_row_too(photographs):
 
 @pytest.mark.slow
 def test_rows_stand_in_everything_a_reader_sees(photographs, tmp_path):
-    asked, runs = on_cars()
+    request, runs = on_cars()
     mine = Submission("Mine^2 & 100 %", Brightest())
-    table = with_methods(asked, runs, [mine])
-    bare = asked.table(runs)
+    table = with_methods(request, runs, [mine])
+    bare = request.table(runs)
     assert table.frame().drop("Mine^2 & 100 %").equals(bare.frame())
     row = table.frame().loc["Mine^2 & 100 %"]
     assert (row.xs("print", level=2) == DASH).all()
@@ -223,8 +223,8 @@ def test_rows_stand_in_everything_a_reader_sees(photographs, tmp_path):
     (key,) = cell["runs"]
     origin = told["runs"][key]
     assert (origin["label"], origin["alignment"], origin["source"]) == (mine.label, "procrustes", "Brightest")
-    assert origin["images"] == held_store(asked).identity
-    assert origin["predictions"] == own_method.digest(predictions(asked, mine))
+    assert origin["images"] == held_store(request).identity
+    assert origin["predictions"] == own_method.digest(predictions(request, mine))
     assert "Mine^2 & 100 %: added, by predict; alignment procrustes" in told["remarks"]
 
 
@@ -236,12 +236,12 @@ def test_many_categories_have_the_row_in_one_line():
 
 
 def test_the_key_is_of_what_was_said_and_how_it_is_aligned(photographs):
-    asked = of_cars()
+    request = of_cars()
     submissions = [
         Submission("A", Brightest()), Submission("B", Brightest()), Submission("A", Brightest(), "linear"),
         Submission("A", Says(straight)), Submission("A", Brightest()),
     ]  # fmt: skip
-    keys = [own_method.entries(asked, [submission])[0].key for submission in submissions]
+    keys = [own_method.entries(request, [submission])[0].key for submission in submissions]
     assert len(set(keys)) == 4
     assert keys[0] == keys[4]
 
@@ -256,11 +256,11 @@ def test_a_method_sees_the_pixels_that_our_networks_see(drawn):
 
 def test_nothing_but_images_is_handed_out(photographs, monkeypatch):
     monkeypatch.setattr(own_method, "BATCH", 16)
-    asked = of_cars(calibration=20)
+    request = of_cars(calibration=20)
     nearest = Nearest()
-    said = predictions(asked, Submission("Nearest", nearest, "none"))
+    said = predictions(request, Submission("Nearest", nearest, "none"))
     ((fitted, vectors),) = nearest.fits
-    store = held_store(asked)
+    store = held_store(request)
     assert len(fitted) == len(vectors) == 20
     # The same as predictions are aligned on, each with its own viewpoint.
     drawn = align(said, "none", 20).calibration
@@ -276,7 +276,7 @@ def test_nothing_but_images_is_handed_out(photographs, monkeypatch):
 
 
 def test_images_come_in_an_order_of_their_own_and_answers_find_their_places(photographs):
-    asked = of_cars()
+    request = of_cars()
     seen = []
 
     class Watching(Brightest):
@@ -284,8 +284,8 @@ def test_images_come_in_an_order_of_their_own_and_answers_find_their_places(phot
             seen.append(images.copy())
             return super().predict(images)
 
-    said = predictions(asked, Submission("Watching", Watching()))
-    store = held_store(asked)
+    said = predictions(request, Submission("Watching", Watching()))
+    store = held_store(request)
     val = store.images[store.split("val")][..., :3]
     assert not np.array_equal(seen[0], val)
     assert np.array_equal(np.sort(seen[0].sum((1, 2, 3))), np.sort(val.sum((1, 2, 3))))
@@ -294,17 +294,17 @@ def test_images_come_in_an_order_of_their_own_and_answers_find_their_places(phot
 
 
 def test_a_category_may_have_a_method_of_its_own_and_learns_by_itself(photographs):
-    asked = experiment("table3_pascal3d", profile="smoke", categories="car,chair")
+    request = experiment("table3_pascal3d", profile="smoke", categories="car,chair")
     nearest = Nearest()
-    said = predictions(asked, Submission("Nearest", nearest))
+    said = predictions(request, Submission("Nearest", nearest))
     assert len(nearest.fits) == 2
     assert not np.array_equal(nearest.fits[0][0], nearest.fits[1][0])
     assert said.ids["category"].unique().tolist() == ["car", "chair"]
     both = Submission("Both", {"car": Says(straight), "chair": Says(lambda n: -straight(n))})
-    vectors = predictions(asked, both)
+    vectors = predictions(request, both)
     assert (vectors.selected[:, 0] == np.where(vectors.ids["category"] == "car", 1, -1)).all()
     with pytest.raises(ViewnetError, match="method 'Half': there is none for chair, only for car"):
-        predictions(asked, Submission("Half", {"car": Says(straight)}))
+        predictions(request, Submission("Half", {"car": Says(straight)}))
 
 
 @pytest.mark.parametrize(
@@ -380,9 +380,9 @@ def test_a_second_collection_shares_no_model_with_the_first(tmp_path, monkeypatc
         return write_store(folder, [np.zeros((len(index), 8, 8, 4), np.uint8)], index, {})
 
     monkeypatch.setattr("viewnet.data.build.view_store", views)
-    asked = of_cars("table1_shapenet", eval_root=str(tmp_path))
+    request = of_cars("table1_shapenet", eval_root=str(tmp_path))
     with pytest.raises(ViewnetError, match="model 00000 is in the collection trained on as well"):
-        held_out(asked, "car")
+        held_out(request, "car")
 
 
 def test_angles_and_vectors_are_each_other_s_inverse():
@@ -397,15 +397,15 @@ def test_angles_and_vectors_are_each_other_s_inverse():
 class TestTheNotebook:
     @pytest.mark.slow
     def test_runs_are_those_of_its_tables_each_once(self, photographs, drawn):
-        asked = experiment("your_method", categories="car", seeds=2)
-        assert isinstance(asked, OwnMethodExperiment)
-        assert asked.profile == "smoke"
+        request = experiment("your_method", categories="car", seeds=2)
+        assert isinstance(request, OwnMethodExperiment)
+        assert request.profile == "smoke"
         names = ("table1_shapenet", "table3_pascal3d", "table5_dva")
         alone = {name: experiment(name, profile="smoke", categories="car", seeds=2) for name in names}
-        assert tuple(asked.tables) == names
-        assert {name: part.configs for name, part in asked.tables.items()} == {n: a.configs for n, a in alone.items()}
-        assert asked.configs == alone[names[0]].configs + alone[names[1]].configs
-        tables = asked.score(finished(asked), [Submission("Mine", Says(straight))])
+        assert tuple(request.tables) == names
+        assert {name: part.configs for name, part in request.tables.items()} == {n: a.configs for n, a in alone.items()}
+        assert request.configs == alone[names[0]].configs + alone[names[1]].configs
+        tables = request.score(finished(request), [Submission("Mine", Says(straight))])
         for name, table in tables.items():
             assert table.name == name and all(table.checks().values())
             assert table.rows[-1] == "Mine"
@@ -422,11 +422,11 @@ class TestTheNotebook:
         for place in ("cad", "photos"):
             (tmp_path / place).mkdir()
         cad, photos = str(tmp_path / "cad"), str(tmp_path / "photos")
-        asked = experiment("your_method", cad_root=cad, data_root=photos, calibration=16, backgrounds="drawn")
-        assert asked.tables["table1_shapenet"].configs[0].data.root == cad
-        on_photos = asked.tables["table3_pascal3d"]
+        request = experiment("your_method", cad_root=cad, data_root=photos, calibration=16, backgrounds="drawn")
+        assert request.tables["table1_shapenet"].configs[0].data.root == cad
+        on_photos = request.tables["table3_pascal3d"]
         assert (on_photos.configs[0].data.root, on_photos.photographs.root) == (cad, photos)
-        assert on_photos.calibration == asked.tables["table5_dva"].calibration == 16
+        assert on_photos.calibration == request.tables["table5_dva"].calibration == 16
 
     @pytest.mark.parametrize(
         "option", [{"recipe": "paper"}, {"splits": "x"}, {"eval_root": "x"}, {"variant": "viewnet"}]

@@ -15,14 +15,14 @@ def no_profile_from_outside(monkeypatch, tmp_path):
 
 
 def test_defaults_are_the_table_s(tmp_path):
-    asked = experiment("table2_ablation")
-    assert asked.profile == "tiny"
-    assert asked.categories == SHAPENET_CATEGORIES
-    assert asked.seeds == (0,)
-    assert asked.folder == tmp_path / "tables"
-    assert len(asked.configs) == 8 * 3
-    assert asked.configs[0].variant == "viewnet"
-    assert "profile tiny, recipe matting, 1 seed" in asked.note
+    request = experiment("table2_ablation")
+    assert request.profile == "tiny"
+    assert request.categories == SHAPENET_CATEGORIES
+    assert request.seeds == (0,)
+    assert request.folder == tmp_path / "tables"
+    assert len(request.configs) == 8 * 3
+    assert request.configs[0].variant == "viewnet"
+    assert "profile tiny, recipe matting, 1 seed" in request.note
 
 
 def test_the_environment_sets_the_default_profile_and_only_that(monkeypatch):
@@ -51,11 +51,11 @@ def test_seeds_as_count_or_list(given, seeds):
 
 
 def test_constants_are_run_once_a_category_however_many_seeds():
-    asked = experiment("table2_ablation", seeds=3, categories="car")
-    variants = [config.variant for config in asked.configs]
+    request = experiment("table2_ablation", seeds=3, categories="car")
+    variants = [config.variant for config in request.configs]
     assert variants.count("viewnet") == 3
     assert variants.count("constant") == variants.count("best_constant") == 1
-    assert "mean of 3 seeds" in asked.note
+    assert "mean of 3 seeds" in request.note
 
 
 def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
@@ -76,17 +76,17 @@ def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
 
 def test_a_figure_shows_the_variant_asked_for():
     assert experiment("figure3_azimuth").variants == ("viewnet",)
-    asked = experiment("figure3_azimuth", variant="viewnet_cycle")
-    assert asked.variants == ("viewnet_cycle",)
-    assert asked.folder.name == "tiny-viewnet_cycle"
+    request = experiment("figure3_azimuth", variant="viewnet_cycle")
+    assert request.variants == ("viewnet_cycle",)
+    assert request.folder.name == "tiny-viewnet_cycle"
 
 
 def test_evaluation_data_are_all_models_of_the_other_collection(tmp_path):
-    asked = experiment("table1_shapenet", eval_root=str(tmp_path))
-    data = asked.eval_data(asked.configs[0])
+    request = experiment("table1_shapenet", eval_root=str(tmp_path))
+    data = request.eval_data(request.configs[0])
     assert (data.root, data.models) == (str(tmp_path.resolve()), 0)
-    assert data.image_size == asked.configs[0].data.image_size
-    assert asked.configs[0].data.root is None
+    assert data.image_size == request.configs[0].data.image_size
+    assert request.configs[0].data.root is None
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_every_design_is_known():
 
 def test_a_list_of_viewpoints_has_a_folder_of_its_own_and_no_profile(tmp_path, monkeypatch):
     monkeypatch.delenv("VIEWNET_PROFILE", raising=False)
-    asked = experiment("audit_metrics", viewpoints=str(tmp_path / "list.csv"), output=str(tmp_path))
-    assert asked.viewpoints == tmp_path / "list.csv"
-    assert asked.folder == tmp_path / "viewpoints"
+    request = experiment("audit_metrics", viewpoints=str(tmp_path / "list.csv"), output=str(tmp_path))
+    assert request.viewpoints == tmp_path / "list.csv"
+    assert request.folder == tmp_path / "viewpoints"
     assert experiment("audit_metrics", output=str(tmp_path)).folder == tmp_path

@@ -39,16 +39,16 @@ def fakes(tmp_path, monkeypatch):
 
 
 def test_defaults_start_on_models_and_go_on_to_ten_frames_a_video_with_either_masks():
-    asked = experiment("objectron")
-    assert isinstance(asked, ObjectronExperiment)
-    assert (asked.profile, asked.recipe, asked.label, asked.categories) == ("tiny", "photos", "", ("chair",))
-    begun, supervised, weak = asked.configs
+    request = experiment("objectron")
+    assert isinstance(request, ObjectronExperiment)
+    assert (request.profile, request.recipe, request.label, request.categories) == ("tiny", "photos", "", ("chair",))
+    begun, supervised, weak = request.configs
     assert begun.data.video is None and begun.train.start is None and begun.train.search.share > 0
     video = VideoConfig("chair", kind="objectron", count=10, videos=160, frames=30)
     assert (supervised.data.video, supervised.train.search.share) == (video, 0)
     assert weak.data.video.mask_folder == "masks_weak" and weak.model == supervised.model == begun.model
-    assert asked.photo_config("chair") == PhotoConfig("chair", size=32, square=False)
-    assert asked.note.startswith(
+    assert request.photo_config("chair") == PhotoConfig("chair", size=32, square=False)
+    assert request.note.startswith(
         "a stand-in for photographs; trained on built-in models, then on a stand-in for Objectron, profile tiny"
     )
 
@@ -94,10 +94,10 @@ def test_bad_parameters_are_named(option, message):
 
 @pytest.mark.slow
 def test_every_training_has_its_row_beside_what_is_printed(fakes, folders, tmp_path):
-    asked = experiment("objectron", profile="smoke", seeds=2, workers=1)
-    runs = asked.run(progress=False)
-    assert len(runs) == len(asked.configs) == len(calls(folders)) == 6
-    table = asked.table(runs)
+    request = experiment("objectron", profile="smoke", seeds=2, workers=1)
+    runs = request.run(progress=False)
+    assert len(runs) == len(request.configs) == len(calls(folders)) == 6
+    table = request.table(runs)
     assert all(table.checks().values()), table.checks()
     assert table.rows == (ROWS[0], *ALIGNED[ROWS[1]], *ALIGNED[ROWS[2]], *ALIGNED[ROWS[3]])
     assert [table.cell(row, "chair", "acc30")["printed"] for row in ROWS] == ["", "83", "91", "89"]
@@ -115,8 +115,8 @@ def test_every_training_has_its_row_beside_what_is_printed(fakes, folders, tmp_p
 def test_without_weak_masks_their_row_is_left_as_printed(fakes, tmp_path):
     root = tmp_path / "objectron"
     root.mkdir()
-    asked = experiment("objectron", profile="smoke", video_root=str(root), workers=1)
-    table = asked.table(asked.run(progress=False))
+    request = experiment("objectron", profile="smoke", video_root=str(root), workers=1)
+    table = request.table(request.run(progress=False))
     assert all(table.checks().values()), table.checks()
     cell = table.cell(ROWS[3], "chair", "acc30")
     assert (cell["printed"], cell["seeds"]) == ("89", 0)

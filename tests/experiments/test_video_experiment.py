@@ -51,15 +51,15 @@ def fakes(tmp_path, monkeypatch):
 
 
 def test_defaults_train_on_every_frame_of_a_stand_in_without_labels():
-    asked = experiment("table4_freiburg")
-    assert isinstance(asked, VideoExperiment)
-    assert (asked.profile, asked.recipe, asked.label, asked.categories) == ("tiny", "photos", "", ("car",))
-    assert [config.variant for config in asked.configs] == ["viewnet", "viewnet_cycle"]
-    for config in asked.configs:
+    request = experiment("table4_freiburg")
+    assert isinstance(request, VideoExperiment)
+    assert (request.profile, request.recipe, request.label, request.categories) == ("tiny", "photos", "", ("car",))
+    assert [config.variant for config in request.configs] == ["viewnet", "viewnet_cycle"]
+    for config in request.configs:
         assert config.data.video == VideoConfig("car", kind="freiburg", split_rule="all")
         assert (config.data.backgrounds, config.train.start) == ("drawn", None)
-    assert asked.photo_config("car") == PhotoConfig("car", size=32, square=False)
-    assert asked.note.startswith("a stand-in for photographs; trained on a stand-in for Freiburg cars, profile tiny")
+    assert request.photo_config("car") == PhotoConfig("car", size=32, square=False)
+    assert request.note.startswith("a stand-in for photographs; trained on a stand-in for Freiburg cars, profile tiny")
     paper = experiment("table4_freiburg", profile="paper")
     assert {config.train.select_by for config in paper.configs} == {"reconstruction"}
     held_out = experiment("table4_freiburg", profile="paper", split_rule="45/2/rest")
@@ -69,20 +69,20 @@ def test_defaults_train_on_every_frame_of_a_stand_in_without_labels():
 
 
 def test_parameters_reach_videos_photographs_and_training(tmp_path, freiburg):
-    asked = experiment(
+    request = experiment(
         "table4_freiburg", video_root=freiburg, data_root=freiburg, cad_root=freiburg, start="shapenet",
         masks="maskrcnn", split_rule="45/2/rest", backgrounds=freiburg, backbone="pixels", seeds=2,
     )  # fmt: skip
-    video = asked.configs[0].data.video
+    video = request.configs[0].data.video
     assert (video.root, video.masks, video.split_rule) == (freiburg, "maskrcnn", "45/2/rest")
-    assert asked.photo_config("car").root == freiburg
-    assert asked.configs[0].data.backgrounds == freiburg
-    assert [config.seed for config in asked.starts] == [0, 1]
-    first, second = asked.starts[0], asked.configs[0]
+    assert request.photo_config("car").root == freiburg
+    assert request.configs[0].data.backgrounds == freiburg
+    assert [config.seed for config in request.starts] == [0, 1]
+    first, second = request.starts[0], request.configs[0]
     assert (first.data.root, first.data.video, first.model) == (freiburg, None, second.model)
     assert first.train.search.share > 0 == second.train.search.share
-    assert asked.label == "tiny-video_root-data_root-cad_root-held_out-maskrcnn-shapenet-backgrounds-pixels"
-    assert "trained on Freiburg cars after CAD models" in asked.note
+    assert request.label == "tiny-video_root-data_root-cad_root-held_out-maskrcnn-shapenet-backgrounds-pixels"
+    assert "trained on Freiburg cars after CAD models" in request.note
 
 
 def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path, freiburg):
@@ -120,9 +120,9 @@ def test_bad_parameters_are_named(option, message):
 
 @pytest.mark.slow
 def test_the_table_scores_photographs_beside_what_is_printed(fakes, freiburg, tmp_path):
-    asked = experiment("table4_freiburg", profile="smoke", video_root=freiburg, workers=1)
-    runs = asked.run(progress=False)
-    table = asked.table(runs)
+    request = experiment("table4_freiburg", profile="smoke", video_root=freiburg, workers=1)
+    runs = request.run(progress=False)
+    table = request.table(runs)
     assert all(table.checks().values()), table.checks()
     assert table.rows == (
         "Constant", "VGG view (pixels)", "VGG view, videos (pixels)", "VpDR-Net + FrC", "ViewNet", "ViewNet + cycle"
@@ -130,22 +130,22 @@ def test_the_table_scores_photographs_beside_what_is_printed(fakes, freiburg, tm
     printed = {row: table.cell(row, "car", "acc30")["printed"] for row in table.rows}
     assert list(printed.values()) == ["", "56", "", "50", "61", "59"]
     assert table.cell("VpDR-Net + FrC", "car", "median")["seeds"] == 0
-    store = asked.stores()["car"]
+    store = request.stores()["car"]
     errors = align(on_photographs(runs[0], store), "procrustes").selected_errors
     assert table.cell("ViewNet", "car", "median")["measured"] == pytest.approx(np.median(errors))
     regression = table.provenance[table.cell("VGG view, videos (pixels)", "car", "acc30")["runs"]]
     assert (regression["alignment"], regression["backbone"]) == ("procrustes", "pixels")
-    assert regression["videos"] == video_views(asked.regressed, 1, False).identity
+    assert regression["videos"] == video_views(request.regressed, 1, False).identity
     assert table.provenance[table.cell("VGG view (pixels)", "car", "acc30")["runs"]]["alignment"] == "none"
     assert any("car: 18 views of 3 clips (3 train)" in line and "masks: files" in line for line in table.remarks)
     assert all(line in table.write(tmp_path / "out")[0].read_text() for line in ("VpDR-Net", "80 photographs"))
 
 
 def test_the_video_regression_is_fitted_on_training_frames_only(fakes, freiburg):
-    asked = experiment("table4_freiburg", profile="smoke", video_root=freiburg, workers=1)
-    assert asked.regressed.masks == "none" and asked.regressed.square is False
-    store = asked.stores()["car"]
-    said, _ = asked.fitted("video_regression", store)
+    request = experiment("table4_freiburg", profile="smoke", video_root=freiburg, workers=1)
+    assert request.regressed.masks == "none" and request.regressed.square is False
+    store = request.stores()["car"]
+    said, _ = request.fitted("video_regression", store)
     assert len(said.subset("val")) == len(said.subset("test")) == 40
     # Cars on level ground, and azimuths of 0 to 50 degrees only.
     assert np.allclose(said.hypotheses[..., 2], 0)
@@ -157,9 +157,9 @@ def test_the_video_regression_is_fitted_on_training_frames_only(fakes, freiburg)
 @pytest.mark.slow
 def test_what_starts_from_cad_models_trains_those_once_and_first(fakes, freiburg, folders, monkeypatch):
     monkeypatch.setattr("viewnet.model.checkpoint.identity", lambda start: Path(start).name)
-    asked = experiment("table4_freiburg", profile="smoke", video_root=freiburg, start="shapenet", seeds=2, workers=1)
-    runs = asked.run(progress=False)
-    assert len(runs) == len(asked.configs) == 4
+    request = experiment("table4_freiburg", profile="smoke", video_root=freiburg, start="shapenet", seeds=2, workers=1)
+    runs = request.run(progress=False)
+    assert len(runs) == len(request.configs) == 4
     assert [run.config.variant for run in runs] == ["viewnet"] * 2 + ["viewnet_cycle"] * 2
     starts = [Path(run.config.train.start) for run in runs]
     assert starts[:2] == starts[2:] and len(set(starts)) == 2
@@ -167,4 +167,4 @@ def test_what_starts_from_cad_models_trains_those_once_and_first(fakes, freiburg
     for run, begun in zip(runs, starts, strict=True):
         assert (begun / "checkpoint.safetensors").is_file() and begun != run.folder
         assert run.config.data.video is not None
-    assert asked.run(progress=False) == runs and len(calls(folders)) == 6
+    assert request.run(progress=False) == runs and len(calls(folders)) == 6

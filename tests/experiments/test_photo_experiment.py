@@ -27,10 +27,10 @@ def folders(tmp_path, monkeypatch):
 @pytest.fixture
 def photographs(tmp_path, monkeypatch):
     """Fake photographs, by their configurations."""
-    asked: list[PhotoConfig] = []
+    configs: list[PhotoConfig] = []
 
     def views(config, workers=None, progress=True):
-        asked.append(config)
+        configs.append(config)
         folder = tmp_path / "photos" / config.category
         if folder.exists():
             return photo_store(folder)
@@ -43,11 +43,11 @@ def photographs(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "viewnet.data.photo_store.summary", lambda store: f"{len(store)} used, {len(store.rejected)} left out"
     )
-    return asked
+    return configs
 
 
-def run(asked: PhotoExperiment):
-    return ensure(asked.configs, workers=1, progress=False, steps=STEPS)
+def run(request: PhotoExperiment):
+    return ensure(request.configs, workers=1, progress=False, steps=STEPS)
 
 
 @pytest.fixture
@@ -56,18 +56,20 @@ def steps(monkeypatch):
 
 
 def test_defaults_train_over_backgrounds_and_make_a_stand_in(folders):
-    asked = experiment("table3_pascal3d")
-    assert isinstance(asked, PhotoExperiment)
-    assert asked.categories == SHAPENET_CATEGORIES
-    assert (asked.profile, asked.recipe, asked.label) == ("tiny", "photos", "")
-    assert [(c.variant, c.category) for c in asked.configs] == [
+    request = experiment("table3_pascal3d")
+    assert isinstance(request, PhotoExperiment)
+    assert request.categories == SHAPENET_CATEGORIES
+    assert (request.profile, request.recipe, request.label) == ("tiny", "photos", "")
+    assert [(c.variant, c.category) for c in request.configs] == [
         (variant, category) for variant in ("viewnet", "viewnet_cycle") for category in SHAPENET_CATEGORIES
     ]
-    assert all(c.data.backgrounds == "drawn" and c.data.root is None for c in asked.configs)
-    assert asked.photo_config("chair") == PhotoConfig("chair", size=32, square=False)
-    assert asked.note.startswith("a stand-in for photographs; trained on built-in models, profile tiny, recipe photos")
-    assert experiment("table5_dva").configs == asked.configs
-    assert experiment("alignment_study").configs == asked.configs
+    assert all(c.data.backgrounds == "drawn" and c.data.root is None for c in request.configs)
+    assert request.photo_config("chair") == PhotoConfig("chair", size=32, square=False)
+    assert request.note.startswith(
+        "a stand-in for photographs; trained on built-in models, profile tiny, recipe photos"
+    )
+    assert experiment("table5_dva").configs == request.configs
+    assert experiment("alignment_study").configs == request.configs
     assert experiment("table3_pascal3d", categories="everything").categories == CATEGORIES
     assert experiment("table3_pascal3d", profile="smoke").photo_config("car").count < 100
 
@@ -76,21 +78,21 @@ def test_parameters_reach_the_photographs_and_the_training(tmp_path):
     (tmp_path / "pascal" / "Annotations").mkdir(parents=True)
     (tmp_path / "cad").mkdir()
     places = {name: str(tmp_path / name) for name in ("pascal", "cad")}
-    asked = experiment(
+    request = experiment(
         "table3_pascal3d", data_root=places["pascal"], cad_root=places["cad"], extra_cad=places["pascal"],
         backgrounds=places["cad"], subset="pascal", keep="easy", margin="0.1", ridge="50", calibration=64,
         backbone="pixels", categories="car", seeds=2,
     )  # fmt: skip
-    photos = asked.photo_config("car")
+    photos = request.photo_config("car")
     assert (photos.root, photos.subset, photos.keep, photos.margin) == (places["pascal"], "pascal", "easy", 0.1)
-    data = asked.configs[0].data
+    data = request.configs[0].data
     assert (data.root, data.extra, data.backgrounds) == (places["cad"], places["pascal"], places["cad"])
-    assert (asked.ridge, asked.calibration) == (50, 64)
-    assert [c.seed for c in asked.configs] == [0, 1, 0, 1]
-    assert asked.label == (
+    assert (request.ridge, request.calibration) == (50, 64)
+    assert [c.seed for c in request.configs] == [0, 1, 0, 1]
+    assert request.label == (
         "tiny-car-data_root-cad_root-extra_cad-backgrounds-pascal-easy-margin0.1-pixels-ridge50-calibration64"
     )
-    assert asked.note.startswith("PASCAL3D+ (pascal); trained on a CAD collection and a second one")
+    assert request.note.startswith("PASCAL3D+ (pascal); trained on a CAD collection and a second one")
 
 
 def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
@@ -138,9 +140,9 @@ def test_other_notebooks_take_nothing_of_photographs():
 
 @pytest.mark.slow
 def test_predictions_of_photographs_are_kept_with_the_run(photographs, tmp_path):
-    asked = experiment("table3_pascal3d", profile="smoke", categories="car")
-    first, *_ = run(asked)
-    store = asked.stores()["car"]
+    request = experiment("table3_pascal3d", profile="smoke", categories="car")
+    first, *_ = run(request)
+    store = request.stores()["car"]
     said = on_photographs(first, store, STEPS)
     assert len(said.subset("val")) == len(said.subset("test")) == 40
     (kept,) = first.folder.glob("predictions-*.parquet")
@@ -156,9 +158,9 @@ def test_predictions_of_photographs_are_kept_with_the_run(photographs, tmp_path)
 
 @pytest.mark.slow
 def test_predictions_of_other_code_or_weights_are_made_anew(photographs, monkeypatch):
-    asked = experiment("table3_pascal3d", profile="smoke", categories="car")
-    first, *_ = run(asked)
-    store = asked.stores()["car"]
+    request = experiment("table3_pascal3d", profile="smoke", categories="car")
+    first, *_ = run(request)
+    store = request.stores()["car"]
     on_photographs(first, store, STEPS)
     calls = []
     counting = STEPS.__class__(
@@ -183,22 +185,22 @@ def test_predictions_of_other_code_or_weights_are_made_anew(photographs, monkeyp
 def test_only_what_was_trained_looks_at_photographs(photographs):
     from viewnet.training.run_store import untrained
 
-    asked = experiment("table3_pascal3d", profile="smoke", categories="car")
-    (constant,) = ensure([untrained("constant", asked.configs[0])], progress=False, steps=STEPS)
+    request = experiment("table3_pascal3d", profile="smoke", categories="car")
+    (constant,) = ensure([untrained("constant", request.configs[0])], progress=False, steps=STEPS)
     with pytest.raises(ViewnetError, match=r"constant car .* has no network to look at photographs"):
-        on_photographs(constant, asked.stores()["car"], STEPS)
+        on_photographs(constant, request.stores()["car"], STEPS)
 
 
 @pytest.mark.slow
 def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path):
-    asked = experiment("table3_pascal3d", profile="smoke", categories="car,chair", calibration=30)
-    runs = run(asked)
-    table = asked.table(runs)
+    request = experiment("table3_pascal3d", profile="smoke", categories="car,chair", calibration=30)
+    runs = run(request)
+    table = request.table(runs)
     assert all(table.checks().values()), table.checks()
     rows = [row for row, variant in LAYOUTS["table3_pascal3d"].rows if variant]
     measured = table.cells[table.cells["seeds"] > 0]
     assert set(measured["row"]) == {*rows, "VGG view* (pixels)"} - {"VGG view*"}
-    store = asked.stores()["car"]
+    store = request.stores()["car"]
     car = next(r for r in runs if (r.config.variant, r.config.category) == ("viewnet", "car"))
     said = on_photographs(car, store)
     for row, kind in (("ViewNet", "procrustes"), ("ViewNet*", "linear")):
@@ -222,19 +224,19 @@ def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path
 
 @pytest.mark.slow
 def test_the_dva_table_tells_the_confidence_index_of_the_photographs(photographs, steps):
-    asked = experiment("table5_dva", profile="smoke", categories="car")
-    table = asked.table(run(asked))
+    request = experiment("table5_dva", profile="smoke", categories="car")
+    table = request.table(run(request))
     assert all(table.checks().values()), table.checks()
     from viewnet.evaluation.metrics import confidence_index, dva
 
-    store = asked.stores()["car"]
+    store = request.stores()["car"]
     test = store.index[store.index["split"] == "test"]
     cell = table.cell("Confidence index", "car", "confidence_index")
     assert cell["measured"] == confidence_index(test["azimuth"].to_numpy())
     assert cell["printed"] == "1"
     frame = table.frame()
     assert frame.loc["Confidence index", ("dva", "car", "ours")] == f"{cell['measured']:.2f}"
-    found = align(on_photographs(run(asked)[0], store), "linear")
+    found = align(on_photographs(run(request)[0], store), "linear")
     expected = dva(found.selected_errors, test["azimuth"].to_numpy())
     assert table.cell("ViewNet*", "car", "dva")["measured"] == pytest.approx(expected)
     assert table.cell("ViewNet*", "car", "dva")["low"] < expected < table.cell("ViewNet*", "car", "dva")["high"]
@@ -243,12 +245,12 @@ def test_the_dva_table_tells_the_confidence_index_of_the_photographs(photographs
 
 
 def test_baselines_are_fitted_on_as_many_photographs_as_are_asked_for(photographs):
-    asked = experiment("table3_pascal3d", profile="smoke", categories="car", calibration=16)
-    store = asked.stores()["car"]
+    request = experiment("table3_pascal3d", profile="smoke", categories="car", calibration=16)
+    store = request.stores()["car"]
     for variant in ("constant", "constant_rotation", "view_regression"):
-        said, _ = asked.fitted(variant, store, 16)
+        said, _ = request.fitted(variant, store, 16)
         assert len(said.subset("val")) == 16
-        everything, _ = asked.fitted(variant, store)
+        everything, _ = request.fitted(variant, store)
         assert not np.allclose(said.subset("test").selected, everything.subset("test").selected)
 
 
