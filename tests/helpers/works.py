@@ -28,7 +28,7 @@ GROWING = {"log.csv", "result.json"}
 
 DRAWING = """
 from viewnet.recipes import make_config
-from viewnet.data.prepare import view_store
+from viewnet.data.build import view_store
 view_store(make_config(category="car", profile="smoke", models={models}, image_size=64).data, {workers}, False)
 """
 
