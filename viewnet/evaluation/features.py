@@ -7,6 +7,7 @@ no weights. "auto" is the first of AUTO whose weights are there.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -64,7 +65,7 @@ def extract(store: ViewStore, backbone: str = "auto", size: int = SIZE) -> Featu
         if cached.shape[:-1] != (len(store),) or cached.dtype != np.float32 or not np.isfinite(cached).all():
             raise ViewnetError(f"{path}: {cached.dtype} {cached.shape} for {len(store)} images: {again}")
         return cached
-    compute = pixel_features if backbone == "pixels" else _Network(backbone)
+    compute = pixel_features if backbone == "pixels" else _network_features(backbone)
     parts = np.array_split(np.arange(len(store)), max(1, -(-len(store) // BATCH)))
     features = np.concatenate([compute(images(store, part, size)) for part in parts])
     with replacing(path) as temporary:
@@ -81,21 +82,20 @@ def images(store: ViewStore, rows: NDArray[np.intp], size: int) -> Tensor:
     return F.interpolate(rgb, (size, size), mode="bilinear", antialias=True).clamp_(0, 1)
 
 
-class _Network:
-    """Flattened convolutional features of images."""
-
-    def __init__(self, backbone: str):
-        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        self.layers = torchvision_weights.convolutions(backbone, otherwise=ALTERNATIVE).to(self.device)
-        self.mean, self.std = (
-            torch.tensor(values, device=self.device).view(1, 3, 1, 1)
-            for values in (torchvision_weights.IMAGENET_MEAN, torchvision_weights.IMAGENET_STD)
-        )
+def _network_features(backbone: str) -> Callable[[Tensor], Features]:
+    """A function from images (n, 3, S, S) to flattened convolutional features (n, D)."""
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    layers = torchvision_weights.convolutions(backbone, otherwise=ALTERNATIVE).to(device)
+    mean, std = (
+        torch.tensor(values, device=device).view(1, 3, 1, 1)
+        for values in (torchvision_weights.IMAGENET_MEAN, torchvision_weights.IMAGENET_STD)
+    )
 
     @torch.no_grad()
-    def __call__(self, rgb: Tensor) -> Features:
-        x = (rgb.to(self.device) - self.mean) / self.std
-        return self.layers(x).flatten(1).float().cpu().numpy()
+    def compute(rgb: Tensor) -> Features:
+        return layers((rgb.to(device) - mean) / std).flatten(1).float().cpu().numpy()
+
+    return compute
 
 
 def pixel_features(rgb: Tensor) -> Features:

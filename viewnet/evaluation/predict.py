@@ -1,17 +1,17 @@
-"""From a checkpoint to predictions: one row an image."""
+"""From a checkpoint to predictions: a row for each image."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import torch
-from torch import Tensor
 
 from viewnet.data import augment
 from viewnet.data.pairs import model_views
 from viewnet.data.store import ViewStore
-from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.predictions import ID_COLUMNS, Predictions
 from viewnet.model.checkpoint import load_model
 from viewnet.model.viewnet import ViewNet
 
@@ -20,34 +20,28 @@ BATCH = 256
 
 @torch.no_grad()
 def predict(model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = ("val", "test")) -> Predictions:
-    """Viewpoint hypotheses for every view of the given splits, in the store's order.
+    """Viewpoint hypotheses for every view of the given splits, in the store's order, by a network or a run's folder.
 
-    A run that was trained before backgrounds is shown views as in training, the same each time; photographs have their
-    own background and are shown as they are. Raises ViewnetError where views have no annotated viewpoint.
+    Views for a run trained with backgrounds get backgrounds as in training, the same each time; photographs, which have
+    their own, are not changed. Raises ViewnetError where views have no annotated viewpoint.
     """
     store.require_viewpoints(splits, "what cannot be scored is not predicted: use an annotated store")
     network, config = load_model(model) if isinstance(model, Path) else (model.eval(), None)
     device, size = network.focal.device, network.config.input_size
     backgrounds = augment.load(config.data, size, device) if config else None
-    rows, vectors, logits, ups = [], [], [], []
+    rows, batches = [], []
     for split in splits:
         views = model_views(store, split, size, network.config)
         rows.append(store.index[store.index["split"] == split])
         generator = torch.Generator().manual_seed(0)
         for part in torch.arange(len(views.objects)).split(BATCH):
-            images = views.viewpoint_input(part, size, device)
+            images = views.viewpoint_input(part, size, device)  # (n, 4, S, S)
             if config and backgrounds is not None and not views.opaque:
                 images = augment.photograph(images, backgrounds, config.train.photo, generator)
-            found = network.viewpoint(network.composite(images))
-            vectors.append(_array(found.vectors))
-            logits.append(_array(found.logits))
-            if found.ups is not None:
-                ups.append(_array(found.ups))
-    import pandas as pd
-
-    ids = pd.concat(rows, ignore_index=True)[["model_id", "category", "split", "view", "azimuth", "elevation"]]
-    return Predictions(ids, np.concatenate(vectors), np.concatenate(logits), np.concatenate(ups) if ups else None)
-
-
-def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.double().cpu().numpy()
+            batches.append(network.viewpoint(network.composite(images)))
+    vectors, logits, ups = (
+        np.concatenate([value.double().cpu().numpy() for value in values]) if values[0] is not None else None
+        for values in zip(*((batch.vectors, batch.logits, batch.ups) for batch in batches), strict=True)
+    )
+    assert vectors is not None and logits is not None
+    return Predictions(pd.concat(rows, ignore_index=True)[list(ID_COLUMNS)], vectors, logits, ups)

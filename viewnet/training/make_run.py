@@ -30,10 +30,7 @@ STATE = "state.pt"
 """What an interrupted training resumes from (viewnet.training.train); removed when training has ended."""
 PREDICTING = ("evaluation/predict.py", "evaluation/predictions.py")
 EVALUATING = (
-    "evaluation/alignment.py",
-    "evaluation/evaluate.py",
-    "evaluation/metrics.py",
-    "evaluation/predictions.py",
+    *(f"evaluation/{module}.py" for module in ("alignment", "evaluate", "metrics", "predictions")),
     "geometry.py",
 )
 """A change in the statements of these modules repeats predictions and metrics of finished runs, not their training."""
@@ -139,11 +136,7 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
         result = {
             "schema": SCHEMA,
             "key": folder.name,
-            "variant": config.variant,
-            "category": config.category,
-            "profile": config.profile,
-            "recipe": config.recipe,
-            "seed": config.seed,
+            **{name: getattr(config, name) for name in ("variant", "category", "profile", "recipe", "seed")},
             "views": views.identity,
             "metrics": metrics,
             "code": code_identities(),
@@ -165,10 +158,7 @@ def is_complete(folder: Path) -> bool:
 
 def code_identities() -> dict[str, str]:
     """The identities of the code that predicts and of the code that evaluates, as result.json has them."""
-    return {
-        "predicting": provenance.code_identity(PREDICTING),
-        "evaluating": provenance.code_identity(EVALUATING),
-    }
+    return {"predicting": provenance.code_identity(PREDICTING), "evaluating": provenance.code_identity(EVALUATING)}
 
 
 def _train(

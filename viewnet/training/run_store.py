@@ -33,43 +33,24 @@ from viewnet.training import dask_cluster, make_run
 from viewnet.training.make_run import Job, Steps
 from viewnet.training.worker_pool import make_together, run_all
 
+# fmt: off
 TRAINING = (
-    "model/kernels/bfloat16_numba.py",
-    "model/kernels/norm_relu_cpu.py",
-    "model/kernels/norm_relu_numba.py",
-    "model/kernels/numba_call.py",
-    "model/kernels/trilinear_llvm.py",
-    "model/kernels/volume_cpu.py",
-    "model/kernels/volume_gpu.py",
-    "model/kernels/volume_numba.py",
-    "model/kernels/volume_triton.py",
-    "model/checkpoint.py",
-    "model/losses.py",
-    "model/networks.py",
-    "model/precision.py",
-    "model/reconstruction.py",
-    "model/viewnet.py",
-    "model/volume.py",
-    "training/history.py",
-    "training/muon.py",
-    "training/optimisers.py",
-    "training/pose_search.py",
-    "training/step.py",
-    "training/train.py",
-    "training/validation.py",
-    "data/augment.py",
-    "data/pairs.py",
-    "evaluation/alignment.py",
-    "runtime/distributed.py",
-    "runtime/random.py",
-    "runtime/torchvision_weights.py",
-    "geometry.py",
+    "geometry.py", "data/augment.py", "data/pairs.py", "evaluation/alignment.py",
+    "runtime/distributed.py", "runtime/random.py", "runtime/torchvision_weights.py",
+    "model/checkpoint.py", "model/losses.py", "model/networks.py", "model/precision.py", "model/reconstruction.py",
+    "model/viewnet.py", "model/volume.py",
+    "model/kernels/bfloat16_numba.py", "model/kernels/norm_relu_cpu.py", "model/kernels/norm_relu_numba.py",
+    "model/kernels/numba_call.py", "model/kernels/trilinear_llvm.py", "model/kernels/volume_cpu.py",
+    "model/kernels/volume_gpu.py", "model/kernels/volume_numba.py", "model/kernels/volume_triton.py",
+    "training/history.py", "training/muon.py", "training/optimisers.py", "training/pose_search.py",
+    "training/step.py", "training/train.py", "training/validation.py",
 )
+# fmt: on
 """The code that decides a training, part of every key.
 
 The key has the modules' statements and not their paths, comments, imports or order (provenance.code_identity): moving
-or documenting them keeps finished runs valid. A module that training starts to use must be added here, or a change in it
-would go unnoticed; a test compares this list with what viewnet.training.train imports.
+or documenting them keeps finished runs valid. A module that training starts to use must be added here, or a change in
+it would go unnoticed; a test compares this list with what viewnet.training.train imports.
 """
 UNTRAINED_CODE = ("evaluation/baselines.py", "geometry.py")
 """The same of predictors that need no training."""
@@ -119,11 +100,8 @@ def ensure(
         raise ViewnetError(f"workers {workers}: expected 1 or more")
     steps = steps or make_run.default_steps()
     distributed.start()
-    with (
-        contextlib.nullcontext(executor)
-        if executor or not dask_cluster.named()
-        else dask_cluster.executor() as executor
-    ):
+    cluster = dask_cluster.executor() if not executor and dask_cluster.named() else contextlib.nullcontext(executor)
+    with cluster as executor:
         if executor is not None and distributed.size() > 1:
             raise ViewnetError("torchrun and a cluster at once: take torchrun for one run, a cluster for many")
         folders, jobs = distributed.first(lambda: _plan(configs, workers, progress, steps, executor))
@@ -148,7 +126,7 @@ def _plan(
     # The longest first and the shortest last, so that no core waits long at the end.
     missing.sort(key=lambda c: (c.model.decoder != "hologan", not c.train.cycle.on, c.model.heads == 1))
     # Absolute, since another machine's process has another working directory.
-    jobs = [Job(_absolute_start(c), folders[c].absolute(), Path(stores[c.data].folder).absolute()) for c in missing]
+    jobs = [Job(_absolute(c), folders[c].absolute(), Path(stores[c.data].folder).absolute()) for c in missing]
     return folders, jobs
 
 
@@ -162,8 +140,7 @@ def _backgrounds_identity(config: RunConfig, progress: bool) -> str:
     return "" if backgrounds is None else backgrounds.identity
 
 
-def _absolute_start(config: RunConfig) -> RunConfig:
+def _absolute(config: RunConfig) -> RunConfig:
     """The same with the full path of the checkpoint it starts from."""
-    if config.train.start is None:
-        return config
-    return replace(config, train=replace(config.train, start=str(checkpoint.locate(config.train.start))))
+    start = config.train.start and str(checkpoint.locate(config.train.start))
+    return replace(config, train=replace(config.train, start=start))

@@ -11,15 +11,8 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
-    wait,
-)
+from concurrent import futures
+from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import replace
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, TypeVar
@@ -39,11 +32,7 @@ TRIES = 3
 
 
 def run_all(
-    jobs: Sequence[Job],
-    steps: Steps,
-    workers: int | None,
-    progress: bool,
-    executor: Executor | None = None,
+    jobs: Sequence[Job], steps: Steps, workers: int | None, progress: bool, executor: Executor | None = None
 ) -> list[str]:
     """Make every job; the messages of those that failed, in the order of the jobs.
 
@@ -94,7 +83,7 @@ def _collect(
     bar = progress_bar(progress, total=len(jobs), unit="run")
     try:
         while pending:
-            for future in wait(pending, POLL, FIRST_COMPLETED).done:
+            for future in futures.wait(pending, POLL, futures.FIRST_COMPLETED).done:
                 number = pending.pop(future)
                 failure = _failure(future, jobs[number])
                 if isinstance(failure, BrokenExecutor) and attempts[number] < tries:
@@ -156,7 +145,7 @@ class WorkerDied(BrokenExecutor):
     """A worker process ended in the middle of a job."""
 
 
-class LocalPool(ThreadPoolExecutor):
+class LocalPool(futures.ThreadPoolExecutor):
     """Spawned processes of this machine, each with `threads` threads and, where there are GPUs, one of them in turn.
 
     `workers`: as many as there are GPUs, or cores without any. A process that dies fails its job with WorkerDied and is
@@ -204,19 +193,18 @@ class _Worker:
     def __init__(self, gpu: str | None):
         self._gpu = gpu
         self._context = _Context()
-        self._executor: ProcessPoolExecutor | None = None
+        self._executor: futures.ProcessPoolExecutor | None = None
 
     def call(self, fn: Callable[..., T], args: tuple[Any, ...], kwargs: dict[str, Any]) -> T:
         """The result of a function in the process. WorkerDied where the process ends before it returns."""
         if self._executor is None:
-            self._executor = ProcessPoolExecutor(1, self._context, _initialise, (self._gpu,))
+            self._executor = futures.ProcessPoolExecutor(1, self._context, _initialise, (self._gpu,))
         try:
             return self._executor.submit(fn, *args, **kwargs).result()
         except BrokenExecutor:
             self.close()
-            process = self._context.process
-            code = process.exitcode if process is not None else None
-            ending = f"signal {-code}" if isinstance(code, int) and code < 0 else f"exit code {code}"
+            code = self._context.process.exitcode if self._context.process else None
+            ending = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
             raise WorkerDied(f"its process was ended ({ending})") from None
 
     def close(self) -> None:
@@ -227,7 +215,7 @@ class _Worker:
 
     def terminate(self) -> None:
         """End the process at once."""
-        if self._context.process is not None:
+        if self._context.process:
             self._context.process.terminate()
 
 
