@@ -47,7 +47,7 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
         "## Scores",
         "",
         *_scores(scores),
-        *[line for found in about.get("scores") or [] for line in _elsewhere(found)],
+        *[line for scores in about.get("scores") or [] for line in _elsewhere(scores)],
         "",
         "## Usage",
         "",
@@ -70,30 +70,29 @@ def _result(config: RunConfig, scores: dict[str, Any]) -> dict[str, Any]:
     return {
         "task": {"type": "viewpoint-estimation", "name": "Viewpoint estimation"},
         "dataset": {"type": "views", "name": f"test views of {_data(config.data)}"},
-        "metrics": [{"type": key, "name": told, "value": scores[key]} for key, told in METRICS.items()],
+        "metrics": [{"type": key, "name": name, "value": scores[key]} for key, name in METRICS.items()],
     }
 
 
 def selected(scores: dict[str, Any], key: Any) -> dict[str, Any]:
-    """Of viewnet.experiments.score_model.scores what goes along with a model of the run `key`.
+    """The part of viewnet.experiments.score_model.scores that is saved with a model of the run `key`.
 
     ViewnetError for anything else, and for scores of another run.
     """
-    unlike = ViewnetError("scores: expected what viewnet evaluate --json says of a model")
     try:
-        whose, on = scores["key"], str(scores["on"])
+        run, on = scores["key"], str(scores["on"])
         alignments = {
-            str(kind): {name: found[name] for name in ("images", "objects", *METRICS, "flips", "intervals")}
-            | {"oracle": {"acc30": found["oracle"]["acc30"]}}
-            | {"alignment": {name: found["alignment"][name] for name in ("kind", "images", "objects")}}
-            for kind, found in scores["alignments"].items()
+            str(kind): {name: values[name] for name in ("images", "objects", *METRICS, "flips", "intervals")}
+            | {"oracle": {"acc30": values["oracle"]["acc30"]}}
+            | {"alignment": {name: values["alignment"][name] for name in ("kind", "images", "objects")}}
+            for kind, values in scores["alignments"].items()
         }
     except (KeyError, TypeError, AttributeError):
-        raise unlike from None
+        alignments = {}
     if not alignments:
-        raise unlike
-    if whose != key:
-        raise ViewnetError(f"scores: are of the run {whose}, and the model of {key}: score this model")
+        raise ViewnetError("scores: expected the output of viewnet evaluate --json on this model")
+    if run != key:
+        raise ViewnetError(f"scores: are of the run {run}, and the model of {key}: score this model")
     return {"on": on, "alignments": alignments}
 
 
@@ -111,29 +110,28 @@ def _scores(scores: dict[str, Any] | None) -> list[str]:
     if not scores:
         return ["Not scored: the test views have no annotated viewpoints."]
     views, objects, fitted = scores["images"], scores["objects"], scores["alignment"]["images"]
-    told = f"{views} test views of {objects} objects not used in training, aligned by a rotation fitted on {fitted} "
-    told += "annotated validation views. In brackets 95 % intervals over objects."
-    return [*_table({"": scores}), "", told]
+    text = f"{views} test views of {objects} objects not used in training, aligned by a rotation fitted on {fitted} "
+    text += "annotated validation views. In brackets 95 % intervals over objects."
+    return [*_table({"": scores}), "", text]
 
 
-def _elsewhere(found: dict[str, Any]) -> list[str]:
-    """What `selected` keeps, a column an alignment."""
-    columns = found["alignments"]
-    scores = next(iter(columns.values()))
-    fitted = scores["alignment"]["images"]
-    told = f"On {found['on']}: {scores['images']} images of {scores['objects']} objects. A column for each alignment, "
-    told += f"fitted on {fitted} other annotated images"
-    told += "; `own` is the rotation saved with the model, fitted on none of them." if "own" in columns else "."
-    return ["", *_table(columns), "", told]
+def _elsewhere(scores: dict[str, Any]) -> list[str]:
+    """The scores of `selected`, a column for each alignment."""
+    columns = scores["alignments"]
+    first = next(iter(columns.values()))
+    text = f"On {scores['on']}: {first['images']} images of {first['objects']} objects. A column for each alignment, "
+    text += f"fitted on {first['alignment']['images']} other annotated images"
+    text += "; `own` is the rotation saved with the model, fitted on none of them." if "own" in columns else "."
+    return ["", *_table(columns), "", text]
 
 
 def _table(columns: dict[str, dict[str, Any]]) -> list[str]:
-    """The scores of a dictionary, each below its name."""
-    rows = {told: [with_interval(scores, metric) for scores in columns.values()] for metric, told in METRICS.items()}
+    """A Markdown table of scores, a column for each."""
+    rows = {name: [with_interval(scores, metric) for scores in columns.values()] for metric, name in METRICS.items()}
     rows["180-degree flips, %"] = [f"{scores['flips']:.1f}" for scores in columns.values()]
     rows["best hypothesis, Acc@30, %"] = [f"{s['oracle']['acc30']:.1f}" for s in columns.values()]
     head = [f"| | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}"]
-    return [*head, *(f"| {told} | {' | '.join(cells)} |" for told, cells in rows.items())]
+    return [*head, *(f"| {name} | {' | '.join(cells)} |" for name, cells in rows.items())]
 
 
 def _ours(data: DataConfig) -> bool:

@@ -2,6 +2,7 @@
 
 `ViewpointEstimator.from_pretrained` loads a trained one. This one has random weights:
 
+>>> from viewnet.model.viewnet import ViewNet
 >>> from viewnet.recipes import make_config
 >>> from viewnet.model.viewnet import ViewNet
 >>> config = make_config(profile="smoke", recipe="photos", backgrounds=None)

@@ -1,4 +1,4 @@
-"""What an estimator says of images: viewpoints, and how sure it is."""
+"""Predicted viewpoints of images, with their hypotheses and probabilities."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from viewnet import geometry
 
 if TYPE_CHECKING:
-    import pandas as pd  # loaded by those who ask for a table
+    import pandas as pd  # loaded only for tables
 
 Floats = NDArray[np.float64]
+"""An array of double precision."""
 LINES = 12
-"""Images that a summary names."""
+"""Images that a summary lists."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One of the viewpoints that the network holds possible; `number` counts from 1 by falling probability."""
+    """One of the viewpoints that the network proposes; `number` counts from 1 by falling probability."""
 
     number: int
     azimuth: float
@@ -33,7 +34,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """The viewpoint of one image: a row of `Viewpoints`, whose fields say what these are."""
+    """The viewpoint of one image: a row of `Viewpoints`, which documents the fields."""
 
     azimuth: float
     elevation: float
@@ -48,8 +49,8 @@ class Viewpoint:
     def ranked(self) -> list[Hypothesis]:
         """Every hypothesis by falling probability; among equals the chosen one comes first.
 
-        >>> (one,) = Viewpoints.of([[[1.0, 0, 0], [0, 1, 0]]], [[0.0, 2.0]], None, aligned=True)
-        >>> [(other.azimuth, round(other.probability, 2)) for other in one.ranked()]
+        >>> (viewpoint,) = Viewpoints.of([[[1.0, 0, 0], [0, 1, 0]]], [[0.0, 2.0]], None, aligned=True)
+        >>> [(each.azimuth, round(each.probability, 2)) for each in viewpoint.ranked()]
         [(90.0, 0.88), (0.0, 0.12)]
         """
         angles = [values.tolist() for values in geometry.azimuth_elevation(torch.from_numpy(self.hypotheses))]
@@ -70,11 +71,11 @@ class Viewpoints:
     vector         (N, 3) unit view vectors, from the object to the camera
     frame          (N, 3, 3) camera frames, columns right, up and back; level unless in-plane rotation was learned
     hypotheses     (N, M, 3) unit view vectors, one of which is `vector`
-    probabilities  (N, M) of each hypothesis, of being the best
-    choice         (N,) which hypothesis is the answer: the most probable
+    probabilities  (N, M) that each hypothesis is the best
+    choice         (N,) the most probable hypothesis
     confidence     (N,) its probability
-    aligned        whether the frame is the annotated one; if not it is the network's own, whose azimuth 0 and whose up
-                   are arbitrary, so that only differences between viewpoints tell something
+    aligned        whether the frame is the annotated one; otherwise it is the network's own, whose azimuth 0 and up are
+                   arbitrary: only differences between viewpoints mean anything
 
     >>> Viewpoints.of([[[1.0, 0, 0], [0, 1, 0]]], [[0.0, 2.0]], None, aligned=True)
     1 viewpoint in the annotated frame
@@ -101,18 +102,9 @@ class Viewpoints:
         rows, choice = np.arange(len(scores)), scores.argmax(1)
         chosen = torch.from_numpy(vectors[rows, choice])
         up = None if ups is None else torch.from_numpy(np.array(ups, dtype=np.float64)[rows, choice])
-        azimuth, elevation = geometry.azimuth_elevation(chosen)
-        return cls(
-            azimuth.numpy(),
-            elevation.numpy(),
-            chosen.numpy(),
-            geometry.look_at(chosen, up).numpy(),
-            vectors,
-            shares,
-            choice,
-            shares[rows, choice],
-            aligned,
-        )
+        azimuth, elevation = (angle.numpy() for angle in geometry.azimuth_elevation(chosen))
+        frame, confidence = geometry.look_at(chosen, up).numpy(), shares[rows, choice]
+        return cls(azimuth, elevation, chosen.numpy(), frame, vectors, shares, choice, confidence, aligned)
 
     def __len__(self) -> int:
         return len(self.azimuth)
@@ -124,25 +116,24 @@ class Viewpoints:
     def __getitem__(self, rows: slice | ArrayLike) -> Viewpoints: ...
 
     def __getitem__(self, rows: Any) -> Viewpoint | Viewpoints:
-        """The viewpoint of one image, or those that a slice, a mask (N,) or a list of positions names."""
-        arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "aligned"}
-        if not isinstance(rows, (int, np.integer)):
-            rows = rows if isinstance(rows, slice) else np.asarray(rows)
-            return Viewpoints(**{name: values[rows] for name, values in arrays.items()}, aligned=self.aligned)
-        one = {name: values[rows] for name, values in arrays.items()}
-        plain = {name: value.item() if np.ndim(value) == 0 else value for name, value in one.items()}
+        """The viewpoint of one image, or those of a slice, a mask (N,) or a list of positions."""
+        single = isinstance(rows, (int, np.integer))
+        rows = rows if single or isinstance(rows, slice) else np.asarray(rows)
+        values = {field.name: getattr(self, field.name)[rows] for field in fields(self) if field.name != "aligned"}
+        if not single:
+            return Viewpoints(**values, aligned=self.aligned)
+        plain = {name: value.item() if np.ndim(value) == 0 else value for name, value in values.items()}
         return Viewpoint(**plain, aligned=self.aligned)
 
     def __iter__(self) -> Iterator[Viewpoint]:
         return (self[row] for row in range(len(self)))
 
     def to_frame(self) -> pd.DataFrame:
-        """A row an image: azimuth, elevation, confidence, choice; azimuth_m, elevation_m, probability_m of all m."""
+        """A row for each image: azimuth, elevation, confidence, choice, and azimuth_m, elevation_m, probability_m."""
         import pandas as pd
 
-        columns: dict[str, Any] = {
-            name: getattr(self, name) for name in ("azimuth", "elevation", "confidence", "choice")
-        }
+        names = ("azimuth", "elevation", "confidence", "choice")
+        columns: dict[str, Any] = {name: getattr(self, name) for name in names}
         angles = geometry.azimuth_elevation(torch.from_numpy(self.hypotheses))
         for m in range(self.hypotheses.shape[1]):
             columns |= {f"azimuth_{m}": angles[0][:, m].numpy(), f"elevation_{m}": angles[1][:, m].numpy()}

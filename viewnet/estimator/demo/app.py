@@ -51,9 +51,8 @@ STYLE = """
 
 def theme() -> gr.themes.Base:
     """Gradio's default with the visitor's own fonts, none of which is fetched, and a blue that contrasts with white."""
-    return gr.themes.Default(
-        primary_hue="blue", font=("system-ui", "sans-serif"), font_mono=("ui-monospace", "monospace")
-    )
+    fonts: Any = {"font": ("system-ui", "sans-serif"), "font_mono": ("ui-monospace", "monospace")}
+    return gr.themes.Default(primary_hue="blue", **fonts)
 
 
 def build(estimator: ViewpointEstimator, examples: Sequence[Example] = ()) -> gr.Blocks:
@@ -80,21 +79,16 @@ class Page:
                 with gr.Column(min_width=320):
                     self._lay_out_views()
                 with gr.Column(min_width=320):
-                    self.mesh = gr.Model3D(
-                        label="As a 3-D model: drag to turn it", clear_color=(1, 1, 1, 1), height=440, elem_id="mesh"
-                    )
+                    label, white = "As a 3-D model: drag to turn it", (1, 1, 1, 1)
+                    self.mesh = gr.Model3D(label=label, clear_color=white, height=440, elem_id="mesh")
             with gr.Accordion("What this model is", open=True):
                 facts = analysis.model_facts(estimator)
                 gr.Markdown("\n".join(f"- {line}" for line in facts), elem_id="about")
             self._connect()
 
     def _lay_out_question(self) -> None:
-        self.image = gr.Image(
-            label="Image: drop, paste or take one",
-            sources=["upload", "webcam", "clipboard"],
-            height=320,
-            elem_id="image",
-        )
+        sources: Any = ["upload", "webcam", "clipboard"]
+        self.image = gr.Image(label="Image: drop, paste or take one", sources=sources, height=320, elem_id="image")
         gr.Markdown(HINT)
         self.box = gr.Textbox(label="Box: left, top, right, bottom", placeholder="40 60 380 250", elem_id="box")
         with gr.Row():
@@ -104,22 +98,13 @@ class Page:
             gr.Markdown("An image of the same size, the object white. Without one, transparency is the mask.")
             self.mask = gr.Image(label="Mask", sources=["upload", "clipboard"], height=200, elem_id="mask")
         if self.examples:
-            files = [Path(self.folder.name) / f"example{number}.png" for number in range(len(self.examples))]
-            for file, example in zip(files, self.examples, strict=True):
+            self.files = [Path(self.folder.name) / f"example{number}.png" for number in range(len(self.examples))]
+            for file, example in zip(self.files, self.examples, strict=True):
                 example.image.save(file)
-            self.files = files
-            self.samples = gr.Gallery(
-                [str(file) for file in files],
-                label="Or one of these, which it was not trained on",
-                columns=len(files),
-                rows=1,
-                height=130,
-                object_fit="contain",
-                allow_preview=False,
-                interactive=False,
-                buttons=[],
-                elem_id="examples",
-            )
+            layout: dict[str, Any] = {"columns": len(self.files), "rows": 1, "height": 130, "object_fit": "contain"}
+            layout |= {"allow_preview": False, "interactive": False, "buttons": [], "elem_id": "examples"}
+            label = "Or one of these, which it was not trained on"
+            self.samples = gr.Gallery([str(file) for file in self.files], label=label, **layout)
 
     def _lay_out_answer(self) -> None:
         self.answer = gr.HTML(WAITING, elem_id="answer")
@@ -198,33 +183,33 @@ class Page:
         return [picker, picker.shown(box), format_box(box), None]
 
     def predict(self, picker: BoxPicker | None, mask: dict[str, Any] | None, box: str) -> list[Any]:
-        """What the network predicts and renders for the image. A mistake in the input becomes a toast."""
+        """What the network predicts and renders for the image. A mistake (ViewnetError) becomes a toast."""
         try:
             if picker is None:
                 raise ViewnetError("no image: drop, paste or take one, or choose an example")
             file = _file_of(mask)
             alpha = None if file is None else read(file[0], f"mask {file[1]}")
-            found = analysis.analyse(self.estimator, picker.image(), alpha, parse_box(box))
+            result = analysis.analyse(self.estimator, picker.image(), alpha, parse_box(box))
         except ViewnetError as error:
             raise _toast(error) from None
-        notes, model, reach = list(found.notes), None, 1.0
+        notes, model, reach = list(result.notes), None, 1.0
         try:
-            mesh = self.estimator.mesh(found.prepared)
+            mesh = self.estimator.mesh(result.prepared)
             model = save_bytes_to_cache(volume_mesh.as_glb(mesh), "object.glb", self.mesh.GRADIO_CACHE)
             reach = float(np.linalg.norm(mesh.vertices, axis=1).max())
         except ViewnetError as error:
             notes.append(f"There is no 3-D model: {error}.")
-        viewpoint = found.viewpoint
+        viewpoint = result.viewpoint
         azimuth, elevation = round(viewpoint.azimuth) % 360, round(viewpoint.elevation)
         return [
-            found.encoded,
-            answer(found, notes),
-            _enlarged(found.input),
-            found.reconstruction,
+            result.encoded,
+            answer(result, notes),
+            _enlarged(result.input),
+            result.reconstruction,
             compass_svg.table(viewpoint),
             azimuth,
             elevation,
-            self.turn(found.encoded, azimuth, elevation),
+            self.turn(result.encoded, azimuth, elevation),
             gr.update(value=model, camera_position=_camera(azimuth, elevation, reach)),
         ]
 
