@@ -1,7 +1,8 @@
-"""The supplement's architecture tables, read off the live networks."""
+"""The supplement's architecture tables, read off the networks themselves."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from viewnet.tables import reported
 from viewnet.tables.latex import escape, line, tabular
 
 COLUMNS = ("layer", "channels", "kernel", "stride")
-_NAMES = {
+NAMES = {
     nn.Conv2d: "Conv2D",
     nn.ConvTranspose2d: "ConvTranspose2D",
     nn.ConvTranspose3d: "ConvTranspose3D",
@@ -33,7 +34,7 @@ class Architecture:
 
     part: str  # "encoder" or "generator"
     layers: pd.DataFrame
-    learned: int  # numbers that are trained
+    learned: int  # number of weights
 
     def comparison(self) -> pd.DataFrame:
         """Reported and present layers side by side, lined up from the top; `same` says where they agree."""
@@ -41,9 +42,8 @@ class Architecture:
         both = paper.join(ours, how="outer").fillna("")
         same = pd.Series(True, index=both.index)
         for column in COLUMNS:
-            # "variable" stands for the sizes of both encoders.
-            agree = both[f"{column} (print)"] == both[f"{column} (ours)"]
-            same &= agree | (both[f"{column} (print)"] == "variable")
+            theirs = both[f"{column} (print)"]
+            same &= (theirs == both[f"{column} (ours)"]) | (theirs == "variable")  # the sizes of both encoders
         return both.assign(same=same)
 
     def latex(self) -> str:
@@ -65,10 +65,7 @@ def architectures(config: ModelConfig) -> list[Architecture]:
     """Encoder (f^v and f^a, which differ in the last layer only) and generator (f^d) of a configuration."""
     model = ViewNet(config)
     viewpoint, appearance = layers(model.viewpoint.encoder), layers(model.appearance)
-    encoder = viewpoint.copy()
-    for column in COLUMNS:
-        differs = viewpoint[column] != appearance[column]
-        encoder.loc[differs, column] = viewpoint.loc[differs, column] + " or " + appearance.loc[differs, column]
+    encoder = viewpoint.where(viewpoint == appearance, viewpoint + " or " + appearance)
     return [
         Architecture("encoder", encoder, parameters(model.viewpoint) + parameters(model.appearance)),
         Architecture("generator", layers(model.decoder), parameters(model.decoder)),
@@ -77,20 +74,18 @@ def architectures(config: ModelConfig) -> list[Architecture]:
 
 def layers(network: nn.Module) -> pd.DataFrame:
     """Convolutions, normalisations and activations in the order they are applied."""
-    rows: list[tuple[str, str, str, str]] = []
-    _walk(network, rows)
-    return pd.DataFrame(rows, columns=list(COLUMNS))
+    return pd.DataFrame(list(_rows(network)), columns=list(COLUMNS))
 
 
-def _walk(module: nn.Module, rows: list[tuple[str, str, str, str]]) -> None:
-    kind = next((name for cls, name in _NAMES.items() if isinstance(module, cls)), None)
+def _rows(module: nn.Module) -> Iterator[tuple[str, str, str, str]]:
+    name = next((name for kind, name in NAMES.items() if isinstance(module, kind)), None)
     if isinstance(module, (nn.Conv2d, nn.ConvTranspose2d, nn.ConvTranspose3d)):
         kernel = "x".join(map(str, module.kernel_size[:2]))  # as in the paper: one face of a cube
-        rows.append((str(kind), str(module.out_channels), kernel, str(module.stride[0])))
-    elif kind is not None:
-        rows.append((kind, "", "", ""))
+        yield str(name), str(module.out_channels), kernel, str(module.stride[0])
+    elif name is not None:
+        yield name, "", "", ""
     else:
         for child in module.children():
-            _walk(child, rows)
+            yield from _rows(child)
         if isinstance(module, Stage):  # its ReLU is a function and no module
-            rows.append(("ReLU", "", "", ""))
+            yield "ReLU", "", "", ""
