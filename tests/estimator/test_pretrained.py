@@ -2,19 +2,13 @@ from __future__ import annotations
 
 import json
 import pickle
-import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 
-import huggingface_hub
 import numpy as np
-import onnx
-import onnxruntime
 import pytest
 import torch
-from helpers.boxes import box_store
-from helpers.estimators import same, untrained
+from helpers.estimators import untrained
 from helpers.untrained_models import finished_run, turned, untrained_run
 from safetensors.torch import load_file, save_file
 
@@ -26,23 +20,6 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.runtime.files import read_json, write_json
 
 load = ViewpointEstimator.from_pretrained
-
-
-@pytest.fixture(scope="module")
-def store(tmp_path_factory):
-    return box_store(tmp_path_factory.mktemp("pretrained") / "views", {"val": 3, "test": 3}, views=3)
-
-
-@pytest.fixture(scope="module")
-def images(store):
-    return np.asarray(store.images[store.split("test")])
-
-
-@pytest.fixture
-def run(store, tmp_path, monkeypatch):
-    """A finished run in a run store of its own."""
-    monkeypatch.setenv("VIEWNET_RUNS", str(tmp_path / "runs"))
-    return finished_run(tmp_path / "runs" / "viewnet" / "0123456789ab", store)
 
 
 def test_a_run_is_known_by_its_key_its_folder_and_its_checkpoint(run, images):
@@ -114,22 +91,6 @@ def test_folders_of_a_machine_stay_there(tmp_path):
     back = load(tmp_path / "saved")
     assert back.config.data.backgrounds == "SUN397"
     assert back.framing == there.framing
-
-
-def test_the_card_is_what_the_hub_reads(run, tmp_path):
-    load(run.folder).save_pretrained(tmp_path / "saved")
-    card = huggingface_hub.ModelCard.load(tmp_path / "saved" / "README.md")
-    metrics = run.result["metrics"]["procrustes"]
-    found = {result.metric_type: result.metric_value for result in card.data.eval_results}
-    assert found == {name: metrics[name] for name in ("acc30", "median", "dva")}
-    assert (card.data.license, card.data.library_name) == ("mit", "viewnet")
-    assert f"| Acc@30, % | {metrics['acc30']:.1f} [" in card.text
-    assert "9 test views of 3 objects" in card.text
-    estimator = untrained(data_root="/data/ShapeNet")
-    estimator.save_pretrained(tmp_path / "other")
-    assert huggingface_hub.ModelCard.load(tmp_path / "other" / "README.md").data.license == "other"
-    estimator.save_pretrained(tmp_path / "other", license="cc-by-4.0")
-    assert huggingface_hub.ModelCard.load(tmp_path / "other" / "README.md").data.license == "cc-by-4.0"
 
 
 @pytest.mark.parametrize(
@@ -207,95 +168,6 @@ def test_what_cannot_be_written_is_said(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ViewnetError, match="is a file: name a folder"):
         untrained().save_pretrained(tmp_path / "file")
-
-
-def cached(estimator: ViewpointEstimator, cache: Path, name: str) -> None:
-    """A model in the cache of the hub's library."""
-    repository = cache / f"models--{name.replace('/', '--')}"
-    estimator.save_pretrained(repository / "snapshots" / "c0ffee")
-    (repository / "refs").mkdir()
-    (repository / "refs" / "main").write_text("c0ffee")
-
-
-def test_the_hub_s_models_are_read_from_its_cache(images, tmp_path):
-    estimator = untrained(rotation=turned(20))
-    cached(estimator, tmp_path, "someone/cars")
-    found = load("someone/cars", cache_dir=tmp_path, local_files_only=True)
-    assert same(found.predict(images), estimator.predict(images), 0)
-    for name, options in (("someone/boats", {}), ("someone/cars", {"revision": "v2"})):
-        with pytest.raises(ViewnetError, match=rf"{name}: the Hugging Face hub gives no such model \(") as told:
-            load(name, cache_dir=tmp_path, local_files_only=True, **options)
-        assert "\n" not in str(told.value)
-
-
-def test_without_the_hub_s_library_folders_are_all_there_is(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
-    untrained().save_pretrained(tmp_path)
-    load(tmp_path)
-    with pytest.raises(ViewnetError, match=r'and for the Hugging Face hub: pip install "viewnet\[hub\]"'):
-        load("someone/cars")
-
-
-def test_models_go_to_the_hub(tmp_path, monkeypatch, images):
-    class Api:
-        def __init__(self, token=None):
-            assert token == "secret"
-
-        def create_repo(self, repo_id, private, exist_ok):
-            assert (private, exist_ok) == (True, True)
-            return huggingface_hub.RepoUrl(f"https://huggingface.co/{repo_id}")
-
-        def upload_folder(self, repo_id, folder_path, allow_patterns, **_):
-            there = tmp_path / "hub" / repo_id
-            shutil.copytree(folder_path, there, ignore=lambda _, names: set(names) - set(allow_patterns))
-            return f"https://huggingface.co/{repo_id}/commit/1"
-
-    monkeypatch.setattr(huggingface_hub, "HfApi", Api)
-    estimator = untrained()
-    (tmp_path / "cars").mkdir()
-    (tmp_path / "cars" / "private.txt").write_text("stays here")
-    options = {"push_to_hub": True, "private": True, "token": "secret"}
-    address = estimator.save_pretrained(tmp_path / "cars", repo_id="someone/cars", **options)
-    assert address == "https://huggingface.co/someone/cars/commit/1"
-    assert same(load(tmp_path / "hub" / "someone" / "cars").predict(images), estimator.predict(images), 0)
-    assert not (tmp_path / "hub" / "someone" / "cars" / "private.txt").exists()
-    with pytest.raises(ViewnetError, match=r"someone/cars: the Hugging Face hub takes no model \("):
-        estimator.save_pretrained(tmp_path / "cars", repo_id="someone/cars", **options)
-
-
-@pytest.mark.parametrize("overrides", [{"recipe": "paper"}, {"in_plane": True}], ids=["replicate", "in plane"])
-@pytest.mark.slow
-def test_onnx_says_what_the_network_says(tmp_path, overrides):
-    estimator = untrained(rotation=turned(30), **overrides)
-    path = estimator.export_onnx(tmp_path / "models" / "car.onnx")
-    onnx.checker.check_model(onnx.load(path), full_check=True)
-    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
-    assert [given.name for given in session.get_inputs()] == ["pictures"]
-    for count in (1, 5):
-        seen = torch.rand(count, 3, 32, 32, generator=torch.Generator().manual_seed(count))
-        with torch.no_grad():
-            expected = estimator.network.viewpoint(seen)
-        found = dict(
-            zip([o.name for o in session.get_outputs()], session.run(None, {"pictures": seen.numpy()}), strict=True)
-        )
-        assert found["vectors"].shape == (count, 3, 3)
-        assert np.allclose(found["vectors"], expected.vectors, atol=1e-5)
-        assert np.allclose(found["logits"], expected.logits, atol=1e-4)
-        assert ("ups" in found) == (expected.ups is not None)
-        if expected.ups is not None:
-            assert np.allclose(found["ups"], expected.ups, atol=1e-5)
-    kept = session.get_modelmeta().custom_metadata_map
-    assert np.allclose(np.array(kept["rotation"].split(), float).reshape(3, 3), turned(30))
-    assert kept["category"] == "car"
-
-
-def test_what_cannot_be_exported_is_said(tmp_path, monkeypatch):
-    with pytest.raises(ViewnetError, match=r"car\.pt: unknown kind of model file: name it \.onnx"):
-        untrained().export_onnx(tmp_path / "car.pt")
-    monkeypatch.setitem(sys.modules, "onnxscript", None)
-    with pytest.raises(ViewnetError, match=r'onnxscript is not installed: pip install "viewnet\[onnx\]"'):
-        untrained().export_onnx(tmp_path / "car.onnx")
-    assert not list(tmp_path.iterdir())
 
 
 def test_half_precision_is_half_the_size_and_answers_alike(tmp_path, images):

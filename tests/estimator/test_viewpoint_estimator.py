@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.boxes import box_store
 from helpers.estimators import (
     PHOTOS,
     SQUARE,
@@ -34,17 +33,6 @@ from viewnet.estimator.preprocess import OPAQUE, Framing, batches, crop_to_objec
 from viewnet.evaluation.predict import predict
 from viewnet.geometry import look_at
 from viewnet.recipes import make_config
-
-
-@pytest.fixture(scope="module")
-def store(tmp_path_factory):
-    return box_store(tmp_path_factory.mktemp("estimator") / "views", {"val": 3, "test": 3}, views=3)
-
-
-@pytest.fixture(scope="module")
-def images(store):
-    """Its test views (9, 32, 32, 4)."""
-    return np.asarray(store.images[store.split("test")])
 
 
 @pytest.mark.parametrize("overrides", [{}, SQUARE, STRETCHED], ids=["whole", "square", "stretched"])

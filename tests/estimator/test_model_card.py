@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import huggingface_hub
+from helpers.estimators import untrained
+
+from viewnet.estimator import ViewpointEstimator
+
+load = ViewpointEstimator.from_pretrained
+
+
+def test_the_card_is_what_the_hub_reads(run, tmp_path):
+    load(run.folder).save_pretrained(tmp_path / "saved")
+    card = huggingface_hub.ModelCard.load(tmp_path / "saved" / "README.md")
+    metrics = run.result["metrics"]["procrustes"]
+    found = {result.metric_type: result.metric_value for result in card.data.eval_results}
+    assert found == {name: metrics[name] for name in ("acc30", "median", "dva")}
+    assert (card.data.license, card.data.library_name) == ("mit", "viewnet")
+    assert f"| Acc@30, % | {metrics['acc30']:.1f} [" in card.text
+    assert "9 test views of 3 objects" in card.text
+    estimator = untrained(data_root="/data/ShapeNet")
+    estimator.save_pretrained(tmp_path / "other")
+    assert huggingface_hub.ModelCard.load(tmp_path / "other" / "README.md").data.license == "other"
+    estimator.save_pretrained(tmp_path / "other", license="cc-by-4.0")
+    assert huggingface_hub.ModelCard.load(tmp_path / "other" / "README.md").data.license == "cc-by-4.0"
