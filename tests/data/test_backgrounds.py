@@ -140,7 +140,7 @@ def test_the_identity_is_of_the_images_not_of_the_place(tmp_path):
 def test_made_once_and_kept(tmp_path, monkeypatch):
     plain(tmp_path / "p/a.png")
     first = load(str(tmp_path / "p"), 4)
-    monkeypatch.setattr(backgrounds, "_cut", None)
+    monkeypatch.setattr(backgrounds, "random_square", None)
     assert (load(str(tmp_path / "p"), 4).images == first.images).all()
     (tmp_path / "data/backgrounds" / first.identity / "classes.npy").write_bytes(b"")
     with pytest.raises(ViewnetError, match=f"{first.identity}/classes.npy: not a whole array .*: remove the folder"):

@@ -137,8 +137,8 @@ DAMAGE = {
         "model_id .*1.* in row 0: expected text",
     ),
     "fractional view": (damage_index(lambda x: x.assign(view=x["view"] + 0.5)), "expected whole numbers"),
-    "shuffled": (damage_index(lambda x: x.iloc[[0, 2, 1, 3, 4, 5]]), "do not lie side by side"),
-    "reversed views": (damage_index(lambda x: x.iloc[::-1]), "do not lie side by side in order"),
+    "shuffled": (damage_index(lambda x: x.iloc[[0, 2, 1, 3, 4, 5]]), "are not in consecutive rows"),
+    "reversed views": (damage_index(lambda x: x.iloc[::-1]), "are not in consecutive rows in order"),
     "format": (damage_meta(format=99), "format 99"),
     "identity": (damage_meta(identity="0" * 16), "identity does not match"),
 }

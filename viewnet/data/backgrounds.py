@@ -1,4 +1,4 @@
-"""Images to stand behind objects: SUN397, any folder of images, or drawn ones; cut to squares of one size.
+"""Backgrounds: images of SUN397, of any folder, or synthetic ones; cropped to squares of one size.
 
 Made once and kept under `<paths.data()>/backgrounds/<identity>`: pictures.npy, classes.npy and rejected.csv.
 """
@@ -8,10 +8,8 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -25,28 +23,22 @@ from viewnet.runtime.files import filling, load_array, locked
 from viewnet.runtime.image_files import opened
 from viewnet.runtime.progress import bar
 
-DRAWN = "drawn"
+SYNTHETIC = "drawn"
 """The source that needs no images."""
 VERSION = 1
-"""Raise it when a change alters how images are chosen or cut."""
+"""Raise it when a change alters how images are chosen or cropped."""
 LARGEST = 1024
 """Pixels along a side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Backgrounds:
-    """Square images and what decided them.
+    """Square images and what decided them."""
 
-    images    (K, 3, size, size) uint8
-    classes     (K,) int64: SUN397's class, from 0, as its list counts them; 0 for all others
-    identity    16 hex digits of what decided the images, the same wherever a folder lies
-    rejected    path and reason of what could not be used
-    """
-
-    images: np.ndarray
-    classes: np.ndarray
-    identity: str
-    rejected: list[tuple[str, str]]
+    images: np.ndarray  # (K, 3, size, size) uint8
+    classes: np.ndarray  # (K,) int64: SUN397's class, from 0, in the order of its list; 0 for all others
+    identity: str  # 16 hex digits of what decided the images, wherever their folder lies
+    rejected: list[tuple[str, str]]  # path and reason of what cannot be used
 
     def __len__(self) -> int:
         return len(self.images)
@@ -55,10 +47,9 @@ class Backgrounds:
 def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: bool = True) -> Backgrounds:
     """`count` images of size x size pixels from `source`, or all of its usable ones where it has fewer.
 
-    `source` is "drawn" (viewnet.data.synthetic.scenes), the folder of SUN397 (a `ClassName.txt` that lists class folders such as
-    /a/abbey) or any folder of images, which is read with all folders in it. Of more than `count` images classes
-    have as many each as can be. Every image is cut to a square at a place drawn by `seed` and its path. Images
-    that cannot be used are in `rejected`, and others take their place.
+    `source` is "drawn" (viewnet.data.synthetic.scenes), or a folder (image_folder.list_images). Of more than `count`
+    images, classes have equal shares. Every image is cropped to a square, at random by `seed` and its path. Images that
+    cannot be used are in `rejected`, and others are used instead.
 
     Raises ViewnetError for values out of range, and a folder that does not exist or holds no usable image.
     """
@@ -66,102 +57,31 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
         raise ViewnetError(f"backgrounds: size {size}: expected 1 to {LARGEST} pixels")
     if count < 1:
         raise ViewnetError(f"backgrounds: count {count}: expected 1 or more")
-    described: dict[str, Any] = {"version": VERSION, "size": size, "count": count, "seed": seed}
+    described: dict[str, int | str] = {"version": VERSION, "size": size, "count": count, "seed": seed}
+    listed: list[tuple[str, int]] = []
     missing: list[tuple[str, str]] = []
-    if source == DRAWN:
+    if source == SYNTHETIC:
         described["drawn"] = scenes.VERSION
-        classed: list[tuple[str, int]] = []
     else:
-        classed, missing = list_images(Path(source))
-        described["pictures"] = _digest(Path(source), classed, missing)
+        listed, missing = list_images(Path(source))
+        described["pictures"] = _digest(Path(source), listed, missing)
     identity = identity_of(described)
     folder = paths.data() / "backgrounds" / identity
     if folder.exists():  # before any lock, for which the folder about it may not be writable
         return _read(folder, identity, size)
     with locked(folder):
         if not folder.exists():
-            if source == DRAWN:
-                images, classes, rejected = _draw(size, count, seed, progress), np.zeros(count, np.int64), missing
+            if source == SYNTHETIC:
+                images, classes, rejected = _synthetic(size, count, seed, progress), np.zeros(count, np.int64), missing
             else:
-                images, classes, rejected = _cut_all(Path(source), classed, size, count, seed, progress)
+                images, classes, rejected = _crop_all(Path(source), listed, size, count, seed, progress)
                 rejected = missing + rejected
-            _write(folder, images, classes, rejected)
+            with filling(folder) as temporary:
+                np.save(temporary / "pictures.npy", images)
+                np.save(temporary / "classes.npy", classes)
+                with (temporary / "rejected.csv").open("w", newline="", encoding="utf-8") as file:
+                    csv.writer(file, lineterminator="\n").writerows([("path", "reason"), *rejected])
     return _read(folder, identity, size)
-
-
-def _digest(root: Path, classed: Iterable[tuple[str, int]], missing: list[tuple[str, str]]) -> str:
-    """What images depend on: paths within the folder, classes and, as a cheap sign of a changed file, sizes."""
-    hashed = hashlib.sha256(json.dumps(missing).encode())
-    for path, number in classed:
-        hashed.update(json.dumps([path, number, (root / path).stat().st_size]).encode())
-    return hashed.hexdigest()
-
-
-def _draw(size: int, count: int, seed: int, progress: bool) -> np.ndarray:
-    images = np.empty((count, 3, size, size), np.uint8)
-    for number in bar(progress, iterable=range(count), desc="backgrounds", unit="image"):
-        images[number] = scenes.draw(np.random.default_rng([seed, number]), size, size).transpose(2, 0, 1)
-    return images
-
-
-def _cut_all(
-    root: Path, classed: list[tuple[str, int]], size: int, count: int, seed: int, progress: bool
-) -> tuple[np.ndarray, np.ndarray, list[tuple[str, str]]]:
-    images: list[np.ndarray] = []
-    classes: list[int] = []
-    rejected: list[tuple[str, str]] = []
-    with bar(progress, total=min(count, len(classed)), desc="backgrounds", unit="image") as shown:
-        for path, number in _evenly(classed, seed):
-            if len(images) == count:
-                break
-            try:
-                images.append(_cut(root / path, size, _generator(seed, path)).transpose(2, 0, 1))
-            except ViewnetError as error:
-                rejected.append((path, str(error)))
-            else:
-                classes.append(number)
-                shown.update()
-    if not images:
-        raise ViewnetError(f"{root}: none of its {len(classed)} images can be used ({': '.join(rejected[0])})")
-    order = np.argsort(classes, kind="stable")
-    return np.stack(images)[order], np.array(classes, np.int64)[order], rejected
-
-
-def _evenly(classed: list[tuple[str, int]], seed: int) -> list[tuple[str, int]]:
-    """In an order in which any beginning has as many of one class as of another, but for those that have run out."""
-    ranked = sorted(classed, key=lambda item: hashlib.sha256(f"{seed} {item[0]}".encode()).digest())
-    turn: dict[int, int] = {}
-    rounds = []
-    for _, number in ranked:
-        turn[number] = turn.get(number, -1) + 1
-        rounds.append(turn[number])
-    return [ranked[i] for i in sorted(range(len(ranked)), key=rounds.__getitem__)]
-
-
-def _generator(seed: int, path: str) -> np.random.Generator:
-    digest = hashlib.sha256(f"{seed} place {path}".encode()).digest()
-    return np.random.default_rng(int.from_bytes(digest[:8], "little"))
-
-
-def _cut(path: Path, size: int, rng: np.random.Generator) -> np.ndarray:
-    """A square of an image, 0.7 to 1 of its shorter side wide, somewhere in it: (size, size, 3)."""
-    with opened(path) as image:
-        # A JPEG is read at a fraction of its size where that is large enough: much sooner.
-        image.draft("RGB", (3 * size, 3 * size))
-        whole = image.convert("RGB")
-    side = min(whole.size) * rng.uniform(0.7, 1)
-    left, upper = rng.random(2) * (np.array(whole.size) - side)
-    box = (left, upper, left + side, upper + side)
-    return np.asarray(whole.resize((size, size), Image.Resampling.LANCZOS, box=box, reducing_gap=3))
-
-
-def _write(folder: Path, images: np.ndarray, classes: np.ndarray, rejected: list[tuple[str, str]]) -> None:
-    """The folder appears when it is whole."""
-    with filling(folder) as temporary:
-        np.save(temporary / "pictures.npy", images)
-        np.save(temporary / "classes.npy", classes)
-        with (temporary / "rejected.csv").open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows([("path", "reason"), *rejected])
 
 
 def _read(folder: Path, identity: str, size: int) -> Backgrounds:
@@ -177,3 +97,66 @@ def _read(folder: Path, identity: str, size: int) -> Backgrounds:
     if classes.dtype != np.int64 or classes.shape != images.shape[:1]:
         raise ViewnetError(f"{folder}: damaged ({classes.dtype} {classes.shape} classes): {again}")
     return Backgrounds(images, classes, identity, rejected)
+
+
+def _digest(root: Path, listed: list[tuple[str, int]], missing: list[tuple[str, str]]) -> str:
+    """What images depend on: paths within the folder, classes and, as a cheap sign of a changed file, sizes."""
+    hashed = hashlib.sha256(json.dumps(missing).encode())
+    for path, number in listed:
+        hashed.update(json.dumps([path, number, (root / path).stat().st_size]).encode())
+    return hashed.hexdigest()
+
+
+def _synthetic(size: int, count: int, seed: int, progress: bool) -> np.ndarray:
+    images = np.empty((count, 3, size, size), np.uint8)
+    for number in bar(progress, iterable=range(count), desc="backgrounds", unit="image"):
+        images[number] = scenes.draw(np.random.default_rng([seed, number]), size, size).transpose(2, 0, 1)
+    return images
+
+
+def _crop_all(
+    root: Path, listed: list[tuple[str, int]], size: int, count: int, seed: int, progress: bool
+) -> tuple[np.ndarray, np.ndarray, list[tuple[str, str]]]:
+    images: list[np.ndarray] = []
+    classes: list[int] = []
+    rejected: list[tuple[str, str]] = []
+    with bar(progress, total=min(count, len(listed)), desc="backgrounds", unit="image") as shown:
+        for path, number in _balanced(listed, seed):
+            if len(images) == count:
+                break
+            place = hashlib.sha256(f"{seed} place {path}".encode()).digest()
+            rng = np.random.default_rng(int.from_bytes(place[:8], "little"))
+            try:
+                images.append(random_square(root / path, size, rng).transpose(2, 0, 1))  # (3, size, size)
+            except ViewnetError as error:
+                rejected.append((path, str(error)))
+            else:
+                classes.append(number)
+                shown.update()
+    if not images:
+        raise ViewnetError(f"{root}: none of its {len(listed)} images can be used ({': '.join(rejected[0])})")
+    order = np.argsort(classes, kind="stable")
+    return np.stack(images)[order], np.array(classes, np.int64)[order], rejected
+
+
+def _balanced(listed: list[tuple[str, int]], seed: int) -> list[tuple[str, int]]:
+    """Shuffled so that any beginning has equally many images of each class, but for classes that are exhausted."""
+    ranked = sorted(listed, key=lambda item: hashlib.sha256(f"{seed} {item[0]}".encode()).digest())
+    seen: dict[int, int] = {}
+    rounds = []
+    for _, number in ranked:
+        seen[number] = seen.get(number, -1) + 1
+        rounds.append(seen[number])
+    return [ranked[i] for i in sorted(range(len(ranked)), key=rounds.__getitem__)]
+
+
+def random_square(path: Path, size: int, rng: np.random.Generator) -> np.ndarray:
+    """A random square of an image, 0.7 to 1 of its shorter side wide: (size, size, 3)."""
+    with opened(path) as image:
+        # A large JPEG is decoded at a fraction of its size: much faster.
+        image.draft("RGB", (3 * size, 3 * size))
+        whole = image.convert("RGB")
+    side = min(whole.size) * rng.uniform(0.7, 1)
+    left, upper = rng.random(2) * (np.array(whole.size) - side)
+    box = (left, upper, left + side, upper + side)
+    return np.asarray(whole.resize((size, size), Image.Resampling.LANCZOS, box=box, reducing_gap=3))

@@ -120,8 +120,8 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
         reader = next((r.photographs for r in READERS.values() if r.photographs and r.recognises(root)), None)
         if reader is None:
             raise ViewnetError(
-                f"{root}: no photographs that can be read: expected PASCAL3D+ 1.1 (a folder with Annotations, Images and"
-                f" Image_sets) or a folder with images/ and {LIST}"
+                f"{root}: no photographs that can be read: expected PASCAL3D+ 1.1 (a folder with Annotations, Images"
+                f" and Image_sets) or a folder with images/ and {LIST}"
             )
         made_by |= reader.describe(config, root)
     assert reader is not None

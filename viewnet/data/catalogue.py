@@ -1,7 +1,6 @@
-"""The data sets that the project reads: where each is named, under what terms it is had, and what a copy of it holds.
+"""The catalogue of data sets: how each is named to the project, its terms and its address; and what a copy holds.
 
-Nothing is downloaded. A folder is held against the layouts of the readers, and read by them: what those refuse, training
-and scoring would refuse, in the same words.
+Nothing is downloaded. A copy is read by the readers of training and scoring, so problems are theirs, in their words.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ NETWORKS = {
 
 
 def weights() -> list[Weights]:
-    """The networks whose weights are read, where they are looked for, and whether they are there."""
+    """The networks whose weights are read, where they are expected, and whether they are there."""
     return [
         Weights(
             network,
@@ -58,7 +57,7 @@ def weights() -> list[Weights]:
 def recognise(folder: Path) -> str:
     """The key of the data set whose layout a folder has.
 
-    Raises ViewnetError where there is no such folder, or it has none of them; where one lies a folder deeper, its name.
+    Raises ViewnetError for a missing folder and for no known layout; the message names one that lies a folder deeper.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -81,7 +80,8 @@ def recognise(folder: Path) -> str:
 
 
 def check(folder: Path) -> Contents:
-    """What a folder holds, by the readers of the data set that it is. Raises ViewnetError as `recognise` does."""
+    """What a folder holds, by its data set's reader. Raises ViewnetError as `recognise` does."""
+
     folder = Path(folder)
     contents = Contents(recognise(folder), str(folder))
     with contents.error_is_problem():

@@ -1,8 +1,8 @@
-"""Clips as a view store: every frame's object cut out by its mask, made square, in one size.
+"""Clips as a view store: every frame's object cropped by its mask, made square, in one size.
 
-    clips ─► frames and masks ─► cut-outs ─► view store
+    clips ─► frames and masks ─► crops ─► view store
 
-A clip is a model of the store and its frames are its views. Viewpoints that nobody annotated are NaN.
+A clip is a model of the store and its frames are its views. Viewpoints without annotation are NaN.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -26,7 +26,7 @@ from viewnet.data.clips import Clip, Frame, frame_count, read_frames
 from viewnet.data.crop import Crop, bounds, cut, inside, shrunk
 from viewnet.data.masks import MaskSource
 from viewnet.data.photo_store import describe_crop
-from viewnet.data.store import Rejected, ViewStore, tally, write_store
+from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, tally, write_store
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import scratch
 from viewnet.runtime.parallel import cores
@@ -34,29 +34,23 @@ from viewnet.runtime.progress import bar
 from viewnet.runtime.splits import SPLITS
 
 VERSION = 1
-"""Raise it when a change alters what is cut out: it is part of every store's identity."""
+"""Raise it when a change alters the crops: it is part of every store's identity."""
 CROP = Crop(128, margin=0.05)
 LONGEST = 0.95
-"""Of a clip's views so many lie within their frame when all objects are made as high as each other: masks can err."""
+"""The share of a clip's views that stay within their frame when objects are made equally high: masks can be wrong."""
 SHARPNESS = 96
-"""Pixels along a side of the cut-out whose sharpness is measured."""
+"""Pixels along a side of the crop whose sharpness is measured."""
 Scale = Literal["clip", "view"]
 LOST_MASK = "mask"
-"""How every reason for which a frame has no usable mask begins."""
+"""How every reason for a frame without a usable mask begins."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Which frames are worth it.
+    """Which frames are used. Raises ViewnetError for values out of range."""
 
-    side     the object's shorter side has so many pixels, or more
-    blur     its sharpness is at least this share of the median of its clip; 0: whatever it is
-
-    Raises ViewnetError for values out of range.
-    """
-
-    side: float = 16.0
-    blur: float = 0.0
+    side: float = 16.0  # least pixels of the object's shorter side
+    blur: float = 0.0  # least sharpness, as a share of the median of its clip
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.side) and self.side >= 0):
@@ -85,24 +79,23 @@ def clip_store(
     workers: int | None = None,
     progress: bool = False,
 ) -> ViewStore:
-    """Cut the frames of clips from the data set at `root` into a view store, all of a clip side by side, and open it.
+    """Crop the frames of clips from the data set at `root` into a view store and open it.
 
-    The object is what its mask covers (within the frame's box where there is one), and is cut out to the square around
-    it. By the `scale` "clip" it is then made as high in all views of its clip; by "view" it fills every square, so that
-    a car grows as it turns its front. Without `masks` it is what its box, or else the image, shows, fills the square,
-    and nothing is transparent. Frames that do not decode, have no usable mask, or are beyond `limits`, and clips of
-    which fewer than two frames are left, join `rejected` with their reason. `workers` threads read files; a network
-    sees one clip after the other.
+    The object is what its mask covers (within the frame's box where there is one), cropped to the square around it.
+    With `scale` "clip" it is then equally high in all views of its clip; with "view" it fills every square, so that a
+    car looks larger from the front. Without `masks` it is the whole box, or else image, and nothing is transparent.
+    Frames that do not decode, have no usable mask, or are beyond `limits`, and clips with fewer than two usable frames
+    join `rejected` with their reason. `workers` threads read files; a network processes one clip after the other.
 
-    Raises ViewnetError for two clips of one name, and where no clip or none to train on is left.
+    Raises ViewnetError for two clips of one name, and where no clip to train on is left.
     """
     limits = limits or Limits()
     _check(clips)
-    refused = list(rejected)
+    rejected = list(rejected)
     ordered = sorted(clips, key=lambda clip: clip.id)
     rows: list[tuple[Any, ...]] = []
     files: list[Path] = []
-    # Cut-outs wait on the disk until it is known how many there are.
+    # Crops wait on the disk until their number is known.
     with scratch(folder) as waiting:
 
         def work(number: int) -> tuple[list[tuple[Any, ...]], list[Rejected]]:
@@ -114,20 +107,19 @@ def clip_store(
 
         parallel = (workers or cores()) if masks is None or masks.parallel else 1
         with ThreadPoolExecutor(parallel) as pool:
-            results = bar(
-                progress, iterable=pool.map(work, range(len(ordered))), total=len(ordered), desc="clips", unit="clip"
-            )
-            for number, (found, lost) in enumerate(results):
-                refused += lost
-                rows += found
-                files += [waiting / f"{number}.npy"] if found else []
-        index = pd.DataFrame(
-            rows, columns=["model_id", "category", "split", "view", "azimuth", "elevation", "source"]
-        ).astype({"view": np.int64, "azimuth": np.float64, "elevation": np.float64})
+            work_done = pool.map(work, range(len(ordered)))
+            results = bar(progress, iterable=work_done, total=len(ordered), desc="clips", unit="clip")
+            for number, (views, lost) in enumerate(results):
+                rejected += lost
+                rows += views
+                files += [waiting / f"{number}.npy"] if views else []
+        kinds = {"view": np.int64, "azimuth": np.float64, "elevation": np.float64}
+        index = pd.DataFrame(rows, columns=list(COLUMNS)).astype(kinds)
         if not (index["split"] == "train").any():
-            told = f" (the first that was left out: {': '.join(refused[0])})" if refused else ""
-            raise ViewnetError(f"{root}: no clip to train on can be used{told}")
-        return write_store(folder, _batches(files), index, describe(clips, masks, crop, limits, scale), refused)
+            first = f" (the first that was left out: {': '.join(rejected[0])})" if rejected else ""
+            raise ViewnetError(f"{root}: no clip to train on can be used{first}")
+        batches = (np.load(file) for file in files)
+        return write_store(folder, batches, index, describe(clips, masks, crop, limits, scale), rejected)
 
 
 def describe(
@@ -161,15 +153,13 @@ def summary(store: ViewStore) -> str:
     """
     index = store.index
     clips = index.drop_duplicates("model_id")["split"].value_counts()
-    told = ", ".join(f"{clips[split]} {split}" for split in SPLITS if split in clips)
-    told = f"{index['category'].iloc[0]}: {len(index)} views of {clips.sum()} clips ({told})"
+    splits = ", ".join(f"{clips[split]} {split}" for split in SPLITS if split in clips)
+    text = f"{index['category'].iloc[0]}: {len(index)} views of {clips.sum()} clips ({splits})"
     reasons = tally(store.rejected["reason"])
     lost = sum(count for reason, count in reasons.items() if reason.startswith(LOST_MASK))
     if store.meta["made_by"]["masks"] is not None:
-        told += f"; {100 * lost / (len(index) + lost):.1f} % of the frames without a usable mask"
-    if reasons:
-        told += "; left out: " + ", ".join(f"{count} {reason}" for reason, count in sorted(reasons.items()))
-    return told
+        text += f"; {100 * lost / (len(index) + lost):.1f} % of the frames without a usable mask"
+    return f"{text}; left out: {in_words(dict(sorted(reasons.items())))}" if reasons else text
 
 
 def _check(clips: Sequence[Clip]) -> None:
@@ -185,9 +175,9 @@ def _check(clips: Sequence[Clip]) -> None:
 def _views(
     clip: Clip, root: Path, masks: MaskSource | None, crop: Crop, limits: Limits, scale: Scale
 ) -> tuple[list[_View], list[Rejected]]:
-    """The usable frames of a clip, none where there are fewer than two, and what is left out."""
+    """The usable frames of a clip, none where there are fewer than two, and what cannot be used."""
     where = _within(clip.source, root)
-    found: list[_View] = []
+    views: list[_View] = []
     lost: list[Rejected] = []
     try:
         mine = {frame.number: frame for frame in clip.frames or map(Frame, range(frame_count(clip.source)))}
@@ -197,25 +187,25 @@ def _views(
                 if isinstance(image, ViewnetError):
                     raise image
                 mask = follow(number, name, image) if follow else None
-                found.append(_view(mine[number], name, image, mask, crop, limits))
+                views.append(_view(mine[number], name, image, mask, crop, limits))
             except ViewnetError as error:
                 lost.append((f"{clip.id}/{name}", where, str(error)))
     except (ViewnetError, OSError) as error:
         return [], [*lost, (clip.id, where, str(error))]
-    if limits.blur and found:
-        least = limits.blur * float(np.median([view.sharpness for view in found]))
-        lost += [(f"{clip.id}/{view.name}", where, "blurred") for view in found if view.sharpness < least]
-        found = [view for view in found if view.sharpness >= least]
-    if len(found) < 2:
-        return [], [*lost, (clip.id, where, f"fewer than two usable frames ({len(found)})")]
-    return _levelled(found) if masks and scale == "clip" else found, lost
+    if limits.blur and views:
+        least = limits.blur * float(np.median([view.sharpness for view in views]))
+        lost += [(f"{clip.id}/{view.name}", where, "blurred") for view in views if view.sharpness < least]
+        views = [view for view in views if view.sharpness >= least]
+    if len(views) < 2:
+        return [], [*lost, (clip.id, where, f"fewer than two usable frames ({len(views)})")]
+    return _levelled(views) if masks and scale == "clip" else views, lost
 
 
 def _levelled(views: Sequence[_View]) -> list[_View]:
-    """Views that fill their squares, shrunk so that the object is as high in all of them.
+    """Views that fill their squares, shrunk so that the object is equally high in all of them.
 
-    Height hardly changes as an object turns about its upright axis, nor with the camera's elevation, and distance
-    changes it as it should not: what is left is one scale for one rigid object.
+    An object's height hardly depends on azimuth and elevation, so that equal heights give one scale to a rigid object
+    and remove the effect of the camera's distance.
     """
     sides = np.array([(x1 - x0, y1 - y0) for x0, y0, x1, y1 in (bounds(view.pixels[..., 3]) for view in views)])
     longer = sides.max(axis=1) / sides[:, 1]
@@ -244,7 +234,7 @@ def _view(frame: Frame, name: str, image: Image.Image, mask: np.ndarray | None, 
 def sharpness(view: np.ndarray) -> float:
     """The Laplacian's variance over the image's own, within the object of a view (S, S, 4) uint8."""
     grey = view[..., :3].mean(axis=2)
-    # Its outline is sharp in any image.
+    # The mask's outline is sharp in any image.
     inner = ndimage.binary_erosion(view[..., 3] > 127, iterations=3, border_value=1)
     if not inner.any():
         return 0.0
@@ -257,17 +247,13 @@ def _row(clip: Clip, view: _View, root: Path) -> tuple[Any, ...]:
     return clip.id, clip.category, clip.split, frame.number, azimuth, frame.elevation, source
 
 
-def _batches(files: Sequence[Path]) -> Iterator[np.ndarray]:
-    for file in files:
-        yield np.load(file)
-
-
 def _angle(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
 def _sizes(path: Path) -> list[Any]:
-    """A file's name and size, or those of a folder's files."""
+    """Name and sizes of a file or of a folder's files."""
+
     files = [path] if path.is_file() else sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else []
     return [path.name, [(file.name, file.stat().st_size) for file in files]]
 

@@ -1,4 +1,4 @@
-"""Clips, videos of one object each, and their images: a video file's frames or a folder's images in the order of time."""
+"""Clips, videos of one object each, and their frames: of a video file, or a folder of images in the order of time."""
 
 from __future__ import annotations
 

@@ -15,27 +15,19 @@ Box = tuple[float, float, float, float]
 LARGEST = 1024
 """Pixels along a side of a crop."""
 MOST_PIXELS = 2**28
-"""Of what is cut before it is made small: 1 GB. An image of some kB can be very long, and the square about it huge."""
+"""Pixels of a crop before it is resized, 1 GB: an image of some kB can be very long, and the square about it huge."""
 AROUND = 0.1
-"""Of a mask only what lies in its object's box counts, and so much of the box's sides around it."""
+"""A mask counts within its object's box and this share of the box's sides around it."""
 
 
 @dataclass(frozen=True)
 class Crop:
-    """How photographs are cut.
+    """How photographs are cropped. Raises ViewnetError for values out of range."""
 
-    size     pixels along a side
-    margin   so much of the box's longer side is seen beyond it, on either side
-    square   whether the shorter side is made as long as the other (the object keeps its shape) or stretched
-    colour   of what lies beyond the photograph's edges, 0 to 255
-
-    Raises ViewnetError for values out of range.
-    """
-
-    size: int = 64
-    margin: float = 0.0
-    square: bool = True
-    colour: tuple[int, int, int] = (0, 0, 0)
+    size: int = 64  # pixels along a side
+    margin: float = 0.0  # on either side, as a share of the box's longer side
+    square: bool = True  # the crop is a square, so that the object keeps its shape; or the box is stretched to one
+    colour: tuple[int, int, int] = (0, 0, 0)  # 0 to 255, beyond the photograph's edges
 
     def __post_init__(self) -> None:
         if not 1 <= self.size <= LARGEST:
@@ -47,11 +39,11 @@ class Crop:
 
 
 def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None = None) -> np.ndarray:
-    """The part of an image in `box` (pixels from its left upper corner; None: all of it), (size, size, 4) uint8.
+    """Crop an image to `box` (pixels from its left upper corner; None: all of it), (size, size, 4) uint8.
 
-    With a `mask` (H, W) uint8 of the image's size that is its alpha, and what lies beyond the image's edges is
-    transparent; colours stay straight, and black where alpha is 0. Raises ViewnetError for a box that has no part in
-    the image, and where more than MOST_PIXELS would be cut.
+    A `mask` (H, W) uint8 of the image's size becomes alpha, and what is beyond the image's edges is transparent; alpha
+    is straight, and colours are black where it is 0. Raises ViewnetError for a box that has no part in the image, and
+    for more than MOST_PIXELS.
     """
     width, height = image.size
     x0, y0, x1, y1 = box or (0.0, 0.0, float(width), float(height))
@@ -65,7 +57,7 @@ def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None
         half_x = half_y = max(half_x, half_y)
     centre_x, centre_y = (x0 + x1) / 2, (y0 + y1) / 2
     seen = (centre_x - half_x, centre_y - half_y, centre_x + half_x, centre_y + half_y)
-    # Whole pixels around it, the image's own or the colour's; the exact edges are cut when it is resized.
+    # Whole pixels around it, the image's own or the colour's; resizing cuts the exact edges.
     left, upper = int(np.floor(seen[0])), int(np.floor(seen[1]))
     right, lower = int(np.ceil(seen[2])), int(np.ceil(seen[3]))
     if (right - left) * (lower - upper) > MOST_PIXELS:
@@ -77,28 +69,28 @@ def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None
         inside.putalpha(Image.fromarray(mask).crop(part))
         cutout = Image.new("RGBA", (right - left, lower - upper))
         cutout.paste(inside, place)
-        # Colours are weighted by their alpha while they are averaged.
+        # Pillow weights colours by their alpha while it averages them.
         return np.array(cutout.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact))
     canvas = Image.new("RGB", (right - left, lower - upper), crop.colour)
     canvas.paste(inside, place)
-    # Averages over as many pixels as become one, without the ringing of sharper filters at the colour's edge.
+    # Averages over the pixels that become one, without the ringing of sharper filters at the colour's edge.
     small = canvas.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact, reducing_gap=4.0)
     return np.dstack([np.asarray(small), np.full((crop.size, crop.size), 255, np.uint8)])
 
 
 def shrunk(view: np.ndarray, share: float) -> np.ndarray:
-    """A cut-out (S, S, 4) uint8 made smaller, `share` of its side, about its centre; transparent around it."""
+    """A crop (S, S, 4) uint8 resized to `share` of its side about its centre; transparent around it."""
     size = len(view)
     side = max(1, round(share * size))
     start = (size - side) // 2
-    found = np.zeros_like(view)
+    padded = np.zeros_like(view)
     small = Image.fromarray(view).resize((side, side), Image.Resampling.HAMMING)
-    found[start : start + side, start : start + side] = np.asarray(small)
-    return found
+    padded[start : start + side, start : start + side] = np.asarray(small)
+    return padded
 
 
 def bounds(mask: np.ndarray) -> Box:
-    """The box about what a mask (H, W) uint8 covers. ViewnetError where that is nothing."""
+    """The bounding box of a mask (H, W) uint8. ViewnetError where it is empty."""
     columns, rows = (np.flatnonzero((mask > 127).any(axis)) for axis in (0, 1))
     if not len(columns):
         raise ViewnetError("mask is empty")
@@ -106,21 +98,21 @@ def bounds(mask: np.ndarray) -> Box:
 
 
 def inside(mask: np.ndarray, box: Box) -> np.ndarray:
-    """A mask (H, W) without what lies beyond the box and AROUND it."""
+    """A mask (H, W), zero beyond the box and AROUND it."""
     x0, y0, x1, y1 = box
     wide, high = AROUND * (x1 - x0), AROUND * (y1 - y0)
-    kept = np.zeros_like(mask)
     rows = slice(max(0, math.floor(y0 - high)), math.ceil(y1 + high))
     columns = slice(max(0, math.floor(x0 - wide)), math.ceil(x1 + wide))
-    kept[rows, columns] = mask[rows, columns]
-    return kept
+    clipped = np.zeros_like(mask)
+    clipped[rows, columns] = mask[rows, columns]
+    return clipped
 
 
 def coverage(mask: Image.Image) -> np.ndarray:
-    """The alpha (H, W) uint8 that a mask's image stands for.
+    """The alpha (H, W) uint8 of a mask's image.
 
-    Pixels are shares of coverage up to the deepest white, or numbers of classes: in images of a palette, and where no
-    value is above 1, all but 0 is the object.
+    Pixels are coverage from black to white, or class numbers: in images with a palette, and where no value is above 1,
+    everything but 0 is the object.
     """
     if mask.mode == "P":
         return (np.array(mask) > 0).astype(np.uint8) * 255
@@ -133,7 +125,8 @@ def coverage(mask: Image.Image) -> np.ndarray:
 
 
 def rgb(image: Image.Image) -> Image.Image:
-    """In three channels; grey of 16 bits is brought to 8, which `convert` would cut off."""
+    """An image in three channels; 16-bit grey is scaled to 8 bits, where `convert` would clip it."""
+
     if image.mode.startswith("I;16") or image.mode == "I":
         image = Image.fromarray((np.asarray(image).astype(np.int64) // 257).clip(0, 255).astype(np.uint8))
     return image.convert("RGB")

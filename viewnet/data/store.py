@@ -2,11 +2,11 @@
 
     views.npy       (N, H, W, 4) uint8, straight alpha, read as a memory map
     index.parquet   one row a view, in the same order (COLUMNS)
-    meta.json       format, identity, what made it (`made_by`), versions
-    rejected.csv    model_id, path, reason of what could not be used
+    meta.json       format, identity, what decided the views (`made_by`), versions
+    rejected.csv    model_id, path, reason of what cannot be used
 
-All views of a model lie side by side, ordered by view. Where nobody annotated the viewpoint of a view, its azimuth and
-elevation are both NaN: it can be trained on, but not scored.
+All views of a model are in consecutive rows, ordered by view. A view without an annotated viewpoint has NaN for both
+azimuth and elevation: it can be trained on, but not scored.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime.files import filling, load_array, read_csv, read_json
 
 if TYPE_CHECKING:
-    # Loaded where it is needed: to estimate a viewpoint this module is imported, but no store is opened.
+    # Slow to import, and predicting a viewpoint imports this module but opens no store.
     import pandas as pd
 
 FORMAT = 1
@@ -41,7 +41,7 @@ COLUMNS = {
 }
 REJECTED = ("model_id", "path", "reason")
 Rejected = tuple[str, str, str]
-"""Something that could not be used: its id, its path within the data set, and the reason."""
+"""Something that cannot be used: its id, its path within the data set, and the reason."""
 _AGAIN = "remove the folder and build the store again"
 
 
@@ -87,7 +87,7 @@ class ViewStore:
 
     @property
     def rejected(self) -> pd.DataFrame:
-        """What could not be used: model_id, path, reason. ViewnetError for a damaged list."""
+        """What cannot be used: model_id, path, reason. ViewnetError for a damaged list."""
         path = self.folder / "rejected.csv"
         table = read_csv(path, dtype=str, keep_default_na=False)
         if tuple(table.columns) != REJECTED:
@@ -162,7 +162,7 @@ def write_store(
 
 
 def _write_images(file: Path, batches: Iterable[np.ndarray], count: int, folder: Path) -> None:
-    # Not through a memory map, which a full disk ends with a signal and no word.
+    # Not through a memory map: a full disk would kill the process without a message.
     shape: tuple[int, ...] | None = None
     done = 0
     with file.open("wb") as target:
@@ -210,7 +210,7 @@ def check_index(index: pd.DataFrame, count: int, file: Path) -> None:
     model, view = index["model_id"].to_numpy(), index["view"].to_numpy()
     begins = np.append(True, model[1:] != model[:-1])[: len(index)]
     if begins.sum() != index["model_id"].nunique() or (np.diff(view)[~begins[1:]] <= 0).any():
-        raise ViewnetError(f"{file}: the views of a model do not lie side by side in order: {_AGAIN}")
+        raise ViewnetError(f"{file}: the views of a model are not in consecutive rows in order: {_AGAIN}")
 
 
 def _read_meta(file: Path) -> dict[str, Any]:
@@ -224,5 +224,6 @@ def _read_meta(file: Path) -> dict[str, Any]:
     if fields[0] != FORMAT:
         raise ViewnetError(f"{file}: format {fields[0]}: this version reads format {FORMAT}: {_AGAIN}")
     if fields[1] != identity_of(fields[2]):
-        raise ViewnetError(f"{file}: its identity does not match what it says made it: {_AGAIN}")
+        raise ViewnetError(f"{file}: its identity does not match its made_by: {_AGAIN}")
+
     return meta

@@ -24,7 +24,7 @@ _CAPTURE = "research.compvideo.arcapture"
 _PURSUIT = "xeno.pursuit.proto"
 
 # File, package and syntax -> message -> fields as "number type name"; a star marks fields that are repeated.
-_FILES = {
+_FILES: dict[tuple[str, str, str], dict[str, tuple[str, ...]]] = {
     ("a_r_capture_metadata.proto", _CAPTURE, "proto2"): {
         "ARCamera": (
             "3 float* transform", "5 int32 image_resolution_width", "6 int32 image_resolution_height",
