@@ -31,8 +31,8 @@ from torch import Tensor
 
 from viewnet.data.pairs import tight_crop
 from viewnet.errors import ViewnetError
-from viewnet.estimator import hub, inputs, preprocess, pretrained
-from viewnet.estimator.inputs import ImageLike, ImagesLike
+from viewnet.estimator import hub, preprocess, pretrained
+from viewnet.estimator.inputs import ImageLike, ImagesLike, as_list
 from viewnet.estimator.preprocess import Framing, Prepared
 from viewnet.estimator.pretrained import Pretrained
 from viewnet.estimator.viewpoints import Viewpoints
@@ -118,9 +118,11 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         cannot be read, or whose mask or box does not fit.
         """
         if masks is None and boxes is None and (ready := preprocess.ready_images(images, self.framing)) is not None:
-            return self._viewpoints(map(self._hypotheses, self._ready(ready, batch_size)))
-        batches = self._prepared(images, masks, boxes, batch_size)
-        return self._viewpoints(self._hypotheses(self.network.composite(prepared.viewpoint)) for prepared in batches)
+            inputs = preprocess.ready_batches(ready, self.framing, self.device, batch_size)
+        else:
+            batches = self._prepared(images, masks, boxes, batch_size)
+            inputs = (self.network.composite(prepared.viewpoint) for prepared in batches)
+        return self._viewpoints(map(self._hypotheses, inputs))
 
     def volume(self, image: ImageLike | Prepared, mask: Any = None, box: Any = None) -> Tensor:
         """The volume that is reconstructed from one image: (4, Z, Y, X), colour and occupancy in [0, 1], on the CPU.
@@ -129,9 +131,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         decoder, whose features are not a volume of colours.
         """
         if self.hologan:
-            raise ViewnetError(
-                "volume: the HoloGAN decoder has no volume of colours and occupancy: take another variant"
-            )
+            raise ViewnetError("volume: the HoloGAN decoder has no volume of colours: take another variant")
         return self._encode(self._one(image, mask, box)).volume[0].cpu()
 
     def mesh(
@@ -173,8 +173,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         Angles are in degrees in the frame of the predictions, one number or (N,). `size` is S in pixels (default: as
         trained). ViewnetError for angles that are not finite or not as many as the images.
         """
-        count = len(images) if isinstance(images, Prepared) else len(inputs.as_list(images))
-        angles = []
+        count, angles = _count(images), []
         for name, values in (("azimuth", azimuth), ("elevation", elevation)):
             array = np.asarray(values, dtype=np.float64)
             if array.shape not in ((), (1,), (count,)) or not np.isfinite(array).all():
@@ -278,9 +277,6 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
             vectors, ups = vectors @ rotation.T, None if ups is None else ups @ rotation.T
         return Viewpoints.of(vectors, logits, ups, self.aligned)
 
-    def _ready(self, images: Tensor, batch_size: int) -> Iterator[Tensor]:
-        return preprocess.ready_batches(images, self.framing, self.device, batch_size)
-
     def _prepared(
         self, images: ImagesLike | Prepared, masks: Any, boxes: Any, batch_size: int = BATCH
     ) -> Iterator[Prepared]:
@@ -290,11 +286,14 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         return preprocess.batches(images, masks, boxes, self.framing, self.device, batch_size)
 
     def _one(self, image: ImageLike | Prepared, mask: Any, box: Any) -> Prepared:
-        count = len(image) if isinstance(image, Prepared) else len(inputs.as_list(image))
-        if count != 1:
+        if (count := _count(image)) != 1:
             raise ViewnetError(f"{count} images: expected one")
         masks, boxes = (None if value is None else [value] for value in (mask, box))
         return next(self._prepared(image, masks, boxes, 1))
+
+
+def _count(images: ImagesLike | Prepared) -> int:
+    return len(images if isinstance(images, Prepared) else as_list(images))
 
 
 def _array(values: Tensor | None) -> Any:
