@@ -31,8 +31,8 @@ def view_vector(azimuth: Tensor, elevation: Tensor) -> Tensor:
     >>> view_vector(torch.tensor(60.0), torch.tensor(30.0))
     tensor([0.4330, 0.7500, 0.5000])
     """
-    a, e = torch.deg2rad(azimuth), torch.deg2rad(elevation)
-    return torch.stack([e.cos() * a.cos(), e.cos() * a.sin(), e.sin()], dim=-1)
+    a, e = torch.deg2rad(azimuth), torch.deg2rad(elevation)  # radians only inside this module
+    return torch.stack([e.cos() * a.cos(), e.cos() * a.sin(), e.sin()], dim=-1)  # (..., 3)
 
 
 def azimuth_elevation(v: Tensor) -> tuple[Tensor, Tensor]:
@@ -41,7 +41,7 @@ def azimuth_elevation(v: Tensor) -> tuple[Tensor, Tensor]:
     >>> azimuth_elevation(torch.tensor([0.0, -2.0, 0.0]))
     (tensor(270.), tensor(0.))
     """
-    azimuth = torch.rad2deg(torch.atan2(v[..., 1], v[..., 0])) % 360.0
+    azimuth = torch.rad2deg(torch.atan2(v[..., 1], v[..., 0])) % 360.0  # (...), from atan2's (-180, 180]
     # A tiny negative angle rounds up to 360 itself under the modulo.
     azimuth = torch.where(azimuth >= 360.0, torch.zeros_like(azimuth), azimuth)
     elevation = torch.rad2deg(torch.atan2(v[..., 2], torch.linalg.vector_norm(v[..., :2], dim=-1)))
@@ -59,20 +59,20 @@ def look_at(v: Tensor, up: Tensor | None = None) -> Tensor:
     >>> right, up  # from the front the object's left side, +y, is on the right
     (tensor([0., 1., 0.]), tensor([0., 0., 1.]))
     """
-    back = torch.nn.functional.normalize(v, dim=-1, eps=1e-12)
-    up = back.new_tensor(UP).expand_as(back) if up is None else up.expand_as(back)
-    right = torch.linalg.cross(up, back)
-    parallel = torch.linalg.vector_norm(right.detach(), dim=-1, keepdim=True) < 1e-6
-    side = torch.linalg.cross(back.new_tensor([0.0, 0.0, 1.0]).expand_as(back), back)
+    back = torch.nn.functional.normalize(v, dim=-1, eps=1e-12)  # the camera looks along -back
+    up = back.new_tensor(UP).expand_as(back) if up is None else up.expand_as(back)  # (..., 3)
+    right = torch.linalg.cross(up, back)  # u x v: minus the paper's w
+    parallel = torch.linalg.vector_norm(right.detach(), dim=-1, keepdim=True) < 1e-6  # (..., 1); a choice: no gradient
+    side = torch.linalg.cross(back.new_tensor([0.0, 0.0, 1.0]).expand_as(back), back)  # (..., 3)
     side = torch.where(torch.linalg.vector_norm(side.detach(), dim=-1, keepdim=True) < 1e-6, _y_axis(back), side)
     right = torch.nn.functional.normalize(torch.where(parallel, side, right), dim=-1, eps=1e-12)
-    return torch.stack([right, torch.linalg.cross(back, right), back], dim=-1)
+    return torch.stack([right, torch.linalg.cross(back, right), back], dim=-1)  # (..., 3, 3)
 
 
 def _y_axis(like: Tensor) -> Tensor:
     """The world's y made orthogonal to `like` (which is within 1e-6 of the world's z wherever this is used)."""
-    y = like.new_tensor([0.0, 1.0, 0.0]).expand_as(like)
-    return y - (y * like).sum(-1, keepdim=True) * like
+    y = like.new_tensor([0.0, 1.0, 0.0]).expand_as(like)  # (..., 3)
+    return y - (y * like).sum(-1, keepdim=True) * like  # (..., 3), a Gram-Schmidt step
 
 
 def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
@@ -86,9 +86,9 @@ def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
     >>> round(rotation_angle(a, b).item(), 3)
     20.0
     """
-    relative = a.transpose(-1, -2) @ b
-    trace = relative.diagonal(dim1=-2, dim2=-1).sum(-1)
-    axis = torch.stack(
+    relative = a.transpose(-1, -2) @ b  # (..., 3, 3)
+    trace = relative.diagonal(dim1=-2, dim2=-1).sum(-1)  # (...), 1 + 2 cos of the angle
+    axis = torch.stack(  # (..., 3), 2 sin of the angle along the rotation's axis
         [
             relative[..., 2, 1] - relative[..., 1, 2],
             relative[..., 0, 2] - relative[..., 2, 0],
@@ -106,6 +106,6 @@ def vector_angle(a: Tensor, b: Tensor) -> Tensor:
     90.0
     """
     a, b = torch.nn.functional.normalize(a, dim=-1), torch.nn.functional.normalize(b, dim=-1)
-    return 2 * torch.rad2deg(
+    return 2 * torch.rad2deg(  # |a - b| = 2 sin(x / 2), |a + b| = 2 cos(x / 2)
         torch.atan2(torch.linalg.vector_norm(a - b, dim=-1), torch.linalg.vector_norm(a + b, dim=-1))
     )

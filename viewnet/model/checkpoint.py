@@ -31,19 +31,19 @@ LARGEST_VOLUME = 256
 
 def locate(start: str) -> Path:
     """The full path of the checkpoint that a run's key, a run's folder or a file names. ViewnetError for none."""
-    named = Path(start).expanduser()
+    named = Path(start).expanduser()  # a file, or a run's folder
     keyed = sorted(paths.runs().glob(f"*/{start}/{CHECKPOINT}")) if re.fullmatch("[0-9a-f]{12}", start) else []
-    for place in (named, named / CHECKPOINT, *keyed):
+    for place in (named, named / CHECKPOINT, *keyed):  # a path that exists wins over a key spelt like it
         if place.is_file():
-            return place.absolute()
+            return place.absolute()  # stays right when the working directory changes
     raise ViewnetError(f"start {start}: no finished run of that key or folder, and no {CHECKPOINT}: train it first")
 
 
 def identity(start: str) -> str:
     """16 hex digits of the weights of the checkpoint `locate` names, independent of where it lies."""
     digest = hashlib.sha256()
-    for name, weight in sorted(read(locate(start))[0].items()):
-        digest.update(f"{name} {weight.dtype} {list(weight.shape)}\n".encode())
+    for name, weight in sorted(read(locate(start))[0].items()):  # by name: the order in the file does not count
+        digest.update(f"{name} {weight.dtype} {list(weight.shape)}\n".encode())  # or equal bytes of two shapes were one
         digest.update(weight.contiguous().numpy().tobytes())
     return digest.hexdigest()[:16]
 
@@ -61,11 +61,11 @@ def read(path: Path, remedy: str = "train the run again") -> tuple[dict[str, Ten
 def config_of(path: Path) -> RunConfig:
     """The configuration in a checkpoint's metadata. ViewnetError where there is none that this version reads."""
     try:
-        with safe_open(path, framework="pt") as file:
+        with safe_open(path, framework="pt") as file:  # the header alone: no weights are read
             values = json.loads((file.metadata() or {})["config"])
     except Exception as error:
         raise ViewnetError(f"{path}: not a whole checkpoint ({first_line(error)}): train the run again") from error
-    try:
+    try:  # whole, but perhaps of another version, which deserves a message of its own
         return RunConfig.from_dict(values)
     except ViewnetError as error:
         raise ViewnetError(f"{path} is of another version of viewnet ({error}): train the run again") from error
@@ -85,7 +85,7 @@ def load_model(folder: Path) -> tuple[ViewNet, RunConfig]:
         raise ViewnetError(f"no checkpoint at {path}: train the run first")
     config = config_of(path)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    return build(config.model, read(path)[0], path).to(device).eval(), config
+    return build(config.model, read(path)[0], path).to(device).eval(), config  # eval: running statistics
 
 
 def build(config: ModelConfig, weights: dict[str, Tensor], path: Path) -> ViewNet:
@@ -98,19 +98,19 @@ def build(config: ModelConfig, weights: dict[str, Tensor], path: Path) -> ViewNe
         raise ViewnetError(f"{path}: its configuration is of a larger network: weights and configuration do not match")
     network = ViewNet(config)
     expected = network.state_dict()
-    for name in sorted(expected.keys() | weights.keys()):
+    for name in sorted(expected.keys() | weights.keys()):  # sorted, so that the fault named first is always the same
         if name not in weights or name not in expected:
             problem = "is missing" if name not in weights else "has no place"
             raise ViewnetError(f"{path}: {name} {problem}: weights and configuration are not of one network")
         weight, place = weights[name], expected[name]
         if weight.dtype == torch.float16 and place.dtype == torch.float32:
-            weight = weight.float()
+            weight = weight.float()  # half precision halves the file alone
         if (weight.shape, weight.dtype) != (place.shape, place.dtype):
             raise ViewnetError(
                 f"{path}: {name} is {weight.dtype} {tuple(weight.shape)}, its configuration says {place.dtype} "
                 f"{tuple(place.shape)}: weights and configuration are not of one network"
             )
-        place.copy_(weight)
+        place.copy_(weight)  # the state dict shares the network's memory
     return network
 
 
@@ -121,7 +121,7 @@ def starting_weights(start: str, model: ModelConfig) -> dict[str, Tensor]:
     """
     path = locate(start)
     theirs = config_of(path).model
-    for field in dataclasses.fields(ModelConfig):
+    for field in dataclasses.fields(ModelConfig):  # one by one, so that the message names the setting
         there, here = getattr(theirs, field.name), getattr(model, field.name)
         if there != here:
             raise ViewnetError(
@@ -137,7 +137,7 @@ def fewest_weights(config: ModelConfig) -> int:
     layers += [(min(encoder), outputs) for outputs in (config.heads, config.appearance_size)]
     if config.decoder == "adain":
         layers.append((config.code_size, generator[0]))
-    return max(math.prod(sizes) for sizes in layers)
+    return max(math.prod(sizes) for sizes in layers)  # a bound is enough: no network is built for it
 
 
 def first_line(error: BaseException) -> str:

@@ -23,14 +23,14 @@ FEATURE_NETWORKS = {
 
 def composite(image: Tensor, colour: Tensor) -> Tensor:
     """Images (N, 4, H, W), RGB times mask and mask, over colours (N, 3): (N, 3, H, W)."""
-    return image[:, :3] + colour[:, :, None, None] * (1 - image[:, 3:])
+    return image[:, :3] + colour[:, :, None, None] * (1 - image[:, 3:])  # (N, 3, H, W)
 
 
 def pixel_loss(image: Tensor, target: Tensor) -> Tensor:
     """L1 + MSE / 2 of images (N, C, H, W) at their own and half their resolution, averaged."""
     total = image.new_zeros(())
     for factor in (1, 2):
-        difference = F.avg_pool2d(image - target, factor) if factor > 1 else image - target
+        difference = F.avg_pool2d(image - target, factor) if factor > 1 else image - target  # (N, C, H / f, W / f)
         total = total + difference.abs().mean() + 0.5 * difference.square().mean()
     return total / 2
 
@@ -49,16 +49,16 @@ class PerceptualLoss(nn.Module):
         super().__init__()
         self.taps = FEATURE_NETWORKS[network]
         layers = convolutions(network, weights, "train without (perceptual=none)")
-        self.layers = layers[: max(index for index, _ in self.taps)].requires_grad_(False)
+        self.layers = layers[: max(index for index, _ in self.taps)].requires_grad_(False)  # those that a tap needs
         for layer in self.layers.modules():
             if isinstance(layer, nn.ReLU):
                 layer.inplace = False  # a tap before a ReLU must survive it
-        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(1, 3, 1, 1))
-        self.register_buffer("std", torch.tensor(IMAGENET_STD).view(1, 3, 1, 1))
+        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(1, 3, 1, 1))  # (1, 3, 1, 1)
+        self.register_buffer("std", torch.tensor(IMAGENET_STD).view(1, 3, 1, 1))  # (1, 3, 1, 1)
 
     def features(self, image: Tensor) -> list[Tensor]:
         """The taps of images (N, 3, H, W) in [0, 1]."""
-        x = (image - self.mean) / self.std
+        x = (image - self.mean) / self.std  # (N, 3, H, W), the range ImageNet networks are trained on
         indices = {index for index, _ in self.taps}
         taps = [x] if 0 in indices else []
         for index, layer in enumerate(self.layers, start=1):
@@ -69,17 +69,17 @@ class PerceptualLoss(nn.Module):
 
     def forward(self, image: Tensor, target: Tensor) -> Tensor:
         """The distance, a scalar, of images (N, 3, H, W) in [0, 1] from their targets (N, 3, H, W)."""
-        with torch.no_grad():
+        with torch.no_grad():  # a target takes no gradient, and its activations no memory
             targets = self.features(target)
         total = image.new_zeros(())
         for tap, wanted, (_, weight) in zip(self.features(image), targets, self.taps, strict=True):
             total = total + weight * 0.5 * (F.mse_loss(tap, wanted) + F.l1_loss(tap, wanted))
-        return total / sum(weight for _, weight in self.taps)
+        return total / sum(weight for _, weight in self.taps)  # comparable between networks of other taps
 
 
 def head_errors(images: Tensor, target: Tensor) -> Tensor:
     """Mean squared error (N, M) of images (N, M, C, H, W) against targets (N, C, H, W): the norm of equation 2."""
-    return (images - target[:, None]).square().mean(dim=(2, 3, 4))
+    return (images - target[:, None]).square().mean(dim=(2, 3, 4))  # (N, M)
 
 
 def cycle_loss(hypotheses: Hypotheses, truth: Tensor, config: CycleConfig) -> Tensor:

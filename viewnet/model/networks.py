@@ -22,7 +22,7 @@ from viewnet.model.volume import joined, ray_points
 
 def power_of_two(size: int, at_least: int, what: str) -> int:
     """The exponent of `size`; ViewnetError unless it is a power of two of `at_least` or more."""
-    if size < at_least or size & (size - 1):
+    if size < at_least or size & (size - 1):  # a power of two has a single bit
         raise ViewnetError(f"{what} {size}: expected a power of two of {at_least} or more")
     return size.bit_length() - 1
 
@@ -48,22 +48,22 @@ class Encoder(nn.Sequential):
             raise ViewnetError(f"encoder_channels {channels}: {levels} are needed for images of {image_size} pixels")
         layers: list[nn.Module] = []
         previous = 3
-        for width in channels[: levels - 1]:
+        for width in channels[: levels - 1]:  # each halves the side, until it is 2
             layers += [nn.Conv2d(previous, width, 3, stride=2, padding=1, padding_mode=padding, bias=False)]
-            layers += [nn.BatchNorm2d(width), nn.ReLU(inplace=True)]
+            layers += [nn.BatchNorm2d(width), nn.ReLU(inplace=True)]  # takes the mean away: convolutions need no bias
             previous = width
         last = channels[levels - 1]
         layers += [nn.Conv2d(previous, last, 2, bias=False), nn.BatchNorm2d(last), nn.ReLU(inplace=True)]
-        layers += [nn.Conv2d(last, outputs, 1), nn.Flatten()]
+        layers += [nn.Conv2d(last, outputs, 1), nn.Flatten()]  # (N, outputs, 1, 1) -> (N, outputs)
         super().__init__(*layers)
-        self.to(memory_format=torch.channels_last)
+        self.to(memory_format=torch.channels_last)  # a pixel's features side by side, as norm_relu reads them
 
     def forward(self, images: Tensor) -> Tensor:
         """Features (N, outputs) of images (N, 3, S, S)."""
         x = images.contiguous(memory_format=torch.channels_last)
         for layer in self:
             if isinstance(layer, _BatchNorm):
-                x = _normalised(layer, x)
+                x = _normalised(layer, x)  # with the ReLU behind it, which is passed over
             elif not isinstance(layer, nn.ReLU):
                 x = layer(x)
         return x
@@ -76,13 +76,13 @@ def _normalised(layer: _BatchNorm, x: Tensor) -> Tensor:
     assert layer.momentum is not None and layer.running_mean is not None and layer.running_var is not None
     assert layer.num_batches_tracked is not None
     flat = x.movedim(1, -1).flatten(0, -2)[None]  # (1, N P, C): one batch, every place alike
-    out, mean, variance = norm_relu_cpu.norm_relu(flat, layer.weight[None], layer.bias[None], layer.eps)
+    out, mean, variance = norm_relu_cpu.norm_relu(flat, layer.weight[None], layer.bias[None], layer.eps)  # (1, N P, C)
     with torch.no_grad():
         count = flat.shape[1]
         layer.num_batches_tracked += 1
         layer.running_mean.lerp_(mean[0], layer.momentum)
-        layer.running_var.lerp_(variance[0] * (count / (count - 1)), layer.momentum)
-    return out.view(x.movedim(1, -1).shape).movedim(-1, 1)
+        layer.running_var.lerp_(variance[0] * (count / (count - 1)), layer.momentum)  # unbiased, as PyTorch has it
+    return out.view(x.movedim(1, -1).shape).movedim(-1, 1)  # (N, C, ...)
 
 
 class AdaIN(nn.Module):
@@ -102,10 +102,10 @@ class AdaIN(nn.Module):
         """Features (N, C, ...) and appearances (N, A) -> features (N, C, ...), 0 or more."""
         scale, shift = self.affine(appearance).chunk(2, dim=1)  # (N, C) each
         if norm_relu_cpu.usable(x):
-            last = x.movedim(1, -1)
+            last = x.movedim(1, -1)  # (N, ..., C)
             out, _, _ = norm_relu_cpu.norm_relu(last.flatten(1, -2), scale, shift)  # (N, P, C)
-            return out.view(last.shape).movedim(-1, 1)
-        shape = (*scale.shape, *[1] * (x.dim() - 2))
+            return out.view(last.shape).movedim(-1, 1)  # (N, C, ...)
+        shape = (*scale.shape, *[1] * (x.dim() - 2))  # (N, C, 1, ...)
         return F.relu(torch.addcmul(shift.to(x.dtype).view(shape), F.instance_norm(x), scale.to(x.dtype).view(shape)))
 
 
@@ -117,7 +117,7 @@ class Stage(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, appearance: int | None, dims: int = 3):
         super().__init__()
-        if stride == 1 and kernel == 4:
+        if stride == 1 and kernel == 4:  # the table's first row, one voxel to 4^3
             self.convolution: nn.Module = Opening(inputs, outputs)
         else:
             transposed = nn.ConvTranspose3d if dims == 3 else nn.ConvTranspose2d
@@ -148,7 +148,7 @@ class Opening(nn.ConvTranspose3d):
         """(N, C, 1, 1, 1) -> (N, outputs, 4, 4, 4)."""
         with torch.autocast(x.device.type, enabled=False):
             flat = x.flatten(1).float() @ self.weight.permute(0, 2, 3, 4, 1).flatten(1)  # (N, 4 4 4 outputs)
-        return flat.view(len(x), 4, 4, 4, self.out_channels).movedim(-1, 1)
+        return flat.view(len(x), 4, 4, 4, self.out_channels).movedim(-1, 1)  # (N, outputs, 4, 4, 4)
 
 
 class Doubling(nn.ConvTranspose3d):
@@ -161,14 +161,14 @@ class Doubling(nn.ConvTranspose3d):
     def __init__(self, inputs: int):
         super().__init__(inputs, 4, 2, 2)
         with torch.no_grad():
-            self.weight.copy_(self.weight[:, :, :1, :1, :1].expand_as(self.weight))
+            self.weight.copy_(self.weight[:, :, :1, :1, :1].expand_as(self.weight))  # (inputs, 4, 2, 2, 2)
 
     def blocks(self, x: Tensor) -> Tensor:
         """(N, inputs, n, n, n) -> the eight of every voxel, (N, n, n, n, 2, 2, 2, 4)."""
         weight = self.weight.permute(0, 2, 3, 4, 1).flatten(1)  # (inputs, 2 2 2 4)
-        bias = self.bias.repeat(8) if self.bias is not None else None
+        bias = self.bias.repeat(8) if self.bias is not None else None  # (2 2 2 4,), the order of the weight's rows
         eight = F.linear(x.permute(0, 2, 3, 4, 1), weight.T, bias)  # (N, n, n, n, 2 2 2 4)
-        return eight.view(*eight.shape[:4], 2, 2, 2, 4)
+        return eight.view(*eight.shape[:4], 2, 2, 2, 4)  # (N, n, n, n, 2, 2, 2, 4)
 
 
 class Generator(nn.Module):
@@ -184,7 +184,7 @@ class Generator(nn.Module):
 
     def __init__(self, config: ModelConfig):
         super().__init__()
-        levels = power_of_two(config.volume_size, 8, "volume_size") - 2
+        levels = power_of_two(config.volume_size, 8, "volume_size") - 2  # 4 voxels a side, then doublings
         widths = config.generator_channels[:levels]
         if len(widths) < levels:
             raise ViewnetError(
@@ -192,7 +192,7 @@ class Generator(nn.Module):
             )
         self.adain = config.decoder != "encoder_decoder"
         appearance = config.appearance_size if self.adain else None
-        self.register_buffer("code", torch.randn(1, config.code_size, 1, 1, 1))
+        self.register_buffer("code", torch.randn(1, config.code_size, 1, 1, 1))  # z of section 3.2
         inputs = config.code_size if self.adain else config.appearance_size
         stages = [Stage(inputs, widths[0], 4, 1, appearance)]
         for before, width in pairwise(widths):
@@ -212,7 +212,7 @@ class Generator(nn.Module):
         if isinstance(self.last, Doubling):
             return self.last.blocks(x)
         logits = self.last(x).permute(0, 2, 3, 4, 1)  # (N, n, n, n, 4)
-        return logits.reshape(*logits.shape[:4], 1, 1, 1, 4)
+        return logits.reshape(*logits.shape[:4], 1, 1, 1, 4)  # (N, n, n, n, 1, 1, 1, 4)
 
     def forward(self, appearance: Tensor) -> Tensor:
         """Logits (N, 4, n, n, n) of appearances (N, A)."""
@@ -234,7 +234,7 @@ class HoloGANDecoder(nn.Module):
         self.code = nn.Parameter(0.02 * torch.randn(1, widths[0], 4, 4, 4))
         self.enter = AdaIN(widths[0], config.appearance_size)
         self.stages = nn.ModuleList(Stage(a, b, 4, 2, config.appearance_size) for a, b in pairwise(widths))
-        flat = widths[-1] * size
+        flat = widths[-1] * size  # channels once depth is folded into them
         self.fold = nn.Conv2d(flat, flat, 1)
         self.paint = nn.ModuleList(
             [
@@ -249,7 +249,7 @@ class HoloGANDecoder(nn.Module):
 
     def features(self, appearance: Tensor) -> Tensor:
         """Feature volumes (N, C, s, s, s), before any rotation."""
-        x = self.enter(self.code.expand(len(appearance), -1, -1, -1, -1), appearance)
+        x = self.enter(self.code.expand(len(appearance), -1, -1, -1, -1), appearance)  # (N, C, 4, 4, 4)
         for stage in self.stages:
             x = stage(x, appearance)
         return x
@@ -258,21 +258,21 @@ class HoloGANDecoder(nn.Module):
         """Images (N, 3, S, S) in [0, 1]; N a multiple of the number of feature volumes, as in viewnet.model.volume."""
         share = len(world_from_camera) // len(features)
         points = ray_points(self.size, self.size, world_from_camera.new_zeros(()))
-        # A volume's views are sampled as one grid, one behind the other, which spares a copy of the volume for each.
+        # A volume's K views are one grid (B, K s, s, s, 3), one behind the other: no copy of the volume for each.
         grid = torch.einsum("nij,dhwj->ndhwi", world_from_camera, points).unflatten(0, (-1, share)).flatten(1, 2)
         rotated = F.grid_sample(features, grid.to(features.dtype), padding_mode="border", align_corners=False)
         views = rotated.unflatten(2, (share, self.size)).transpose(1, 2).flatten(0, 1)  # (N, C, s, s, s)
         x = F.relu(self.fold(views.flatten(1, 2).contiguous(memory_format=torch.channels_last)))
         for stage in self.paint:
-            x = stage(x, appearance.repeat_interleave(share, dim=0))
+            x = stage(x, appearance.repeat_interleave(share, dim=0))  # (N, C, h, w)
         return torch.sigmoid(self.last(x))
 
 
 def gaussian_prior(size: int, width: float = 0.05) -> Tensor:
     """S of section 3.3 on a volume of `size` voxels a side: exp(-r^2 / width), r in half sides of the volume."""
-    axis = (torch.arange(size) * 2 + 1) / size - 1
+    axis = (torch.arange(size) * 2 + 1) / size - 1  # (n,), the voxels' centres
     z, y, x = torch.meshgrid(axis, axis, axis, indexing="ij")
-    return torch.exp(-(x**2 + y**2 + z**2) / width)
+    return torch.exp(-(x**2 + y**2 + z**2) / width)  # (n, n, n)
 
 
 def parameters(module: nn.Module) -> int:

@@ -71,15 +71,15 @@ def reconstruct(
     `own_shape` and `background` (B, 3, s, s) as in ViewNet.encode; `choose` defaults to `best_head`.
     """
     with autocast(appearance.device, config):
-        objects = Encoded(*model.encode(appearance, own_shape, background))
-        predicted = model.viewpoint(model.composite(viewpoint_input))
+        objects = Encoded(*model.encode(appearance, own_shape, background))  # f^a and the generator
+        predicted = model.viewpoint(model.composite(viewpoint_input))  # f^v, logits and vectors for all M
     hypotheses, repeated = predicted.rows(slice(len(target))), predicted.rows(slice(len(target), None))
-    with torch.no_grad():
+    with torch.no_grad():  # equation 2 chooses; losing heads learn nothing
         choice = (choose or best_head)(model, objects, hypotheses, target, config)
     if choice.render_from is None:  # looked up here, with gradients
         cameras = hypotheses.world_from_camera[torch.arange(len(target)), choice.head]  # (N, 3, 3)
     else:
-        cameras = look_at(choice.render_from)
+        cameras = look_at(choice.render_from)  # (N, 3, 3)
     with autocast(appearance.device, config):
         rendered = model.render(objects.volume, objects.code, cameras)
     return Reconstruction(hypotheses, repeated, choice, rendered, target, objects)
@@ -88,8 +88,8 @@ def reconstruct(
 def best_head(model: ViewNet, objects: Encoded, hypotheses: Hypotheses, target: Tensor, config: TrainConfig) -> Choice:
     """The head with the least reconstruction error: m* of equation 2."""
     rows = torch.arange(len(target), device=target.device)
-    _, errors = compare(model, objects, hypotheses.vectors[:, :, None], hypotheses.ups, target, config)
-    head = errors.argmin(1)
+    _, errors = compare(model, objects, hypotheses.vectors[:, :, None], hypotheses.ups, target, config)  # (N, M)
+    head = errors.argmin(1)  # (N,)
     return Choice(head, hypotheses.vectors[rows, head], head, errors)
 
 
@@ -122,6 +122,6 @@ def compare(
     errors = rendered.new_zeros(rendered.shape[:2])
     for channels, weight in zip((slice(0, 3), slice(3, 4)), weights, strict=True):
         if weight:
-            errors = errors + weight * head_errors(rendered[:, :, channels], target[:, channels])
+            errors = errors + weight * head_errors(rendered[:, :, channels], target[:, channels])  # (N, M T)
     errors, best = errors.unflatten(1, (heads, count)).min(2)  # (N, M)
     return candidates.gather(2, best[:, :, None, None].expand(-1, -1, 1, 3))[:, :, 0], errors  # (N, M, 3)

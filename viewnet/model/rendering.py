@@ -45,24 +45,24 @@ class ObjectRenderer:
         many steps along a ray as they were learned with; the HoloGAN decoder has one size only.
         """
         cameras, learned = world_from_camera.float().to(self.device), self.network.config.render_size
-        if self.hologan or size is None or size == learned:
+        if self.hologan or size is None or size == learned:  # exactly what training rendered
             return self.network.render(objects.volume, objects.code, cameras)
-        return volume.render(objects.volume, cameras, self.network.focal, size, steps=learned)
+        return volume.render(objects.volume, cameras, self.network.focal, size, steps=learned)  # Q is a step's
 
     def displayed(self, rendered: Tensor) -> np.ndarray:
         """`to_uint8` over white; silhouettes where only masks were learned, since colours are then arbitrary."""
-        if self.config.train.target == "mask":
+        if self.config.train.target == "mask":  # over the mask in three channels of grey
             rendered = torch.cat([SILHOUETTE * rendered[:, 3:].expand(-1, 3, -1, -1), rendered[:, 3:]], 1)
         return to_uint8(rendered)
 
     def in_own_frame(self, world_from_camera: Tensor) -> Tensor:
         """Camera frames (..., 3, 3) in the annotated frame, brought to the network's own."""
-        return self.rotation.T @ world_from_camera.float()
+        return self.rotation.T @ world_from_camera.float()  # (..., 3, 3); the transpose inverts a rotation
 
 
 def to_uint8(images: Tensor, grey: float = 1.0) -> np.ndarray:
     """Images (N, 4, H, W), RGB times mask and mask, over a grey level: (N, H, W, 3) uint8."""
-    background = torch.full((len(images), 3), grey, device=images.device)
-    colours = composite(images, background).clamp(0, 1) * 255
+    background = torch.full((len(images), 3), grey, device=images.device)  # (N, 3)
+    colours = composite(images, background).clamp(0, 1) * 255  # beyond 255 uint8 would wrap around
     array: np.ndarray = colours.round().to(torch.uint8).movedim(1, -1).cpu().numpy()  # (N, H, W, 3)
     return array

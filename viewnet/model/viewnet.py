@@ -51,18 +51,18 @@ class ViewpointNetwork(nn.Module):
         self.heads, self.in_plane, self.limits = config.heads, config.in_plane, config.elevation_limits
         outputs = (7 if config.in_plane else 4) * config.heads
         self.encoder = Encoder(config.encoder_channels, outputs, config.input_size, config.encoder_padding)
-        azimuth = torch.arange(config.heads) * (2 * math.pi / config.heads)
+        azimuth = torch.arange(config.heads) * (2 * math.pi / config.heads)  # (M,), evenly around the object
         # Heads that start in one place would all learn the same viewpoint.
         offset = config.head_spread * torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros_like(azimuth)], dim=1)
-        self.register_buffer("offset", offset, persistent=False)
+        self.register_buffer("offset", offset, persistent=False)  # (M, 3); follows from the settings: not saved
         bands = config.balance_bands
-        self.register_buffer("shares", torch.full((12, bands), 1 / (12 * bands)))
+        self.register_buffer("shares", torch.full((12, bands), 1 / (12 * bands)))  # all alike
 
     def forward(self, images: Tensor) -> Hypotheses:
         """The hypotheses for images (N, 3, S, S), as `ViewNet.composite` gives them."""
-        out = self.encoder(images).float()
+        out = self.encoder(images).float()  # (N, 4 M), or (N, 7 M) with ups
         logits, rest = out[:, : self.heads], out[:, self.heads :].unflatten(1, (-1, self.heads, 3))  # (N, 1 or 2, M, 3)
-        vectors = self.on_sphere(rest[:, 0] + self.offset)
+        vectors = self.on_sphere(rest[:, 0] + self.offset)  # (N, M, 3)
         # A learned up starts near the world's: the network only has to predict how far it is tilted.
         ups = F.normalize(rest[:, 1] + rest.new_tensor([0.0, 0.0, 1.0]), dim=-1) if self.in_plane else None
         return Hypotheses(vectors, logits, ups)
@@ -72,8 +72,8 @@ class ViewpointNetwork(nn.Module):
         if self.limits is None:
             return F.normalize(raw, dim=-1)
         low, high = (math.radians(x) for x in self.limits)
-        elevation = (low + high) / 2 + (high - low) / 2 * torch.tanh(raw[..., 2:])
-        return torch.cat([elevation.cos() * F.normalize(raw[..., :2], dim=-1), elevation.sin()], dim=-1)
+        elevation = (low + high) / 2 + (high - low) / 2 * torch.tanh(raw[..., 2:])  # (..., 1)
+        return torch.cat([elevation.cos() * F.normalize(raw[..., :2], dim=-1), elevation.sin()], dim=-1)  # (..., 3)
 
 
 class ViewNet(nn.Module):
@@ -93,7 +93,7 @@ class ViewNet(nn.Module):
             config.encoder_channels, config.appearance_size, config.input_size, config.encoder_padding
         )
         self.decoder = HoloGANDecoder(config) if config.decoder == "hologan" else Generator(config)
-        self.focal = nn.Parameter(torch.tensor(config.focal), requires_grad=config.learn_focal)
+        self.focal = nn.Parameter(torch.tensor(config.focal), requires_grad=config.learn_focal)  # f of the renderer
         prior = gaussian_prior(config.volume_size) if config.shape_prior else torch.empty(0)
         self.register_buffer("prior", prior, persistent=False)
 
@@ -107,9 +107,9 @@ class ViewNet(nn.Module):
         `own_shape` below 1 moves codes towards their mean, which they are at 0: one shape for all, in many colours.
         `background` as in `composite`.
         """
-        code = self.appearance(self.composite(images, background))
+        code = self.appearance(self.composite(images, background))  # (N, A)
         if own_shape < 1:
-            code = torch.lerp(distributed.mean(code.mean(0, keepdim=True)), code, own_shape)
+            code = torch.lerp(distributed.mean(code.mean(0, keepdim=True)), code, own_shape)  # (N, A)
         colour = None
         if self.config.colour_prior:
             colour = images[:, :3].sum((2, 3)) / images[:, 3].sum((1, 2))[:, None].clamp(min=1)  # (N, 3)
@@ -126,7 +126,7 @@ class ViewNet(nn.Module):
             return self.decoder.features(code)
         # Squashed before it is sampled (both orders are in use), so that the volume itself holds colours.
         blocks = self.decoder.blocks(code)
-        logit = None if colour is None else colour.clamp(0.03, 0.97).logit()
+        logit = None if colour is None else colour.clamp(0.03, 0.97).logit()  # (N, 3); finite
         return volume.squash(blocks, logit, self.prior if self.config.shape_prior else None)
 
     def render(self, volumes: Tensor, code: Tensor, world_from_camera: Tensor, size: int | None = None) -> Tensor:
@@ -137,5 +137,5 @@ class ViewNet(nn.Module):
         size = self.config.render_size if size is None else size
         if isinstance(self.decoder, HoloGANDecoder):
             image = self.decoder.render(volumes, code, world_from_camera).float()
-            return torch.cat([image, torch.ones_like(image[:, :1])], dim=1)
+            return torch.cat([image, torch.ones_like(image[:, :1])], dim=1)  # (N, 4, S, S)
         return volume.render(volumes, world_from_camera, self.focal, size, sparse=True)

@@ -40,11 +40,11 @@ def ray_points(size: int, steps: int, focal: Tensor) -> Tensor:
     >>> ray_points(2, 4, torch.tensor(0.5))[0, 0, 0]  # the nearest of the upper left pixel: rays converge to the camera
     tensor([-0.3125,  0.3125,  0.7500])
     """
-    pixel = (torch.arange(size, device=focal.device, dtype=focal.dtype) * 2 + 1) / size - 1
-    depth = 1 - (torch.arange(steps, device=focal.device, dtype=focal.dtype) * 2 + 1) / steps
-    z, y, x = torch.meshgrid(depth, -pixel, pixel, indexing="ij")
-    scale = 1 - focal * z
-    return torch.stack([x * scale, y * scale, z], dim=-1)
+    pixel = (torch.arange(size, device=focal.device, dtype=focal.dtype) * 2 + 1) / size - 1  # (size,), pixels' centres
+    depth = 1 - (torch.arange(steps, device=focal.device, dtype=focal.dtype) * 2 + 1) / steps  # (steps,), near to far
+    z, y, x = torch.meshgrid(depth, -pixel, pixel, indexing="ij")  # (steps, size, size) each
+    scale = 1 - focal * z  # 0 at z = 1 / f, where the rays meet: the camera
+    return torch.stack([x * scale, y * scale, z], dim=-1)  # (steps, size, size, 3)
 
 
 def halved(volume: Tensor) -> Tensor:
@@ -52,7 +52,7 @@ def halved(volume: Tensor) -> Tensor:
     if not torch.is_grad_enabled() and volume.device.type == "cpu" and volume.shape[1] == 4 and numba_call.available():
         return volume_cpu.halved(volume.float())
     for axis in (2, 3, 4):
-        even, odd = volume.unflatten(axis, (-1, 2)).unbind(axis + 1)
+        even, odd = volume.unflatten(axis, (-1, 2)).unbind(axis + 1)  # (..., n / 2, ...) each
         volume = even + odd
     return volume / 8
 
@@ -71,12 +71,12 @@ def squash(blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tenso
     """
     if blocks.device.type == "cpu" and numba_call.available():
         return volume_cpu.squash(blocks, colour, prior)
-    logits = joined(blocks).float()
+    logits = joined(blocks).float()  # (B, 4, n, n, n)
     if colour is not None:
         logits = logits + F.pad(colour, (0, 1))[:, :, None, None, None]  # (B, 4, n, n, n)
     values = torch.sigmoid(logits)
-    occupancy = 2 * values[:, 3:] - 1 + (0 if prior is None else prior)
-    return torch.cat([values[:, :3], _Clamp.apply(occupancy)], 1)
+    occupancy = 2 * values[:, 3:] - 1 + (0 if prior is None else prior)  # (B, 1, n, n, n), Q = Q' + S
+    return torch.cat([values[:, :3], _Clamp.apply(occupancy)], 1)  # (B, 4, n, n, n)
 
 
 class _Clamp(torch.autograd.Function):
@@ -90,7 +90,7 @@ class _Clamp(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
         (x,), grad = ctx.saved_tensors, grads[0]
-        return grad.masked_fill((x < 0) & (grad > 0) | (x > 1) & (grad < 0), 0)
+        return grad.masked_fill((x < 0) & (grad > 0) | (x > 1) & (grad < 0), 0)  # would drive x further out
 
 
 def render_reference(volume: Tensor, world_from_camera: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
@@ -109,15 +109,15 @@ def render_reference(volume: Tensor, world_from_camera: Tensor, focal: Tensor, s
     >>> mask[0], torch.equal(red, mask), green.any().item()
     (tensor([0., 0., 1., 1.]), True, False)
     """
-    points = ray_points(size, steps, focal)
+    points = ray_points(size, steps, focal)  # (steps, size, size, 3)
     grid = torch.einsum("nij,dhwj->ndhwi", world_from_camera, points)  # (N, steps, size, size, 3)
     volume = volume.repeat_interleave(len(world_from_camera) // len(volume), dim=0)  # (N, 4, Z, Y, X)
     sampled = F.grid_sample(volume, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
-    colour, occupancy = sampled[:, :3], sampled[:, 3:]
-    passing = torch.cumprod(1 - occupancy, dim=2)  # the light left behind each step
-    reaching = torch.cat([torch.ones_like(passing[:, :, :1]), passing[:, :, :-1]], dim=2)
-    stopping = occupancy * reaching  # equation 3
-    return torch.cat([(stopping * colour).sum(2), stopping.sum(2)], dim=1)  # equation 4
+    colour, occupancy = sampled[:, :3], sampled[:, 3:]  # (N, 3 and 1, steps, size, size)
+    passing = torch.cumprod(1 - occupancy, dim=2)  # (N, 1, steps, size, size), the light left behind each step
+    reaching = torch.cat([torch.ones_like(passing[:, :, :1]), passing[:, :, :-1]], dim=2)  # product over l < k
+    stopping = occupancy * reaching  # (N, 1, steps, size, size), equation 3
+    return torch.cat([(stopping * colour).sum(2), stopping.sum(2)], dim=1)  # (N, 4, size, size), equation 4
 
 
 def render(

@@ -14,6 +14,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic, overload
 
+# `reassoc` lets sums vectorise and `contract` fuses; `nnan` is left out, so that NaN gets through and is noticed.
 FLAGS = {"fastmath": {"contract", "arcp", "nsz", "reassoc"}, "cache": True, "error_model": "numpy"}
 
 
@@ -31,7 +32,7 @@ def compiled(kernel):
 @intrinsic
 def _float(context, bits):
     def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.FloatType())
+        return builder.bitcast(arguments[0], ir.FloatType())  # the same 32 bits
 
     return types.float32(types.uint32), generate
 
@@ -49,10 +50,10 @@ def widened(value):
     raise NotImplementedError("only inside kernels")
 
 
-@overload(widened, inline="always")
+@overload(widened, inline="always")  # chosen by type when compiled: no branch at run time
 def _widened(value):
     if value == types.uint16:
-        return lambda value: _float(np.uint32(value) << np.uint32(16))
+        return lambda value: _float(np.uint32(value) << np.uint32(16))  # a bfloat16 is a float32's upper half
     return lambda value: value
 
 
@@ -66,7 +67,7 @@ def _narrowed(value, like):
     if like == types.uint16:
 
         def rounded(value, like):
-            bits = _bits(value)
+            bits = _bits(value)  # adding 0x7FFF, or 0x8000 after an odd digit, rounds ties to even
             return np.uint16((bits + np.uint32(0x7FFF) + ((bits >> np.uint32(16)) & np.uint32(1))) >> np.uint32(16))
 
         return rounded
@@ -76,16 +77,17 @@ def _narrowed(value, like):
 @njit(inline="always", **FLAGS)
 def sigmoid(x):
     """1 / (1 + exp(-x)) in float32, to some units in the last place: a polynomial on [-ln 2 / 2, ln 2 / 2], scaled."""
-    x = -x
+    x = -x  # what is computed is exp of this
     x = np.float32(-87) if x < np.float32(-87) else x  # compared so that NaN stays NaN
-    x = np.float32(87) if x > np.float32(87) else x
-    n = np.floor(x * np.float32(1.44269504) + np.float32(0.5))
-    r = x - n * np.float32(0.693359375) + n * np.float32(2.12194440e-4)
-    p = np.float32(1.9875691500e-4)
+    x = np.float32(87) if x > np.float32(87) else x  # beyond +-87 float32 over- or underflows
+    n = np.floor(x * np.float32(1.44269504) + np.float32(0.5))  # exp(x) = 2^n exp(r), n = round(x / ln 2)
+    r = x - n * np.float32(0.693359375) + n * np.float32(2.12194440e-4)  # ln 2 in two parts keeps r's digits
+    p = np.float32(1.9875691500e-4)  # the coefficients of Cephes' expf, by Horner's rule
     p = p * r + np.float32(1.3981999507e-3)
     p = p * r + np.float32(8.3334519073e-3)
     p = p * r + np.float32(4.1665795894e-2)
     p = p * r + np.float32(1.6666665459e-1)
     p = p * r + np.float32(5.0000001201e-1)
-    p = p * r * r + r + np.float32(1)
+    p = p * r * r + r + np.float32(1)  # exp(r)
+    # 2^n is n + 127 in a float32's exponent bits.
     return np.float32(1) / (np.float32(1) + p * _float(np.uint32(np.int32(n) + np.int32(127)) << np.uint32(23)))

@@ -30,11 +30,11 @@ def norm_relu(x: Tensor, scale: Tensor, shift: Tensor, epsilon: float = 1e-5) ->
 class _NormReLU(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, scale: Tensor, shift: Tensor, epsilon: float) -> tuple[Tensor, Tensor, Tensor]:
-        x, scale, shift = x.contiguous(), scale.float().contiguous(), shift.float().contiguous()
+        x, scale, shift = x.contiguous(), scale.float().contiguous(), shift.float().contiguous()  # sums in float32
         out = torch.empty_like(x)
-        mean, variance, slope, offset = (torch.empty_like(scale) for _ in range(4))
+        mean, variance, slope, offset = (torch.empty_like(scale) for _ in range(4))  # (N, C) each
         _run("norm", x, scale, shift, epsilon, out, mean, variance, slope, offset)
-        ctx.save_for_backward(x, mean, variance, slope, offset)
+        ctx.save_for_backward(x, mean, variance, slope, offset)  # not `out`: it follows from these
         ctx.epsilon = epsilon
         ctx.mark_non_differentiable(mean, variance)
         return out, mean, variance
@@ -42,14 +42,14 @@ class _NormReLU(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
         x, mean, variance, slope, offset = ctx.saved_tensors
-        grad = grads[0].to(x.dtype).contiguous()
+        grad = grads[0].to(x.dtype).contiguous()  # autograd may hand over another type or layout
         grad_x, grad_scale, grad_shift = torch.empty_like(x), torch.empty_like(mean), torch.empty_like(mean)
         found = (grad_x, grad_scale, grad_shift)
         _run("norm_backward", x, grad, mean, variance, ctx.epsilon, slope, offset, *found)
-        return *found, None
+        return *found, None  # none for epsilon
 
 
 def _run(kernel: str, *arguments: Any) -> None:
-    from viewnet.model.kernels import norm_relu_numba
+    from viewnet.model.kernels import norm_relu_numba  # imported late: Numba takes a second to load
 
     numba_call.run(getattr(norm_relu_numba, kernel), *arguments)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 
-@functools.cache
+@functools.cache  # one warning, not one a call
 def available() -> bool:
     """Whether compiled kernels can be used; says once why not."""
     try:
@@ -31,7 +31,7 @@ def run(kernel: dict[bool, Any], *arguments: Any) -> None:
 
     allowed = torch.get_num_threads()
     threads = min(allowed, numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-    if threads > 1:
+    if threads > 1:  # asking for one would start the pool all the same
         numba.set_num_threads(threads)
     plain = [_plain(argument) if isinstance(argument, Tensor) else argument for argument in arguments]
     kernel[threads > 1](*plain)
@@ -41,5 +41,6 @@ def run(kernel: dict[bool, Any], *arguments: Any) -> None:
 
 def _plain(tensor: Tensor) -> Any:
     if tensor.dim() == 0:
-        return np.float32(tensor.item())
+        return np.float32(tensor.item())  # a number, as Numba would see a 0-d array
+    # The array shares the tensor's memory: kernels fill it in place.
     return (tensor.view(torch.uint16) if tensor.dtype == torch.bfloat16 else tensor).numpy()

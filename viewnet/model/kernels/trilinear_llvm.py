@@ -9,9 +9,9 @@ from numba import types
 from numba.extending import intrinsic
 
 FLOAT = ir.FloatType()
-FOUR = ir.VectorType(FLOAT, 4)
+FOUR = ir.VectorType(FLOAT, 4)  # a voxel in one 128-bit register
 _three, _four = types.UniTuple(types.float32, 3), types.UniTuple(types.float32, 4)
-_INDICES = (types.uintp, types.uintp, types.uintp, _three)
+_INDICES = (types.uintp, types.uintp, types.uintp, _three)  # p, row, plane: unsigned, no sign to check in indexing
 
 
 @intrinsic
@@ -21,7 +21,7 @@ def sampled(context, voxels, p, row, plane, into):
     def generate(context, builder, signature, arguments):
         corners = [builder.load(at, align=4) for at in _corners(context, builder, signature, arguments)]
         fu, fv, fw = (_splat(builder, number) for number in _numbers(builder, arguments[4], 3))
-        found, _, _, _ = _between(builder, corners, fu, fv, fw)
+        found, _, _, _ = _between(builder, corners, fu, fv, fw)  # LLVM drops the slopes, which nobody reads
         return _tuple(context, builder, signature, _elements(builder, found))
 
     return _four(voxels, *_INDICES), generate
@@ -33,13 +33,14 @@ def slopes(context, voxels, p, row, plane, into, weights):
 
     def generate(context, builder, signature, arguments):
         corners = [builder.load(at, align=4) for at in _corners(context, builder, signature, arguments)]
+        # Weights first, then one dot product an axis: all four channels take part in each derivative.
         fu, fv, fw = (_splat(builder, number) for number in _numbers(builder, arguments[4], 3))
         weights = _vector(builder, _numbers(builder, arguments[5], 4))
         _, *along = _between(builder, corners, fu, fv, fw)
         sums = []
-        for slope in along:
+        for slope in along:  # d/du, d/dv, d/dw
             a, b, c, d = _elements(builder, builder.fmul(slope, weights))
-            sums.append(builder.fadd(builder.fadd(a, b), builder.fadd(c, d)))
+            sums.append(builder.fadd(builder.fadd(a, b), builder.fadd(c, d)))  # in pairs: shorter chains
         return _tuple(context, builder, signature, sums)
 
     return _three(voxels, *_INDICES, _four), generate
@@ -52,15 +53,15 @@ def deposit(context, voxels, p, row, plane, into, values):
     def generate(context, builder, signature, arguments):
         values = _vector(builder, _numbers(builder, arguments[5], 4))
         fu, fv, fw = (_splat(builder, number) for number in _numbers(builder, arguments[4], 3))
-        parts = [values]
+        parts = [values]  # trilinear's transpose: split along w, v and u in turn
         for f in (fw, fv, fu):
             split = []
-            for part in parts:
+            for part in parts:  # (w), (w, v), then (w, v, u): the corners' order
                 far = builder.fmul(part, f)
-                split += [builder.fsub(part, far), far]
+                split += [builder.fsub(part, far), far]  # near and far sum to the part
             parts = split
         for at, part in zip(_corners(context, builder, signature, arguments), parts, strict=True):
-            builder.store(builder.fadd(builder.load(at, align=4), part), at, align=4)
+            builder.store(builder.fadd(builder.load(at, align=4), part), at, align=4)  # one thread a volume: not atomic
         return context.get_dummy_value()
 
     return types.void(voxels, *_INDICES, _four), generate
@@ -69,10 +70,10 @@ def deposit(context, voxels, p, row, plane, into, values):
 def _corners(context, builder, signature, arguments):
     """Pointers to the eight corners' values: along u first, along w last."""
     voxels, p, row, plane = arguments[:4]
-    data = context.make_array(signature.args[0])(context, builder, voxels).data
+    data = context.make_array(signature.args[0])(context, builder, voxels).data  # (P 4,) floats
     one = ir.Constant(p.type, 1)
     found = []
-    for along_w in (p, builder.add(p, plane)):
+    for along_w in (p, builder.add(p, plane)):  # nested: corner 4 dw + 2 dv + du
         for along_v in (along_w, builder.add(along_w, row)):
             for at in (along_v, builder.add(along_v, one)):
                 found.append(builder.bitcast(builder.gep(data, [builder.shl(at, ir.Constant(p.type, 2))]), _POINTER))
@@ -84,20 +85,20 @@ _POINTER = FOUR.as_pointer()
 
 def _between(builder, corners, fu, fv, fw):
     """The value between eight corners, and its derivatives along u, v and w."""
-    along_u = [builder.fsub(corners[i + 1], corners[i]) for i in (0, 2, 4, 6)]
-    lines = [_fma(builder, fu, slope, corners[2 * i]) for i, slope in enumerate(along_u)]
+    along_u = [builder.fsub(corners[i + 1], corners[i]) for i in (0, 2, 4, 6)]  # the four edges along u
+    lines = [_fma(builder, fu, slope, corners[2 * i]) for i, slope in enumerate(along_u)]  # linear on each edge
     along_v = [builder.fsub(lines[1], lines[0]), builder.fsub(lines[3], lines[2])]
     faces = [_fma(builder, fv, along_v[0], lines[0]), _fma(builder, fv, along_v[1], lines[2])]
-    along_w = builder.fsub(faces[1], faces[0])
+    along_w = builder.fsub(faces[1], faces[0])  # d/dw
     slope_v = _fma(builder, fw, builder.fsub(along_v[1], along_v[0]), along_v[0])
     near = _fma(builder, fv, builder.fsub(along_u[1], along_u[0]), along_u[0])
     far = _fma(builder, fv, builder.fsub(along_u[3], along_u[2]), along_u[2])
-    slope_u = _fma(builder, fw, builder.fsub(far, near), near)
+    slope_u = _fma(builder, fw, builder.fsub(far, near), near)  # d/du
     return _fma(builder, fw, along_w, faces[0]), slope_u, slope_v, along_w
 
 
 def _fma(builder, a, b, c):
-    return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
+    return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))  # fused if the CPU can
 
 
 def _numbers(builder, values, count):
@@ -105,7 +106,7 @@ def _numbers(builder, values, count):
 
 
 def _vector(builder, numbers):
-    vector = ir.Constant(FOUR, ir.Undefined)
+    vector = ir.Constant(FOUR, ir.Undefined)  # all four are set below
     for i, number in enumerate(numbers):
         vector = builder.insert_element(vector, number, ir.Constant(ir.IntType(32), i))
     return vector

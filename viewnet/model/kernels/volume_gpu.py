@@ -32,7 +32,7 @@ def available() -> bool:
         problem = "PyTorch finds none"
     else:
         try:
-            _packed(torch.zeros(1, 4, 1, 1, 1, device="cuda"))
+            _packed(torch.zeros(1, 4, 1, 1, 1, device="cuda"))  # the smallest kernel: compiled, launched, run
             return True
         except Exception as error:  # no Triton, no C compiler for its launchers, a GPU it has no code for
             problem = f"{type(error).__name__}: {error}".splitlines()[0]
@@ -54,25 +54,25 @@ class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
         (voxels, cells), frames = _packed(volume), frames.contiguous()
-        image = volume.new_empty(len(frames), size, size, 4)
-        numbers = (len(frames) // len(volume), *volume.shape[2:], size, steps)
+        image = volume.new_empty(len(frames), size, size, 4)  # a pixel's values side by side, as a voxel's
+        numbers = (len(frames) // len(volume), *volume.shape[2:], size, steps)  # views a volume, Z, Y, X, S, steps
         _launch("draw", voxels, cells, frames, focal, image, *numbers, size=size)
         ctx.save_for_backward(voxels, cells, frames, focal)
         ctx.numbers, ctx.sparse = numbers, sparse
-        return image.permute(0, 3, 1, 2)
+        return image.permute(0, 3, 1, 2)  # (N, 4, S, S)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> Any:
         voxels, cells, frames, focal = ctx.saved_tensors
         *shape, size = ctx.numbers[1:5]
-        grad = grads[0].permute(0, 2, 3, 1).contiguous()
-        grad_voxels, tiles = torch.zeros_like(voxels), _tiles(size, 32)
-        partial = voxels.new_zeros(len(frames), tiles, 10)
+        grad = grads[0].permute(0, 2, 3, 1).contiguous()  # (N, S, S, 4)
+        grad_voxels, tiles = torch.zeros_like(voxels), _tiles(size, 32)  # 32 rays: the most tiles there can be
+        partial = voxels.new_zeros(len(frames), tiles, 10)  # a tile's own row: no atomics, a fixed order
         arguments = (voxels, cells, frames, focal, grad, grad_voxels, partial, *ctx.numbers, tiles, ctx.sparse)
         _launch("draw_backward", *arguments, size=size)
-        turned = partial.sum(1)
-        grad_frames, grad_focal = turned[:, :9].view(-1, 3, 3), turned[:, 9].sum().reshape(focal.shape)
+        turned = partial.sum(1)  # (N, 10)
+        grad_frames, grad_focal = turned[:, :9].view(-1, 3, 3), turned[:, 9].sum().reshape(focal.shape)  # (N, 3, 3)
         return unpadded(grad_voxels, tuple(shape)), grad_frames, grad_focal, None, None, None
 
 
@@ -83,8 +83,8 @@ def _packed(volume: Tensor) -> tuple[Tensor, Tensor]:
     count, _, nz, ny, nx = volume.shape
     voxels = volume.new_empty(count, (nz + 2) * (ny + 2) * (nx + 2), 4)
     cells = torch.empty(voxels.shape[:2], dtype=torch.uint8, device=volume.device)
-    block = 256
-    with torch.cuda.device_of(volume):
+    block = 256  # voxels a program
+    with torch.cuda.device_of(volume):  # not the current GPU, maybe another
         volume_triton.pack[(-(-voxels.shape[1] // block), count)](
             volume, voxels, cells, *volume.stride(), nz, ny, nx, BLOCK=block, enable_fp_fusion=True
         )
@@ -93,7 +93,7 @@ def _packed(volume: Tensor) -> tuple[Tensor, Tensor]:
 
 def _tiles(size: int, rays: int) -> int:
     """Tiles, eight pixels wide, in an image."""
-    return -(-size // 8) * -(-size // (rays // 8))
+    return -(-size // 8) * -(-size // (rays // 8))  # eight pixels wide, rays / 8 high
 
 
 def _launch(name: str, voxels: Tensor, cells: Tensor, frames: Tensor, *arguments: Any, size: int) -> None:
@@ -115,5 +115,5 @@ def kernel(name: str) -> Any:
     if os.environ.get("TRITON_INTERPRET") == "1":
         configs = configs[:1]  # nothing is timed where there is no choice
     summed, flags = ([], []) if name == "draw" else (["grad_voxels", "partial"], ["SPARSE"])
-    tuned = triton.autotune(configs, key=["size", "steps", *flags], reset_to_zero=summed)
+    tuned = triton.autotune(configs, key=["size", "steps", *flags], reset_to_zero=summed)  # runs that are timed add up
     return tuned(getattr(volume_triton, name))
