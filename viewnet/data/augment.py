@@ -39,7 +39,7 @@ def made(config: DataConfig, size: int, progress: bool = True) -> Backgrounds | 
 
 def windows(images: Tensor, count: int, size: int, generator: RandomSource, device: torch.device) -> Tensor:
     """`count` random windows (count, 3, size, size) in [0, 1] of images (K, 3, B, B), half of them mirrored."""
-    room = images.shape[-1] - size + 1
+    room = images.shape[-1] - size + 1  # places for a window's corner
     chosen = randint(len(images), count, generator=generator).tolist()
     places = randint(room, count, 2, generator=generator).tolist()
     parts = [images[k, :, y : y + size, x : x + size] for k, (y, x) in zip(chosen, places, strict=True)]
@@ -50,21 +50,21 @@ def windows(images: Tensor, count: int, size: int, generator: RandomSource, devi
 
 def over(images: Tensor, background: Tensor) -> Tensor:
     """Images (N, 4, S, S), RGB times alpha and alpha, over backgrounds (N, 3, S, S): the same, without transparency."""
-    alpha = images[:, 3:]
+    alpha = images[:, 3:]  # (N, 1, S, S)
     return torch.cat([images[:, :3] + background * (1 - alpha), torch.ones_like(alpha)], 1)
 
 
 def crop_and_rotate(images: Tensor, generator: RandomSource) -> Tensor:
     """Random crops of 80 to 100 % of the area and rotations within 3 degrees of images (N, C, S, S)."""
     count = len(images)
-    scale = (0.8 + 0.2 * rand(count, generator=generator)).sqrt()
-    shift = (2 * rand(count, 2, generator=generator) - 1) * (1 - scale)[:, None]
+    scale = (0.8 + 0.2 * rand(count, generator=generator)).sqrt()  # the root: of the side
+    shift = (2 * rand(count, 2, generator=generator) - 1) * (1 - scale)[:, None]  # (N, 2); crops stay within the image
     angle = torch.deg2rad(6 * rand(count, generator=generator) - 3)
-    rows = [
+    rows = [  # (N, 3) each: affine maps in [-1, 1]
         torch.stack([scale * angle.cos(), -scale * angle.sin(), shift[:, 0]], 1),
         torch.stack([scale * angle.sin(), scale * angle.cos(), shift[:, 1]], 1),
     ]
-    grid = F.affine_grid(torch.stack(rows, 1).to(images), list(images.shape), align_corners=False)
+    grid = F.affine_grid(torch.stack(rows, 1).to(images), list(images.shape), align_corners=False)  # (N, 2, 3)
     return F.grid_sample(images, grid, align_corners=False)
 
 
@@ -75,11 +75,11 @@ def jitter(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
     reciprocal, and what exceeds 1 is cut off.
     """
     count, alpha = len(images), images[:, 3:]
-    order = rand(count, 3, generator=generator).argsort(1).to(images.device)
-    uniform = 2 * rand(count, 4, generator=generator) - 1
+    order = rand(count, 3, generator=generator).argsort(1).to(images.device)  # (N, 3), a permutation each
+    uniform = 2 * rand(count, 4, generator=generator) - 1  # one for each colour, one for all
     gain = torch.exp(strength * (uniform[:, :3] + uniform[:, 3:])).to(images)[:, :, None, None]  # (N, 3, 1, 1)
     colours = images.gather(1, order[:, :, None, None].expand(-1, -1, *alpha.shape[2:]))  # (N, 3, S, S)
-    return torch.cat([torch.minimum(gain * colours, alpha), alpha], 1)
+    return torch.cat([torch.minimum(gain * colours, alpha), alpha], 1)  # RGB is premultiplied: at most alpha
 
 
 def photograph(crops: Tensor, backgrounds: Tensor, config: PhotoAugmentationConfig, generator: RandomSource) -> Tensor:
@@ -91,7 +91,7 @@ def photograph(crops: Tensor, backgrounds: Tensor, config: PhotoAugmentationConf
     """
     count, size, device = len(crops), crops.shape[-1], crops.device
     crops = _shifted(crops, config, generator)
-    images = over(crops, windows(backgrounds, count, size, generator, device))[:, :3]
+    images = over(crops, windows(backgrounds, count, size, generator, device))[:, :3]  # (N, 3, S, S)
     if config.occlude:
         occluded = _rectangles(count, size, config.occlude, generator).to(device)
         images = torch.where(occluded, windows(backgrounds, count, size, generator, device), images)
@@ -103,14 +103,14 @@ def photograph(crops: Tensor, backgrounds: Tensor, config: PhotoAugmentationConf
 def expose(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
     """Images (N, 3, S, S) in [0, 1] with other brightness, contrast and gamma, some grey, blurred and noisy."""
     count, device = len(images), images.device
-    each = (count, 1, 1, 1)
+    each = (count, 1, 1, 1)  # one number an image
     contrast, gamma = (torch.exp(strength * _uniform(-0.4, 0.4, each, generator)).to(device) for _ in range(2))
     light = (strength * _uniform(-0.15, 0.15, each, generator)).to(device)
-    mean = images.mean((1, 2, 3), keepdim=True)
+    mean = images.mean((1, 2, 3), keepdim=True)  # (N, 1, 1, 1)
     images = ((images - mean) * contrast + mean + light).clamp(0, 1) ** gamma
     grey = (rand(*each, generator=generator) < 0.15 * strength).to(device)
-    images = torch.where(grey, images.mean(1, keepdim=True), images)
-    blurred = F.avg_pool2d(F.pad(images, (1, 1, 1, 1), mode="replicate"), 3, 1)
+    images = torch.where(grey, images.mean(1, keepdim=True), images)  # (N, 3, S, S)
+    blurred = F.avg_pool2d(F.pad(images, (1, 1, 1, 1), mode="replicate"), 3, 1)  # 3x3 box
     images = torch.lerp(images, blurred, _uniform(0, min(1.0, strength), each, generator).to(device))
     deviation = (strength * _uniform(0, 0.05, each, generator)).to(device)
     noise = randn(*images.shape, generator=generator).to(device)
@@ -120,23 +120,23 @@ def expose(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
 def _shifted(crops: Tensor, config: PhotoAugmentationConfig, generator: RandomSource) -> Tensor:
     """Crops (N, 4, S, S) scaled, moved and rotated; what comes in from outside is empty."""
     count = len(crops)
-    scale = (1 + config.box_error * _uniform(-1, 1, (2, count), generator, dim=1)) / (1 + 2 * CROP_MARGIN)
+    scale = (1 + config.box_error * _uniform(-1, 1, (2, count), generator, dim=1)) / (1 + 2 * CROP_MARGIN)  # (2, N)
     shift = config.box_error * _uniform(-1, 1, (count, 2), generator)
     angle = torch.deg2rad(config.tilt * _uniform(-1, 1, (count,), generator))
-    rows = [
+    rows = [  # (N, 3) each: affine maps in [-1, 1]
         torch.stack([scale[0] * angle.cos(), -scale[0] * angle.sin(), shift[:, 0]], 1),
         torch.stack([scale[1] * angle.sin(), scale[1] * angle.cos(), shift[:, 1]], 1),
     ]
-    grid = F.affine_grid(torch.stack(rows, 1).to(crops), list(crops.shape), align_corners=False)
+    grid = F.affine_grid(torch.stack(rows, 1).to(crops), list(crops.shape), align_corners=False)  # (N, 2, 3)
     return F.grid_sample(crops, grid, align_corners=False)
 
 
 def _rectangles(count: int, size: int, share: float, generator: RandomSource) -> Tensor:
     """A rectangle of 10 to 40 % of the side somewhere in a `share` of the images: (count, 1, size, size) bool."""
-    half = size * _uniform(0.05, 0.2, (2, count, 1), generator, dim=1)
+    half = size * _uniform(0.05, 0.2, (2, count, 1), generator, dim=1)  # (2, count, 1), pixels
     centre = size * rand(2, count, 1, generator=generator, dim=1)
     there = rand(count, generator=generator) < share
-    columns, rows = ((torch.arange(size) - centre).abs() < half).unbind(0)
+    columns, rows = ((torch.arange(size) - centre).abs() < half).unbind(0)  # (count, size) each
     return (there[:, None, None] & columns[:, None, :] & rows[:, :, None])[:, None]  # (count, 1, size, size)
 
 

@@ -30,7 +30,7 @@ class Views:
 
     def images(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
         """RGB times alpha, and alpha, in [0, 1]: (n, 4, size, size)."""
-        images = self.pixels[rows].to(device).float().div_(255)
+        images = self.pixels[rows].to(device).float().div_(255)  # (n, 4, S, S); float only here: uint8 is a quarter
         return images if images.shape[-1] == size else resize(images, size)
 
     @property
@@ -41,10 +41,10 @@ class Views:
     def next_views(self, rows: Tensor) -> Tensor:
         """Rows of the next view of each view's object (after the last, the first): its appearance comes from there."""
         start, count = self.first[self.objects[rows]], self.count[self.objects[rows]]
-        return start + (rows - start + 1) % count
+        return start + (rows - start + 1) % count  # (n,)
 
     def viewpoint_input(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
-        """The viewpoint network's input (n, 4, size, size): the crops where there are any, else the views themselves."""
+        """The viewpoint network's input (n, 4, size, size): the crops where there are any, else the views."""
         if self.crops is None:
             return self.images(rows, size, device)
         return self.crops[rows].to(device).float().div_(255)
@@ -67,21 +67,21 @@ def tight_crop(images: Tensor, size: int, stretch: bool = False, margin: float =
     edges = torch.arange(full, device=images.device)  # (H,)
     low, high = [], []
     for axis in (2, 1):  # columns, then rows
-        occupied = covered.any(3 - axis)
-        low.append(torch.where(occupied, edges, full).amin(1))
-        high.append(torch.where(occupied, edges + 1, 0).amax(1))
+        occupied = covered.any(3 - axis)  # (N, H)
+        low.append(torch.where(occupied, edges, full).amin(1))  # (N,)
+        high.append(torch.where(occupied, edges + 1, 0).amax(1))  # (N,), one past the last
     start, end = torch.stack(low, 1).float(), torch.stack(high, 1).float()  # (N, 2): x, y
-    empty = ~covered.flatten(1).any(1)
-    start, end = start.masked_fill(empty[:, None], 0), end.masked_fill(empty[:, None], full)
+    empty = ~covered.flatten(1).any(1)  # (N,)
+    start, end = start.masked_fill(empty[:, None], 0), end.masked_fill(empty[:, None], full)  # (N, 2)
     margins = torch.where(empty | covered.flatten(1).all(1), 0.0, margin)
     sides = end - start if stretch else (end - start).amax(1, keepdim=True).expand(-1, 2)
-    half = sides / 2 * (1 + 2 * margins[:, None])
+    half = sides / 2 * (1 + 2 * margins[:, None])  # (N, 2), pixels
     centre = (start + end) / 2
-    matrix = torch.diag_embed(half / (full / 2))
+    matrix = torch.diag_embed(half / (full / 2))  # (N, 2, 2); grids run over [-1, 1]
     shift = (centre / (full / 2) - 1)[:, :, None]  # (N, 2, 1)
     # More samples than pixels, averaged: an enlarged crop stays smooth and a whole image is not aliased.
-    fine = size * max(1, -(-full // size))
-    grid = F.affine_grid(torch.cat([matrix, shift], 2), [len(images), 4, fine, fine], align_corners=False)
+    fine = size * max(1, -(-full // size))  # `full` / `size` rounded up, times `size`
+    grid = F.affine_grid(torch.cat([matrix, shift], 2), [len(images), 4, fine, fine], align_corners=False)  # (N, 2, 3)
     return resize(F.grid_sample(images, grid, align_corners=False), size)
 
 
@@ -95,18 +95,18 @@ def load_views(store: ViewStore, split: str, size: int, crop: int | None = None,
         raise ViewnetError(f"{store.folder}: no views in split {split!r}: add models to it or name other splits")
     index = store.index.iloc[rows]
     chunks, crops = [], []
-    for chunk in np.array_split(rows, max(1, len(rows) // 512)):
+    for chunk in np.array_split(rows, max(1, len(rows) // 512)):  # in parts: a float copy of all is large
         straight = torch.from_numpy(np.asarray(store.images[chunk])).permute(0, 3, 1, 2).float()  # (n, 4, H, W)
         # Averaging is only right on colours that are weighted by their alpha.
-        weighted = torch.cat([straight[:, :3] * (straight[:, 3:] / 255), straight[:, 3:]], dim=1)
+        weighted = torch.cat([straight[:, :3] * (straight[:, 3:] / 255), straight[:, 3:]], dim=1)  # (n, 4, H, W)
         chunks.append(resize(weighted, size).round_().to(torch.uint8))
         if crop:
             crops.append(tight_crop(weighted / 255, crop, stretch).mul_(255).round_().to(torch.uint8))
-    objects = torch.from_numpy(index["model_id"].factorize()[0].astype(np.int64))
+    objects = torch.from_numpy(index["model_id"].factorize()[0].astype(np.int64))  # (N,), 0, 1, ... as they come
     count = torch.bincount(objects)
-    if (objects.diff() < 0).any():
+    if (objects.diff() < 0).any():  # `first` and `count` describe rows side by side
         raise ViewnetError(f"{store.folder}: the views of a model do not lie side by side: build the store again")
-    truth = torch.from_numpy(index[["azimuth", "elevation"]].to_numpy(np.float32, copy=True))
+    truth = torch.from_numpy(index[["azimuth", "elevation"]].to_numpy(np.float32, copy=True))  # (N, 2)
     return Views(torch.cat(chunks), torch.cat(crops) if crop else None, objects, truth, count.cumsum(0) - count, count)
 
 
@@ -127,16 +127,16 @@ def sample_pairs(views: Views, objects: int, targets: int, seed: int, step: int)
     total = len(views.first)
     if (views.count < 2).any():
         raise ViewnetError("training needs two views or more of every object: render more views a model")
-    places = step * objects + torch.arange(objects)
-    rounds = {int(r): _shuffle(total, seed, int(r)) for r in torch.unique(places // total)}
-    chosen = torch.stack([rounds[int(p // total)][p % total] for p in places])
-    keys = torch.rand(objects, int(views.count.max()), generator=_generator(seed, 1, step))
-    keys[torch.arange(keys.shape[1]) >= views.count[chosen, None]] = 2.0
+    places = step * objects + torch.arange(objects)  # (objects,), in an endless row of shuffles
+    rounds = {int(r): _shuffle(total, seed, int(r)) for r in torch.unique(places // total)}  # a step may span two
+    chosen = torch.stack([rounds[int(p // total)][p % total] for p in places])  # (objects,)
+    keys = torch.rand(objects, int(views.count.max()), generator=_generator(seed, 1, step))  # (objects, most views)
+    keys[torch.arange(keys.shape[1]) >= views.count[chosen, None]] = 2.0  # views that there are not come last
     order = keys.argsort(1)
     # An object with fewer views than asked for gives its targets again, never the appearance view.
     repeat = 1 + torch.arange(targets)[None] % (views.count[chosen, None] - 1)
-    appearance = views.first[chosen] + order[:, 0]
-    return appearance, (views.first[chosen, None] + order.gather(1, repeat)).flatten()
+    appearance = views.first[chosen] + order[:, 0]  # (objects,)
+    return appearance, (views.first[chosen, None] + order.gather(1, repeat)).flatten()  # (objects * targets,)
 
 
 def _shuffle(total: int, seed: int, time: int) -> Tensor:
@@ -145,7 +145,7 @@ def _shuffle(total: int, seed: int, time: int) -> Tensor:
 
 def _generator(*numbers: int) -> torch.Generator:
     seed = int(np.random.SeedSequence(list(numbers)).generate_state(1, np.uint64)[0] >> 1)
-    return torch.Generator().manual_seed(seed)
+    return torch.Generator().manual_seed(seed)  # SeedSequence hashes: near numbers, unrelated streams
 
 
 def step_generator(seed: int, step: int) -> torch.Generator:

@@ -36,22 +36,22 @@ class History:
 
     def exhausted(self, patience: int) -> bool:
         """Whether the last `patience` epochs brought no improvement."""
-        return bool(self.log) and self.log[-1]["epoch"] - 1 - self.best["epoch"] >= patience
+        return bool(self.log) and self.log[-1]["epoch"] - 1 - self.best["epoch"] >= patience  # `best` counts from 0
 
     def add(self, model: ViewNet, step: int, by: str, scores: dict[str, float], means: dict[str, float]) -> None:
         """Adds a row to the log, and keeps the weights where they are the best by "accuracy" or "reconstruction"."""
-        score = scores["accuracy"] if by == "accuracy" else -scores["reconstruction"]
-        if score > self.best["score"] or self.best["weights"] is None:
-            weights = {
+        score = scores["accuracy"] if by == "accuracy" else -scores["reconstruction"]  # higher is better, either way
+        if score > self.best["score"] or self.best["weights"] is None:  # a first score of NaN counts
+            weights = {  # copied, as training goes on; contiguous, as safetensors wants them
                 name: value.detach().cpu().clone(memory_format=torch.contiguous_format)
                 for name, value in model.state_dict().items()
             }
             self.best = {"score": score, "epoch": self.epoch - 1, "weights": weights}
         self.log.append(
-            {"epoch": self.epoch, "step": step, "seconds": round(self.seconds, 2)}
+            {"epoch": self.epoch, "step": step, "seconds": round(self.seconds, 2)}  # columns of log.csv, in this order
             | {"loss": sum(means.values())}
             | {f"val_{name}": value for name, value in scores.items()}
-            | means
+            | means  # the loss's terms
         )
 
 
@@ -60,9 +60,10 @@ def resume(model: ViewNet, optimisers: list[Optimizer], folder: Path) -> History
 
     def saved() -> dict[str, Any] | None:
         path = folder / STATE
+        # weights_only: tensors and plain values, no code.
         return torch.load(path, map_location="cpu", weights_only=True) if path.exists() else None
 
-    state = distributed.first(saved)
+    state = distributed.first(saved)  # one process reads, all get it
     if state is None:
         return History()
     model.load_state_dict(state["model"])
@@ -73,14 +74,14 @@ def resume(model: ViewNet, optimisers: list[Optimizer], folder: Path) -> History
 
 def write(model: ViewNet, optimisers: list[Optimizer], history: History, folder: Path) -> None:
     """Writes log.csv, and all that `resume` needs."""
-    columns = list(dict.fromkeys(name for row in history.log for name in row))
+    columns = list(dict.fromkeys(name for row in history.log for name in row))  # terms may join later
     with replacing(folder / "log.csv") as temporary, temporary.open("w", newline="") as file:
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
         writer.writerows(history.log)
     state: dict[str, Any] = {"model": model.state_dict(), "optimisers": [each.state_dict() for each in optimisers]}
     state |= {"log": history.log, "best": history.best, "epoch": history.epoch, "seconds": history.seconds}
-    with replacing(folder / STATE) as temporary:
+    with replacing(folder / STATE) as temporary:  # last: state.pt never is ahead of log.csv
         torch.save(state, temporary)
 
 
@@ -90,7 +91,7 @@ def keep_best(config: RunConfig, history: History, folder: Path) -> None:
     metadata = {"config": json.dumps(config.to_dict()), "epoch": str(best["epoch"] + 1), "score": repr(best["score"])}
     with replacing(folder / CHECKPOINT) as temporary:
         save_file(best["weights"], temporary, metadata=metadata)
-    (folder / STATE).unlink(missing_ok=True)
+    (folder / STATE).unlink(missing_ok=True)  # after the checkpoint: one of the two is always there
 
 
 def board_of(folder: Path) -> Any:

@@ -31,19 +31,19 @@ class Muon(torch.optim.Optimizer):
                     continue
                 state: dict[str, Any] = self.state[weight]
                 if not state:
-                    state["momentum"] = torch.zeros_like(weight)
+                    state["momentum"] = torch.zeros_like(weight)  # a running mean of gradients
                 state["momentum"].lerp_(weight.grad, 1 - group["momentum"])
                 direction = weight.grad.lerp(state["momentum"], group["momentum"]).flatten(1)
-                rows, columns = direction.shape
-                scale = max(1.0, rows / columns) ** 0.5
+                rows, columns = direction.shape  # (first, all others) of Nesterov's direction
+                scale = max(1.0, rows / columns) ** 0.5  # a unit change of outputs, tall or wide
                 weight.add_(orthogonal(direction, half=self.half).view_as(weight), alpha=-group["lr"] * scale)
 
 
 def orthogonal(matrix: Tensor, iterations: int = 4, half: bool = False) -> Tensor:
     """The matrix (a, b) with its singular values brought near 1, by Newton-Schulz iterations of degree five."""
-    a, b, c = 3.4445, -4.7750, 2.0315
-    x = matrix.T if matrix.shape[0] > matrix.shape[1] else matrix
-    x = x / (x.norm() + 1e-7)
+    a, b, c = 3.4445, -4.7750, 2.0315  # steep at 0: singular values end in about 0.7 to 1.2, not at 1
+    x = matrix.T if matrix.shape[0] > matrix.shape[1] else matrix  # a <= b: the smaller Gram matrix
+    x = x / (x.norm() + 1e-7)  # singular values of 1 at most: else it diverges
     if half and len(x) >= BFLOAT16_FROM:
         x = x.bfloat16()
     # Every iteration multiplies by a polynomial of the Gram matrix, and these commute: they are gathered first.
@@ -53,10 +53,10 @@ def orthogonal(matrix: Tensor, iterations: int = 4, half: bool = False) -> Tenso
     size = gram.norm() + 1e-7
     gram, x = gram / size, x / size.sqrt()
     for left in reversed(range(iterations)):
-        factor = torch.addmm(gram, gram, gram, beta=b, alpha=c)
+        factor = torch.addmm(gram, gram, gram, beta=b, alpha=c)  # a I + b G + c G^2, with the next line
         factor.diagonal().add_(a)
         product = factor if product is None else factor @ product
         if left:
-            gram = factor @ gram @ factor
+            gram = factor @ gram @ factor  # of the next iterate
     x = (x if product is None else product @ x).to(matrix.dtype)
     return x.T if matrix.shape[0] > matrix.shape[1] else x

@@ -34,13 +34,14 @@ class Search:
 
     def grid(self, count: int, limits: tuple[float, float]) -> Tensor:
         """View vectors (count, views, 3): azimuths evenly spaced and jittered, elevations uniform within limits."""
-        places = torch.arange(self.views) + rand(count, self.views, generator=self.generator)
+        places = torch.arange(self.views) + rand(count, self.views, generator=self.generator)  # (N, T), one a sector
         elevation = rand(count, self.views, generator=self.generator) * (limits[1] - limits[0]) + limits[0]
-        return view_vector(360 / self.views * places, elevation)
+        return view_vector(360 / self.views * places, elevation)  # (N, T, 3)
 
     def perturb(self, errors: Tensor) -> Tensor:
         """Errors (N, T) with Gumbel noise, so that the least is a sample of their Boltzmann distribution."""
-        uniform = rand(*errors.shape, generator=self.generator).clamp(1e-9, 1 - 1e-7).to(errors.device)
+        uniform = rand(*errors.shape, generator=self.generator).clamp(1e-9, 1 - 1e-7).to(errors.device)  # 0 < U < 1
+        # log(-log U) is minus a Gumbel variable: minus, as the least error wins.
         return errors + self.noise * errors.std(1, keepdim=True) * uniform.log().neg().log()
 
 
@@ -60,7 +61,7 @@ class PoseSearch:
         candidates, errors = compare_heads(model, objects, hypotheses, target, config)  # (N, M, 3), (N, M)
         score = errors
         if self.trust and heads > 1:
-            spread = distributed.mean(errors.std(1, keepdim=True).mean())
+            spread = distributed.mean(errors.std(1, keepdim=True).mean())  # `trust` is in units of the errors' spread
             score = errors - self.trust * spread * hypotheses.logits.log_softmax(1)
         if self.search:
             grid = self.search.grid(len(target), limits).to(vectors)
@@ -73,9 +74,9 @@ class PoseSearch:
         winner = score.argmin(1)
         viewpoint = candidates[torch.arange(len(target), device=target.device), winner]  # (N, 3)
         if balance:
-            _count(model.viewpoint.shares, viewpoint, limits)
-        closest = (vectors - viewpoint[:, None]).square().sum(-1).argmin(1)
-        head = torch.where(winner < heads, winner, closest)
+            _count(model.viewpoint.shares, viewpoint, limits)  # after the choice, for the next step
+        closest = (vectors - viewpoint[:, None]).square().sum(-1).argmin(1)  # (N,)
+        head = torch.where(winner < heads, winner, closest)  # a searched winner teaches the nearest head
         # Were the selection taught a choice in which it took part, it would confirm itself.
         label = errors.argmin(1) if self.trust else head
         return Choice(head, viewpoint, label, errors, viewpoint if self.search else None)
@@ -91,12 +92,12 @@ def compare_heads(
     """
     best = hypotheses.vectors
     if config.comparison.neighbours:
-        candidates = neighbours(best, config.comparison.neighbours)
+        candidates = neighbours(best, config.comparison.neighbours)  # (N, M, 5, 3)
         coarse, small = half_resolution(model, objects, target)
         best, errors = compare(model, coarse, candidates, hypotheses.ups, small, config)
         if coarse is objects or best.shape[1] == 1:
             return best, errors
-    return compare(model, objects, best[:, :, None], hypotheses.ups, target, config)
+    return compare(model, objects, best[:, :, None], hypotheses.ups, target, config)  # candidates (N, M, 1, 3)
 
 
 def compare_grid(
@@ -109,11 +110,11 @@ def compare_grid(
     """
     coarse, small = half_resolution(model, objects, target)
     if coarse is objects or grid.shape[1] <= SECTORS:
-        return grid, compare(model, objects, grid[:, :, None], None, target, config)[1]
+        return grid, compare(model, objects, grid[:, :, None], None, target, config)[1]  # candidates (N, T, 1, 3)
     whole = torch.cat([grid, grid[:, : -grid.shape[1] % SECTORS]], 1)  # T a multiple of SECTORS
     by_sector = whole.unflatten(1, (SECTORS, -1))  # (N, SECTORS, T / SECTORS, 3)
     best, _ = compare(model, coarse, by_sector, None, small, config)
-    return compare(model, objects, best[:, :, None], None, target, config)
+    return compare(model, objects, best[:, :, None], None, target, config)  # candidates (N, SECTORS, 1, 3)
 
 
 def half_resolution(model: ViewNet, objects: Encoded, target: Tensor) -> tuple[Encoded, Tensor]:
@@ -130,27 +131,27 @@ def balanced(score: Tensor, views: Tensor, shares: Tensor, limits: tuple[float, 
     the other, and would stay as it is. Images are taken from all around and from all elevations within the limits, so
     no part of the sphere is due more than its share of `shares` (12, bands).
     """
-    smooth = (2 * shares + shares.roll(1, 0) + shares.roll(-1, 0)) / 4
+    smooth = (2 * shares + shares.roll(1, 0) + shares.roll(-1, 0)) / 4  # (12, bands), blurred around the horizon
     excess = torch.log(smooth * smooth.numel() + 0.05).flatten()[_part(views, limits, shares.shape[1])]  # (N, T)
-    return score + weight * score.std(1, keepdim=True) * excess
+    return score + weight * score.std(1, keepdim=True) * excess  # in units of the errors' spread
 
 
 def _count(shares: Tensor, viewpoint: Tensor, limits: tuple[float, float]) -> None:
     """Moves the running `shares` (12, bands) towards where viewpoints (N, 3) lie."""
-    counts = torch.bincount(_part(viewpoint, limits, shares.shape[1]), minlength=shares.numel())
-    shares.lerp_(distributed.mean(counts / len(viewpoint)).view_as(shares), 0.02)
+    counts = torch.bincount(_part(viewpoint, limits, shares.shape[1]), minlength=shares.numel())  # (12 bands,)
+    shares.lerp_(distributed.mean(counts / len(viewpoint)).view_as(shares), 0.02)  # averages some 50 steps
 
 
 def _part(views: Tensor, limits: tuple[float, float], bands: int) -> Tensor:
     """The part of the sphere of view vectors (..., 3): one of 12 sectors of azimuth times bands of elevation."""
     azimuth, elevation = azimuth_elevation(views)
-    band = ((elevation - limits[0]) / (limits[1] - limits[0]) * bands).long().clamp(0, bands - 1)
-    return (azimuth / 30).long() % 12 * bands + band
+    band = ((elevation - limits[0]) / (limits[1] - limits[0]) * bands).long().clamp(0, bands - 1)  # both limits count
+    return (azimuth / 30).long() % 12 * bands + band  # sectors of 30 degrees
 
 
 def neighbours(vectors: Tensor, angle: float) -> Tensor:
     """View vectors (N, M, 3) and those `angle` degrees to the left, right, above and below: (N, M, 5, 3)."""
     azimuth, elevation = azimuth_elevation(vectors)
-    step = vectors.new_tensor([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]]) * angle
-    higher = (elevation[..., None] + step[:, 1] / 2).clamp(-89, 89)
-    return view_vector(azimuth[..., None] + step[:, 0], higher)
+    step = vectors.new_tensor([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]]) * angle  # (5, 2), azimuth and elevation
+    higher = (elevation[..., None] + step[:, 1] / 2).clamp(-89, 89)  # (N, M, 5); azimuth means nothing at the poles
+    return view_vector(azimuth[..., None] + step[:, 0], higher)  # (N, M, 5, 3)

@@ -40,11 +40,11 @@ def step_loss(
     device = appearance.device
     # ---- what the networks see
     if config.augment:
-        viewpoint_input = augment.crop_and_rotate(viewpoint_input, generator)
+        viewpoint_input = augment.crop_and_rotate(viewpoint_input, generator)  # as in the released code
     if config.jitter:
-        viewpoint_input = augment.jitter(viewpoint_input, config.jitter, generator)
-    if config.mirror:
-        mirrored = (rand(len(target), 1, 1, 1, generator=generator) < 0.5).to(device)
+        viewpoint_input = augment.jitter(viewpoint_input, config.jitter, generator)  # f^v cannot rely on colours
+    if config.mirror:  # of a symmetric object the mirrored image is another of its views
+        mirrored = (rand(len(target), 1, 1, 1, generator=generator) < 0.5).to(device)  # (N, 1, 1, 1)
         viewpoint_input, target = (
             torch.where(mirrored, images.flip(-1), images) for images in (viewpoint_input, target)
         )
@@ -57,8 +57,8 @@ def step_loss(
 
     # ---- reconstruction from the best viewpoint (equations 1 and 2)
     size = model.config.render_size
-    small = target if target.shape[-1] == size else resize(target, size)
-    own_shape = min(1.0, progress / config.shared_shape) if config.shared_shape else 1.0
+    small = target if target.shape[-1] == size else resize(target, size)  # (N, 4, S, S), S = render_size
+    own_shape = min(1.0, progress / config.shared_shape) if config.shared_shape else 1.0  # one for all at first
     choose = pose_search(config, progress, generator)
     result = reconstruct(model, appearance, small, viewpoint_input, config, choose, own_shape, background)
 
@@ -70,7 +70,7 @@ def step_loss(
         image, reference = composite(result.rendered, colour), composite(result.target, colour)
     terms: dict[str, Tensor] = {}
     if perceptual is not None:
-        terms["perceptual"] = perceptual(image.expand(-1, 3, -1, -1), reference.expand(-1, 3, -1, -1))
+        terms["perceptual"] = perceptual(image.expand(-1, 3, -1, -1), reference.expand(-1, 3, -1, -1))  # (N, 3, S, S)
     # Relative to how much of the image objects fill, or thin ones would count for less than other terms.
     filled = distributed.mean(target[:, 3].mean()).clamp(min=0.01)
     if config.pixel_weight:
@@ -81,16 +81,16 @@ def step_loss(
     # ---- losses on viewpoints
     choice, hypotheses = result.choice, result.hypotheses
     if config.comparison.pull_weight:
-        pulled = hypotheses.of_heads(choice.head)
+        pulled = hypotheses.of_heads(choice.head)  # (N, 3)
         terms["pull"] = config.comparison.pull_weight * (choice.viewpoint - pulled).square().sum(-1).mean()
     if model.config.heads > 1:
-        right = hypotheses.of_heads(choice.label).detach()
+        right = hypotheses.of_heads(choice.label).detach()  # (N, 3)
         terms["selection"] = config.selection.weight * selection_loss(
             hypotheses, choice.label, right, config.selection.angle
         )
-    if len(result.repeated.logits):
+    if len(result.repeated.logits):  # K > 0 more images of each target
         terms["repeated_views"] = repeated_views_loss(result, config)
-    ramp = min(1.0, (progress - config.cycle.start) / 0.1) if config.cycle.start else 1.0
+    ramp = min(1.0, (progress - config.cycle.start) / 0.1) if config.cycle.start else 1.0  # over a tenth of training
     if config.cycle.on and ramp > 0:
         terms["cycle"] = ramp * config.cycle.weight * _cycle(model, result, config, generator, backgrounds)
     return terms
@@ -111,7 +111,7 @@ def pose_search(config: TrainConfig, progress: float, generator: RandomSource) -
 def background_colours(config: TrainConfig, count: int, generator: RandomSource, device: torch.device) -> Tensor:
     """Colours (count, 3) behind target and reconstruction: black as reported, or one random colour a sample."""
     if config.background == "black":
-        return torch.zeros(count, 3, device=device)
+        return torch.zeros(count, 3, device=device)  # (N, 3)
     return rand(count, 3, generator=generator).to(device)
 
 
@@ -130,7 +130,7 @@ def repeated_views_loss(result: Reconstruction, config: TrainConfig) -> Tensor:
     loss = config.comparison.pull_weight * (viewpoint - hypotheses.of_heads(closest)).square().sum(-1).mean()
     if hypotheses.logits.shape[1] > 1:
         loss = loss + config.selection.weight * selection_loss(hypotheses, label, right, config.selection.angle)
-    return times * loss
+    return times * loss  # K images count K times
 
 
 def selection_loss(hypotheses: Hypotheses, label: Tensor, right: Tensor, angle: float) -> Tensor:
@@ -141,8 +141,8 @@ def selection_loss(hypotheses: Hypotheses, label: Tensor, right: Tensor, angle: 
     vectors, logits = hypotheses.vectors.detach(), hypotheses.logits
     accepted = F.one_hot(label, logits.shape[1]).bool()  # (N, M)
     if angle:
-        accepted |= (vectors * right[:, None]).sum(-1) > math.cos(math.radians(angle))
-    return -logits.log_softmax(1).masked_fill(~accepted, -math.inf).logsumexp(1).mean()
+        accepted |= (vectors * right[:, None]).sum(-1) > math.cos(math.radians(angle))  # (N, M)
+    return -logits.log_softmax(1).masked_fill(~accepted, -math.inf).logsumexp(1).mean()  # (N,), averaged
 
 
 def _cycle(
@@ -155,13 +155,13 @@ def _cycle(
     """Section 3.4: the same objects rendered from random viewpoints, which the viewpoint network is to predict."""
     count = len(result.objects.code)
     low, high = config.cycle.elevation
-    azimuth = 360 * rand(count, generator=generator)
+    azimuth = 360 * rand(count, generator=generator)  # (B,)
     elevation = low + (high - low) * rand(count, generator=generator)
     truth = view_vector(azimuth, elevation).to(result.objects.code.device)  # (B, 3)
-    with torch.no_grad(), autocast(truth.device, config):
+    with torch.no_grad(), autocast(truth.device, config):  # f^v alone learns from the cycle
         novel = model.render(result.objects.volume, result.objects.code, look_at(truth), model.config.input_size)
         if model.config.crop != "none":
-            novel = tight_crop(novel, model.config.input_size, model.config.crop == "stretched")
+            novel = tight_crop(novel, model.config.input_size, model.config.crop == "stretched")  # (B, 4, s, s)
         if backgrounds is not None:
             novel = augment.photograph(novel, backgrounds, config.photo, generator)
     with autocast(truth.device, config):

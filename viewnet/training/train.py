@@ -46,30 +46,30 @@ def train(
     perceptual weights, weights to start from of another network, a batch that the processes cannot share, or a loss
     or weights that are not finite (the last good state is kept).
     """
-    distributed.start()
+    distributed.start()  # one process unless torchrun started several
     if threads:
         torch.set_num_threads(threads)
-    writes = distributed.rank() == 0
-    _check_shares(config.train)
+    writes = distributed.rank() == 0  # files have one writer
+    _check_shares(config.train)  # before anything is read or made
     if writes:
         folder.mkdir(parents=True, exist_ok=True)
     if distributed.first((folder / CHECKPOINT).exists):
-        return
-    volume_cpu.warm_up()
+        return  # finished before: nothing to do
+    volume_cpu.warm_up()  # loads kernels before the clock starts
     run = _set_up(config, views)
     history = resume(run.model, run.optimisers, folder)
     board = board_of(folder) if writes else None
     title = f"{config.variant} {config.category} seed {config.seed}"
     shown = bar(progress and writes, total=run.total, initial=history.epoch * run.steps, desc=title, unit="step")
-    begun = time.perf_counter() - history.seconds
+    begun = time.perf_counter() - history.seconds  # what came before a resume counts
     run.model.train()
 
     while history.epoch < config.train.epochs and not history.exhausted(config.train.patience):
         means = _train_epoch(run, history.epoch, folder, shown)
         history.epoch += 1
         if history.epoch % config.train.validate_every and history.epoch < config.train.epochs:
-            continue
-        _check_weights(run, history.epoch * run.steps, folder)
+            continue  # the last epoch is validated whatever its number
+        _check_weights(run, history.epoch * run.steps, folder)  # no broken weights among the best
         # Labels are used for the choice of weights only where the recipe says so (section 4.1).
         scores = distributed.first(
             lambda: validate(run.model, run.validation, config.train, run.device, run.backgrounds)
@@ -78,13 +78,13 @@ def train(
         history.add(run.model, history.epoch * run.steps, config.train.select_by, scores, means)
         shown.set_postfix(loss=f"{history.log[-1]['loss']:.4f}", acc=f"{scores['accuracy']:.0f}%", refresh=False)
         if writes:
-            write(run.model, run.optimisers, history, folder)
+            write(run.model, run.optimisers, history, folder)  # an interrupted run goes on from the last validation
         if board is not None:
             for name, value in history.log[-1].items():
                 board.add_scalar(name, value, history.log[-1]["step"])
             board.flush()
     shown.close()
-    distributed.first(lambda: keep_best(config, history, folder))
+    distributed.first(lambda: keep_best(config, history, folder))  # only now: a checkpoint means finished
 
 
 @dataclass
@@ -108,7 +108,7 @@ class _Training:
 
 
 def _check_shares(settings: TrainConfig) -> None:
-    if settings.objects % distributed.size():
+    if settings.objects % distributed.size():  # equal shares make a mean of means the batch's mean
         raise ViewnetError(
             f"batch_size {settings.batch_size} with targets_per_object {settings.targets_per_object} is "
             f"{settings.objects} objects a step, which {distributed.size()} processes cannot share: choose a multiple"
@@ -121,16 +121,16 @@ def _set_up(config: RunConfig, views: ViewStore) -> _Training:
     if settings.select_by == "accuracy":
         views.require_viewpoints(["val"], "train with select_by='reconstruction', which needs none")
     elif not (views.index["split"] == "val").any():
-        held_out = "train"
+        held_out = "train"  # without labels any views will do
     training, validation = (model_views(views, split, size, config.model) for split in ("train", held_out))
     backgrounds = augment.load(config.data, config.model.input_size, device)
-    torch.manual_seed(config.seed)
+    torch.manual_seed(config.seed)  # the seed alone decides the initial weights
     model = ViewNet(config.model).to(device)
     if settings.start is not None:
         model.load_state_dict(starting_weights(settings.start, config.model))
     perceptual = None if settings.perceptual == "none" else PerceptualLoss(settings.perceptual).to(device)
-    distributed.together(model)
-    steps = max(1, len(training.objects) // settings.batch_size)
+    distributed.together(model)  # one set of weights, batch statistics of all
+    steps = max(1, len(training.objects) // settings.batch_size)  # no last, smaller batch
     optimisers = make_optimisers(model, settings)
     return _Training(config, device, training, validation, backgrounds, model, perceptual, optimisers, steps)
 
@@ -141,25 +141,26 @@ def _train_epoch(run: _Training, epoch: int, folder: Path, shown: Any) -> dict[s
     sums: dict[str, float] = {}
     for step in range(epoch * run.steps, (epoch + 1) * run.steps):
         progress = step / run.total
-        set_learning_rates(run.optimisers, settings.optimiser, progress)
+        set_learning_rates(run.optimisers, settings.optimiser, progress)  # by progress alone: nothing to resume
         rows = sample_pairs(run.training, settings.objects, settings.targets_per_object, config.seed, step)
-        appearance_rows, target_rows = map(distributed.share, rows)
+        appearance_rows, target_rows = map(distributed.share, rows)  # this process's part
         batch = (
             run.training.images(appearance_rows, size, run.device),
             run.training.images(target_rows, size, run.device),
             run.training.viewpoint_input(target_rows, size, run.device),
         )
+        # Every process draws for the whole batch and takes its rows: the numbers do not depend on how many there are.
         generator = RankGenerator(step_generator(config.seed, step), distributed.rank(), distributed.size())
         terms = step_loss(run.model, batch, settings, run.perceptual, progress, generator, run.backgrounds)
-        values = torch.stack(list(terms.values()))
-        logged = dict(zip(terms, distributed.mean(values.detach()).tolist(), strict=True))
-        if not math.isfinite(sum(logged.values())):
+        values = torch.stack(list(terms.values()))  # (terms,), each weighted already
+        logged = dict(zip(terms, distributed.mean(values.detach()).tolist(), strict=True))  # one copy to the CPU
+        if not math.isfinite(sum(logged.values())):  # before the update: the weights are still good
             names = ", ".join(f"{name} {value:.3g}" for name, value in logged.items())
             raise ViewnetError(f"{folder}: the loss is not finite at step {step} ({names}): lower the learning rate")
         run.model.zero_grad(set_to_none=True)
-        values.sum().backward()
+        values.sum().backward()  # the sum: terms stay apart only in the log
         distributed.average_gradients(run.model.parameters())
-        for optimiser in run.optimisers:
+        for optimiser in run.optimisers:  # Adam, and perhaps Muon
             optimiser.step()
         for name, value in logged.items():
             sums[name] = sums.get(name, 0.0) + value

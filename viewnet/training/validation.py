@@ -29,13 +29,13 @@ def validate(
     the appearance of the next view of its object. With `backgrounds`, images (K, 3, 2S, 2S) uint8, views are before
     them as in training, the same each time.
     """
-    model.eval()
+    model.eval()  # running statistics: a view's result depends on no other view
     rows = torch.arange(min(VALIDATION_VIEWS, len(views.objects)))
-    appearance_rows = views.next_views(rows)
+    appearance_rows = views.next_views(rows)  # equation 1 needs another view's appearance
     error, vectors = 0.0, []
-    generator = torch.Generator().manual_seed(0)
+    generator = torch.Generator().manual_seed(0)  # the same backgrounds each epoch: scores compare
     size, small = model.config.input_size, model.config.render_size
-    for part in rows.split(64):
+    for part in rows.split(64):  # in parts: less memory
         appearance, target = (views.images(each, size, device) for each in (appearance_rows[part], rows[part]))
         viewpoint_input, background = views.viewpoint_input(rows[part], size, device), None
         if backgrounds is not None:
@@ -43,13 +43,15 @@ def validate(
             background = augment.windows(backgrounds, len(part), size, generator, device)
         target = target if size == small else resize(target, small)
         result = reconstruct(model, appearance, target, viewpoint_input, config, background=background)
-        error += result.choice.errors.amin(1).sum().item()
+        error += result.choice.errors.amin(1).sum().item()  # the best of M, as training chooses
+        # Accuracy is the selected head's, as at test time.
         vectors.append(result.hypotheses.of_heads(result.hypotheses.logits.argmax(1)))
     predicted = torch.cat(vectors).cpu().double()  # (N, 3)
-    annotated = ~views.truth[rows].isnan().any(1)
+    annotated = ~views.truth[rows].isnan().any(1)  # NaN where a view has no label
     accuracy = math.nan
     if annotated.any():
         predicted, truth = predicted[annotated], view_vector(*views.truth[rows][annotated].double().unbind(1))
+        # The learned world frame is any rotation of the annotated one.
         aligned = predicted @ torch.as_tensor(fit_rotation(predicted.numpy(), truth.numpy())).T
         accuracy = 100 * (rotation_angle(look_at(aligned), look_at(truth)) < 30).double().mean().item()
     model.train()
