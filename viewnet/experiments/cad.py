@@ -84,7 +84,7 @@ class Experiment(Request):
     def eval_data(self, config: RunConfig) -> DataConfig:
         """The views of `eval_root`, rendered as those of a run."""
         assert self.eval_root is not None
-        models: dict[str, Any] = {} if self.profile == "smoke" else {"models": 0}
+        models: dict[str, Any] = {} if self.smoke else {"models": 0}
         return make_config(category=config.category, profile=self.profile, data_root=self.eval_root, **models).data
 
     @property

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from viewnet.config import RunConfig, VideoConfig
 from viewnet.data import photo_store
@@ -23,7 +24,7 @@ from viewnet.training.run_store import ensure
 
 FRAMES = 10
 """Of every video, sampled at random, as reported."""
-STAND_IN_VIDEOS, STAND_IN_FRAMES = 160, 30
+STAND_IN = {"videos": 160, "frames": 30}
 SMOKE_VIDEOS, SMOKE_FRAMES = 6, 6
 _NAMES = {row.label: row.name for row in LAYOUTS["objectron"].rows_of("viewnet")}
 """Label -> name without the alignment."""
@@ -32,10 +33,9 @@ _ROWS = tuple(dict.fromkeys(_NAMES.values()))
 
 
 class ObjectronExperiment(VideoExperiment):
-    """`masks` are the supervised ones, `weak_masks` the others."""
+    """`masks` are the supervised ones, `weak_masks` the others. Raises ViewnetError for these without `video_root`."""
 
     def __post_init__(self) -> None:
-        """Check that `weak_masks` have a use."""
         if self.weak_masks and self.video_root is None:
             raise ViewnetError(
                 f"weak_masks {self.weak_masks}: the stand-in has masks of its own: give video_root, or leave it"
@@ -44,18 +44,9 @@ class ObjectronExperiment(VideoExperiment):
     @property
     def video(self) -> VideoConfig:
         """The videos with their supervised masks."""
-        videos = VideoConfig(
-            category=self.categories[0],
-            root=self.video_root,
-            kind="objectron",
-            count=FRAMES,
-            masks=self.masks,  # type: ignore[arg-type]
-            videos=STAND_IN_VIDEOS,
-            frames=STAND_IN_FRAMES,
-        )
-        if self.profile != "smoke":
-            return videos
-        return replace(videos, videos=SMOKE_VIDEOS, frames=SMOKE_FRAMES, size=SMOKE_SIZE)
+        settings: dict[str, Any] = {"kind": "objectron", "count": FRAMES, "masks": self.masks}
+        settings |= {"videos": SMOKE_VIDEOS, "frames": SMOKE_FRAMES, "size": SMOKE_SIZE} if self.smoke else STAND_IN
+        return VideoConfig(self.categories[0], self.video_root, **settings)
 
     @property
     def weak(self) -> VideoConfig | None:

@@ -24,10 +24,8 @@ from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
-import torch
 from numpy.typing import ArrayLike, NDArray
 
-from viewnet import geometry
 from viewnet.config import RunConfig, known
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, submitted_predictions
@@ -246,16 +244,6 @@ def view_vectors(azimuth: ArrayLike, elevation: ArrayLike) -> Floats:
            [0.   , 0.866, 0.5  ]])
     """
     return true_vectors(pd.DataFrame({"azimuth": np.asarray(azimuth), "elevation": np.asarray(elevation)}))
-
-
-def angles(vectors: ArrayLike) -> tuple[Floats, Floats]:
-    """Azimuths in [0, 360) and elevations (N,), degrees, of view vectors (N, 3): the inverse of `view_vectors`.
-
-    >>> angles([[0.0, -1.0, 0.0]])
-    (array([270.]), array([0.]))
-    """
-    azimuth, elevation = geometry.azimuth_elevation(torch.from_numpy(np.array(vectors, dtype=np.float64)))
-    return azimuth.numpy(), elevation.numpy()
 
 
 def _predict(submission: Submission, images: HeldOut, category: str, calibration: int | None) -> Predictions:

@@ -73,7 +73,7 @@ class PhotoExperiment(Experiment):
         """Those of the first category: see photo_config."""
         square = RECIPES[self.recipe]["model"].get("crop") != "stretched"
         settings = {"subset": self.subset, "keep": self.keep, "margin": self.margin}
-        return photographs(self.categories[0], self.data_root, square, self.profile == "smoke", **settings)
+        return photographs(self.categories[0], self.data_root, square, self.smoke, **settings)
 
     def photo_config(self, category: str) -> PhotoConfig:
         """The photographs of a category."""

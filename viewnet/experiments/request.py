@@ -160,6 +160,11 @@ class Request:
         return cls(name=name, **(usual | values), label=_label(values["profile"], parts))
 
     @property
+    def smoke(self) -> bool:
+        """Whether the profile is the smallest, with small stand-ins."""
+        return self.profile == "smoke"
+
+    @property
     def folder(self) -> Path:
         """Where tables and figures go: a subfolder of the output folder for what is not usual."""
         return self.output / self.label

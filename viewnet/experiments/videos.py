@@ -30,10 +30,12 @@ REGRESSED_FRAMES = 24
 
 
 class VideoExperiment(PhotoExperiment):
-    """Videos are in `video_root`; models start from `start`, those trained on CAD models from `cad_root`."""
+    """Videos are in `video_root`; models start from `start`, which `cad_root` is for if that is "shapenet".
+
+    Raises ViewnetError for a `cad_root` without use.
+    """
 
     def __post_init__(self) -> None:
-        """Check that `cad_root` has a use."""
         if self.cad_root and self.start != SHAPENET:
             raise ViewnetError(
                 f"cad_root {self.cad_root}: nothing is trained on CAD models: use start={SHAPENET}, or leave it"
@@ -43,14 +45,8 @@ class VideoExperiment(PhotoExperiment):
     def video(self) -> VideoConfig:
         """The videos, of the first category."""
         stand_in: dict[str, Any] = {"sequences": SMOKE_SEQUENCES, "frames": SMOKE_FRAMES, "size": SMOKE_SIZE}
-        return VideoConfig(
-            category=self.categories[0],
-            root=self.video_root,
-            kind="freiburg",
-            split_rule=self.split_rule,  # type: ignore[arg-type]
-            masks=self.masks,  # type: ignore[arg-type]
-            **(stand_in if self.profile == "smoke" else {}),
-        )
+        settings: dict[str, Any] = {"kind": "freiburg", "split_rule": self.split_rule, "masks": self.masks}
+        return VideoConfig(self.categories[0], self.video_root, **settings, **(stand_in if self.smoke else {}))
 
     @property
     def videos(self) -> tuple[VideoConfig, ...]:
