@@ -36,21 +36,21 @@ def test_the_result_is_printed_as_json(quick, tmp_path, monkeypatch, capsys):
     before = json.loads((quick / "bench.json").read_text())
     monkeypatch.setattr(measure, "measure", lambda settings: before)
     assert cli.main(["bench", "--quick", "--json", "-o", str(tmp_path)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert sorted(told.pop("files")) == sorted(str(tmp_path / name) for name in NAMES)
-    assert told == before
+    content = json.loads(capsys.readouterr().out)
+    assert sorted(content.pop("files")) == sorted(str(tmp_path / name) for name in NAMES)
+    assert content == before
 
 
 @pytest.mark.slow
 def test_quick_measures_its_sizes_and_leaves_the_rest_empty(quick):
-    found = json.loads((quick / "bench.json").read_text())
-    assert found["schema"] == measure.SCHEMA
-    assert found["settings"]["quick"] is True
-    assert found["hardware"]["threads"] == 1
-    assert {"hardware", "versions", "git", "rates", "settings", "started"} <= found.keys()
-    rows = found["rows"]
+    result = json.loads((quick / "bench.json").read_text())
+    assert result["schema"] == measure.SCHEMA
+    assert result["settings"]["quick"] is True
+    assert result["hardware"]["threads"] == 1
+    assert {"hardware", "versions", "git", "rates", "settings", "started"} <= result.keys()
+    rows = result["rows"]
     assert all(tuple(row) == measure.COLUMNS for row in rows)
-    here = [row for row in rows if row["device"] == found["settings"]["device"] and row["size"]]
+    here = [row for row in rows if row["device"] == result["settings"]["device"] and row["size"]]
     assert {row["size"] for row in here} == {8, 16}
     for row in here:
         for name in ("textbook_s", "viewnet_s", "speedup", "floor_s", "viewnet_over_floor", "viewnet_images_per_s"):
@@ -66,7 +66,7 @@ def test_quick_measures_its_sizes_and_leaves_the_rest_empty(quick):
         table = list(csv.DictReader(file))
     assert len(table) == len(rows)
     assert table[-1]["viewnet_s"] == table[-1]["speedup"] == ""
-    text = report.as_text(found)
+    text = report.as_text(result)
     assert text.count(report.NOT_MEASURED) == len(missing)
 
 
@@ -95,8 +95,8 @@ def test_the_time_to_an_accuracy_is_the_seeds_median(monkeypatch):
     accuracy = {("car", 0): [85, 91], ("car", 1): [70, 85], ("car", 2): [81, 88], ("aeroplane", 0): [50, 60]}
 
     def trained(config, threads, progress):
-        found = accuracy.get((config.category, config.seed), [0, 0])
-        return pd.DataFrame({"seconds": [10.0, 20.0], "val_accuracy": found})
+        result = accuracy.get((config.category, config.seed), [0, 0])
+        return pd.DataFrame({"seconds": [10.0, 20.0], "val_accuracy": result})
 
     monkeypatch.setattr(measure, "training_log", trained)
     settings = measure.Settings(accuracy=3, quick=True)

@@ -32,8 +32,8 @@ def test_the_report_has_every_row(monkeypatch, tmp_path):
     monkeypatch.setattr(predicting, "IMAGES", 16)
     monkeypatch.setattr(sys, "argv", ["predicting.py", "--times", "1", "-o", str(tmp_path / "new")])
     predicting.main()
-    found = pd.read_csv(tmp_path / "new" / "predicting.csv")
+    result = pd.read_csv(tmp_path / "new" / "predicting.csv")
     committed = pd.read_csv(SCRIPT.parents[1] / "paper_tables" / "benchmarks" / "predicting.csv")
-    assert found["what"].tolist() == committed["what"].tolist()
-    assert (found["median"] > 0).all()
+    assert result["what"].tolist() == committed["what"].tolist()
+    assert (result["median"] > 0).all()
     assert json.loads((tmp_path / "new" / "predicting.json").read_text())["model"] == "car"

@@ -43,7 +43,7 @@ def what_happens(switch, monkeypatch):
     model = ViewNet(config.model)
     seen = set()
 
-    def told(module, name, say):
+    def record(module, name, say):
         original = getattr(module, name)
 
         def wrapper(*arguments, **options):
@@ -52,10 +52,10 @@ def what_happens(switch, monkeypatch):
 
         monkeypatch.setattr(module, name, wrapper)
 
-    told(volume, "render", lambda *a, sparse, **o: {"sparse" if sparse else "dense", f"{a[3]} pixels"})
-    told(volume, "render_reference", lambda *_, **__: {"PyTorch's renderer"})
-    told(volume_cpu, "render", lambda *_, **__: {"fused renderer"})
-    told(
+    record(volume, "render", lambda *a, sparse, **o: {"sparse" if sparse else "dense", f"{a[3]} pixels"})
+    record(volume, "render_reference", lambda *_, **__: {"PyTorch's renderer"})
+    record(volume_cpu, "render", lambda *_, **__: {"fused renderer"})
+    record(
         norm_relu_cpu,
         "norm_relu",
         lambda x, *_, **__: {"fused layers"} | ({"bfloat16"} if x.dtype == torch.bfloat16 else set()),
@@ -73,16 +73,16 @@ def what_happens(switch, monkeypatch):
 def test_what_a_switch_undoes(monkeypatch):
     half = {"bfloat16"} if torch.cpu._is_avx512_bf16_supported() else set()
     common = {"sparse", "fused renderer", "fused layers", "16 pixels", "32 pixels"} | half
-    wanted = dict.fromkeys(switches.SWITCHES, common)
+    required = dict.fromkeys(switches.SWITCHES, common)
     for name, before, after in (
         ("renderer in PyTorch", "fused renderer", "PyTorch's renderer"),
         ("gradients of empty voxels", "sparse", "dense"),
     ):
-        wanted[name] = common - {before} | {after}
-    wanted["float32"] = common - half
-    wanted["normalisation in PyTorch"] = common - {"fused layers"} - half
-    wanted["compared at full resolution"] = common - {"16 pixels"}
-    for name, expected in wanted.items():
+        required[name] = common - {before} | {after}
+    required["float32"] = common - half
+    required["normalisation in PyTorch"] = common - {"fused layers"} - half
+    required["compared at full resolution"] = common - {"16 pixels"}
+    for name, expected in required.items():
         with monkeypatch.context() as patch:
             assert what_happens(name, patch) == (expected, expected), name
 
@@ -105,9 +105,14 @@ def test_summary_and_figure(tmp_path):
         for epoch, value in ((1, 10.0), (2, value))
     ]
     curves = pd.DataFrame(rows)
-    found = switches.summary(curves)
-    assert found.loc[switches.USUAL, ["seeds", "accuracy", "accuracy_low", "accuracy_high"]].tolist() == [2, 82, 80, 84]
-    assert found.loc["x", "times_as_long"] == pytest.approx(3)
+    result = switches.summary(curves)
+    assert result.loc[switches.USUAL, ["seeds", "accuracy", "accuracy_low", "accuracy_high"]].tolist() == [
+        2,
+        82,
+        80,
+        84,
+    ]
+    assert result.loc["x", "times_as_long"] == pytest.approx(3)
     left = switches.figure(curves).axes[0]
     assert [line.get_ydata().tolist() for line in left.lines] == [[10, 81]]
     assert {text.get_text() for text in left.get_legend().get_texts()} == {switches.USUAL, "x"}

@@ -25,8 +25,8 @@ def test_the_textbook_renderer_is_the_definition(occupancy):
         images.append(draw(*leaves, 9, 13))
         gradients.append(torch.autograd.grad((images[-1] * weights).sum(), leaves))
     assert torch.allclose(*images, atol=1e-10)
-    for found, wanted in zip(*gradients, strict=True):
-        assert (found - wanted).abs().max() < 1e-4 * wanted.abs().max()
+    for result, expected in zip(*gradients, strict=True):
+        assert (result - expected).abs().max() < 1e-4 * expected.abs().max()
 
 
 class Features(PerceptualLoss):
@@ -53,15 +53,15 @@ def gradients(change, perceptual=None):
     settings = dataclasses.replace(config.train, amp="off")
     ours = sum(step_loss(net, batch, settings, perceptual, 0.5, torch.Generator()).values())
     theirs = textbook.step_loss(book, batch, settings, perceptual)
-    found = []
+    result = []
     for loss, module in ((ours, net), (theirs, book)):
         loss.backward()
-        found.append((loss.item(), {name: weight.grad for name, weight in module.named_parameters()}))
-    return found
+        result.append((loss.item(), {name: weight.grad for name, weight in module.named_parameters()}))
+    return result
 
 
-def same(found, tolerance):
-    (ours, mine), (theirs, its) = found
+def same(result, tolerance):
+    (ours, mine), (theirs, its) = result
     assert ours == pytest.approx(theirs, rel=tolerance)
     assert mine.keys() == its.keys()
     for name, gradient in mine.items():

@@ -51,9 +51,9 @@ class Page(HTMLParser):
 
 
 def cell(row: str, category: str, measured: float | None, printed: str = "", **more: object) -> dict[str, object]:
-    found = {"row": row, "variant": "viewnet", "category": category, "metric": "acc30", "printed": printed}
-    found |= {"bold": False, "measured": measured, "sd": None, "low": None, "high": None, "seeds": 1, "images": 50}
-    return found | {"objects": 10, "runs": ["0123456789ab"]} | more
+    result = {"row": row, "variant": "viewnet", "category": category, "metric": "acc30", "printed": printed}
+    result |= {"bold": False, "measured": measured, "sd": None, "low": None, "high": None, "seeds": 1, "images": 50}
+    return result | {"objects": 10, "runs": ["0123456789ab"]} | more
 
 
 def table(folder: Path, name: str = "table2_ablation", **more: object) -> None:
@@ -66,20 +66,20 @@ def table(folder: Path, name: str = "table2_ablation", **more: object) -> None:
     ]
     training = {"finished": "2026-01-02T03:04:05+00:00", "seconds": 120.0, "git": {"commit": "c" * 40, "dirty": False}}
     run = {"variant": "viewnet", "category": "car", "profile": "tiny", "recipe": evil, "seed": 0, "training": training}
-    told = {
+    listed = {
         "table": name,
         "title": "Ablation study",
         "measured on": "made-up models",
         "error": "angle",
         "interval": "95 %",
     }
-    write_json(folder / f"{name}.json", told | {"cells": cells, "runs": {"0123456789ab": run}} | more)
+    write_json(folder / f"{name}.json", listed | {"cells": cells, "runs": {"0123456789ab": run}} | more)
 
 
 def write_image(path: Path, frames: int = 1, width: int = 40) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    drawn = [Image.fromarray(np.full((20, width, 3), 40 * n + 9, np.uint8)) for n in range(frames)]
-    drawn[0].save(path, **({"save_all": True, "append_images": drawn[1:]} if frames > 1 else {}))
+    rendered = [Image.fromarray(np.full((20, width, 3), 40 * n + 9, np.uint8)) for n in range(frames)]
+    rendered[0].save(path, **({"save_all": True, "append_images": rendered[1:]} if frames > 1 else {}))
 
 
 @pytest.fixture
@@ -187,8 +187,8 @@ def test_damaged_files_are_named_and_the_page_stays(folder, name, content, messa
     before = page.write(folder).read_bytes()
     (folder / name).write_text(content)
     assert cli.main(["tables", "--page"]) == 2
-    said = capsys.readouterr().err
-    assert message in said and said.count("\n") == 1
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
     assert (folder / "index.html").read_bytes() == before
 
 
@@ -229,11 +229,11 @@ def test_every_number_of_a_committed_table_is_on_the_page(committed):
         setting = path.parent.relative_to(COMMITTED).as_posix()
         block = tables[path.stem, "" if setting == "." else setting]
         shown = [cell for _, rows in block.parts for _, cells in rows for cell in cells if cell != Cell()]
-        told = [c for c in json.loads(path.read_text())["cells"] if c["printed"] or c["measured"] is not None]
-        order = list(dict.fromkeys(c["metric"] for c in told))
-        told.sort(key=lambda c: order.index(c["metric"]))
-        assert [cell.printed for cell in shown if cell.printed] == [c["printed"] for c in told if c["printed"]]
-        measured = [c["measured"] for c in told if c["measured"] is not None]
+        listed = [c for c in json.loads(path.read_text())["cells"] if c["printed"] or c["measured"] is not None]
+        order = list(dict.fromkeys(c["metric"] for c in listed))
+        listed.sort(key=lambda c: order.index(c["metric"]))
+        assert [cell.printed for cell in shown if cell.printed] == [c["printed"] for c in listed if c["printed"]]
+        measured = [c["measured"] for c in listed if c["measured"] is not None]
         assert np.allclose([float(cell.measured) for cell in shown if cell.measured], measured, atol=0.051)
 
 

@@ -8,11 +8,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 def images(figure) -> list[list[np.ndarray | None]]:
     """The images, row by row; None for an empty cell."""
-    found: dict[int, list[np.ndarray | None]] = {}
+    result: dict[int, list[np.ndarray | None]] = {}
     for axes in figure.axes:
         line = int(axes.get_label().split()[0])
-        found.setdefault(line, []).append(axes.images[0].get_array() if axes.images else None)
-    return list(found.values())
+        result.setdefault(line, []).append(axes.images[0].get_array() if axes.images else None)
+    return list(result.values())
 
 
 def inside(figure) -> bool:

@@ -46,9 +46,9 @@ def finished_run(folder: Path, store: ViewStore | None, variant: str = "viewnet"
     run = untrained_run(folder, variant, **overrides)
     result = {"schema": SCHEMA, "key": run.key, "variant": variant, "metrics": None}
     if store is not None:
-        said = predict(run.folder, store)
-        said.to_parquet(folder / "predictions.parquet")
-        metrics = {kind: evaluate(said, kind, draws=20) for kind in ("procrustes", "linear")}
+        predicted = predict(run.folder, store)
+        predicted.to_parquet(folder / "predictions.parquet")
+        metrics = {kind: evaluate(predicted, kind, draws=20) for kind in ("procrustes", "linear")}
         result |= {"views": store.identity, "metrics": metrics}
     write_json(folder / "result.json", result)
     return run

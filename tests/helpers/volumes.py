@@ -32,10 +32,10 @@ def gradients(draw, inputs: list[torch.Tensor], weights: torch.Tensor) -> tuple[
     return image.detach(), list(torch.autograd.grad((image * weights.to(image)).sum(), inputs))
 
 
-def close(found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> bool:
+def close(result: torch.Tensor, expected: torch.Tensor, tolerance: float) -> bool:
     """Within `tolerance` of the largest value expected."""
     scale = expected.abs().max().clamp(min=1e-6)
-    return bool(((found.double() - expected).abs().max() / scale) < tolerance)
+    return bool(((result.double() - expected).abs().max() / scale) < tolerance)
 
 
 @dataclass(frozen=True)
@@ -89,14 +89,14 @@ def check_against_definition(draw, case: Case, device: str = "cpu", by_vector: b
     frame = look_at if by_vector else lambda frames: frames
     inputs = [voxels, frames[:, :, 2] if by_vector else frames, focal]
     shape = (case.size, case.steps)
-    found, grads = gradients(
+    result, grads = gradients(
         lambda v, r, f: draw(v, frame(r), f, *shape), [x.to(device) for x in inputs], weights.to(device)
     )
     reference, expected = gradients(
         lambda v, r, f: volume.render_reference(v, frame(r), f, *shape), [x.double() for x in inputs], weights
     )
-    assert (found.cpu().double() - reference).abs().max() < 1e-4
+    assert (result.cpu().double() - reference).abs().max() < 1e-4
     assert close(grads[0].cpu(), expected[0], 1e-4), "volume"
     # The focal parameter's gradient is one sum, which may cancel by chance: its scale is the frames'.
-    camera, wanted = (torch.cat([x.flatten().cpu() for x in both[1:]]) for both in (grads, expected))
-    assert close(camera, wanted, 1e-4), "frames and focal parameter"
+    camera, required = (torch.cat([x.flatten().cpu() for x in both[1:]]) for both in (grads, expected))
+    assert close(camera, required, 1e-4), "frames and focal parameter"

@@ -74,12 +74,12 @@ def test_gallery_tells_both_viewpoints(store, tmp_path):
     figure = failures.gallery(run, lambda run: store, count=3)
     shown = images(figure)
     assert all(len(line) == 6 for line in shown)
-    (drawer,) = failures.renderers([run], lambda run: store)
-    groups = failures.by_cause(drawer.aligned)
+    (renderer,) = failures.renderers([run], lambda run: store)
+    groups = failures.by_cause(renderer.aligned)
     assert [axes.get_ylabel().replace("\n", " ") for axes in figure.axes[::6]] == [
         f"{g.cause} {len(g.rows)} of 16" for g in groups
     ]
-    worst = drawer.aligned.predictions.ids.iloc[groups[0].rows[0]]
+    worst = renderer.aligned.predictions.ids.iloc[groups[0].rows[0]]
     assert figure.axes[0].get_xlabel() == f"true\n{round(worst['azimuth']) % 360}°, {round(worst['elevation'])}°"
     assert figure.axes[1].get_xlabel().startswith("predicted\n")
     assert inside(figure)

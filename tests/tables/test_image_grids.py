@@ -28,9 +28,9 @@ def test_reconstructions_stand_beside_their_image(runs, store):
     shown = images(figure)
     assert [len(line) for line in shown] == [3, 3]
     assert [axes.get_title() for axes in figure.axes[:3]] == ["car", "ViewNet", "ViewNet +\ncycle"]
-    drawer = run_renderer.RunRenderer.of(runs[1].folder, store)
-    assert np.array_equal(shown[1][0], drawer.test_images([6])[0])
-    assert np.array_equal(shown[1][2], rendering.to_uint8(drawer.reconstruct([6]))[0])
+    renderer = run_renderer.RunRenderer.of(runs[1].folder, store)
+    assert np.array_equal(shown[1][0], renderer.test_images([6])[0])
+    assert np.array_equal(shown[1][2], rendering.to_uint8(renderer.reconstruct([6]))[0])
     assert inside(figure)
 
 
@@ -70,8 +70,8 @@ def test_volumes_stand_below_their_images_from_one_viewpoint(runs, store):
     figure = image_grids.volumes(runs[:1], lambda run: store, count=4, columns=3)
     shown = images(figure)
     assert [[p is not None for p in line] for line in shown] == [[True] * 3] * 2 + [[True, False, False]] * 2
-    drawer = run_renderer.RunRenderer.of(runs[0].folder, store)
-    assert np.array_equal(shown[2][0], drawer.test_images([9])[0])
+    renderer = run_renderer.RunRenderer.of(runs[0].folder, store)
+    assert np.array_equal(shown[2][0], renderer.test_images([9])[0])
     assert inside(figure)
 
 

@@ -32,50 +32,50 @@ def one_shape(store, tmp_path_factory):
     return write_store(tmp_path_factory.mktemp("one") / "views", [images], index, {"one": 1})
 
 
-def knowing(drawer, degrees: float):
+def knowing(renderer, degrees: float):
     """A network that always imagines the boxes themselves, turned by so much in its own frame: 90 or nothing."""
     volume = box_volume(SYMMETRIC, 64)
     # Own azimuths lack the turn: the own frame's volume is turned back by it.
     volume = torch.rot90(volume, -round(degrees / 90), (4, 3))
-    drawer.network.focal.data.fill_(PERSPECTIVE)
+    renderer.network.focal.data.fill_(PERSPECTIVE)
 
     def encode(self, images, own_shape=1.0, background=None):
         return torch.zeros(len(images), 1), volume.expand(len(images), -1, -1, -1, -1)
 
-    drawer.network.encode = MethodType(encode, drawer.network)
-    return drawer
+    renderer.network.encode = MethodType(encode, renderer.network)
+    return renderer
 
 
 def test_true_viewpoints_are_taken_into_the_own_frame(one_shape):
-    found = [
+    result = [
         novel_view_scores.fidelity(knowing(untrained_renderer(one_shape, turned(rotation), render_size=32), volume))
         for rotation, volume in ((0, 0), (90, 90), (90, 0))
     ]
-    assert list(found[0].columns) == ["model_id", "view", "psnr", "ssim", "iou"]
-    for right in found[:2]:
+    assert list(result[0].columns) == ["model_id", "view", "psnr", "ssim", "iou"]
+    for right in result[:2]:
         assert (right["psnr"] > 20).all()
         assert (right["ssim"] > 0.85).all()
         assert (right["iou"] > 0.8).all()
-    assert found[2]["psnr"].mean() < 18
-    assert found[2]["iou"].mean() < 0.75
+    assert result[2]["psnr"].mean() < 18
+    assert result[2]["iou"].mean() < 0.75
 
 
 def test_copy_shows_the_next_view_of_the_object(store):
-    drawer = untrained_renderer(store)
-    found = novel_view_scores.fidelity(drawer, copy=True)
-    expected = novel_view_scores.compare(drawer.images([1, 2, 0]), drawer.images([0, 1, 2]))
-    assert np.allclose(found[["psnr", "ssim", "iou"]].head(3), expected)
+    renderer = untrained_renderer(store)
+    result = novel_view_scores.fidelity(renderer, copy=True)
+    expected = novel_view_scores.compare(renderer.images([1, 2, 0]), renderer.images([0, 1, 2]))
+    assert np.allclose(result[["psnr", "ssim", "iou"]].head(3), expected)
 
 
 def test_measures_are_those_of_the_literature():
     generator = torch.Generator().manual_seed(0)
     target = torch.rand(1, 4, 16, 16, generator=generator)
-    drawn = (target + 0.1).clamp(max=2)
-    drawn[:, :3] = target[:, :3] * 0.5
-    (line,) = novel_view_scores.compare(drawn, target).to_dict("records")
+    rendered = (target + 0.1).clamp(max=2)
+    rendered[:, :3] = target[:, :3] * 0.5
+    (line,) = novel_view_scores.compare(rendered, target).to_dict("records")
     error = ((target[:, :3] * 0.5) ** 2).mean()
     assert line["psnr"] == pytest.approx(float(-10 * torch.log10(error)), abs=1e-4)
-    a, b = (p[0, :3].movedim(0, -1).double().numpy() for p in (drawn, target))
+    a, b = (p[0, :3].movedim(0, -1).double().numpy() for p in (rendered, target))
     gaussian = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
     assert line["ssim"] == pytest.approx(structural_similarity(b, a, data_range=1.0, channel_axis=-1, **gaussian))
     both, either = (target[:, 3] > 0.5).sum(), (target[:, 3] > 0.4).sum()
@@ -95,7 +95,7 @@ def test_what_a_variant_does_not_draw_is_not_scored(store):
 
 @pytest.mark.parametrize(("reads", "median"), [(True, 0.0), (False, 90.0)])
 def test_consistency_is_how_well_the_drawing_tells_its_viewpoint(store, reads, median):
-    drawer = untrained_renderer(store)
+    renderer = untrained_renderer(store)
 
     def render(self, volumes, code, frames, size=None):
         """Uniform images whose colour is the view vector."""
@@ -103,17 +103,17 @@ def test_consistency_is_how_well_the_drawing_tells_its_viewpoint(store, reads, m
         return colours[:, :, None, None].expand(-1, -1, 16, 16)
 
     def viewpoint(images):
-        said = 2 * images.mean((2, 3)) - 1 if reads else torch.tensor([[1.0, 0, 0]]).expand(len(images), 3)
-        wrong = -said * torch.tensor([1.0, 1, 0]) + torch.tensor([0.0, 0, 0.1])
+        predictions = 2 * images.mean((2, 3)) - 1 if reads else torch.tensor([[1.0, 0, 0]]).expand(len(images), 3)
+        wrong = -predictions * torch.tensor([1.0, 1, 0]) + torch.tensor([0.0, 0, 0.1])
         # The selected head is used; the other one would be wrong.
-        return Hypotheses(torch.stack([wrong, said], 1), torch.tensor([[0.0, 1.0]]).expand(len(images), 2))
+        return Hypotheses(torch.stack([wrong, predictions], 1), torch.tensor([[0.0, 1.0]]).expand(len(images), 2))
 
-    drawer.network.render = MethodType(render, drawer.network)
-    drawer.network.viewpoint.forward = viewpoint
-    errors = novel_view_scores.consistency(drawer)
-    assert len(errors) == len(drawer)
+    renderer.network.render = MethodType(render, renderer.network)
+    renderer.network.viewpoint.forward = viewpoint
+    errors = novel_view_scores.consistency(renderer)
+    assert len(errors) == len(renderer)
     assert np.median(errors) == pytest.approx(median, abs=0.01 if reads else 45)
-    assert np.array_equal(errors, novel_view_scores.consistency(drawer))
+    assert np.array_equal(errors, novel_view_scores.consistency(renderer))
 
 
 @pytest.mark.parametrize(
@@ -128,10 +128,10 @@ def test_cells_are_those_of_a_table(store, tmp_path):
     runs = [
         untrained_run(tmp_path / f"{v}{s}", v, s) for v, s in (("hologan_decoder", 0), ("viewnet", 0), ("viewnet", 1))
     ]
-    found = novel_view_scores.cells(runs, lambda run: store, draws=20)
-    assert list(dict.fromkeys(found["row"])) == [novel_view_scores.COPY, "ViewNet", "HoloGAN-Decoder"]
-    assert list(found.loc[found["row"] == "ViewNet", "metric"]) == list(NOVEL_VIEWS)
-    mine = found.set_index(["row", "metric"])
+    result = novel_view_scores.cells(runs, lambda run: store, draws=20)
+    assert list(dict.fromkeys(result["row"])) == [novel_view_scores.COPY, "ViewNet", "HoloGAN-Decoder"]
+    assert list(result.loc[result["row"] == "ViewNet", "metric"]) == list(NOVEL_VIEWS)
+    mine = result.set_index(["row", "metric"])
     psnr = mine.loc["ViewNet", "psnr"]
     assert psnr["seeds"] == 2
     assert psnr["runs"] == "viewnet0 viewnet1"
@@ -139,17 +139,17 @@ def test_cells_are_those_of_a_table(store, tmp_path):
     assert (psnr["images"], psnr["objects"]) == (12, 4)
     assert np.isnan(mine.loc["HoloGAN-Decoder", "iou"]["measured"])
     assert np.isnan(mine.loc[novel_view_scores.COPY, "consistency_median"]["measured"])
-    shown = novel_view_scores.frame(found)
+    shown = novel_view_scores.frame(result)
     assert shown.loc["HoloGAN-Decoder", ("car", "mask IoU")] == "--"
     assert shown.loc["ViewNet", ("car", "PSNR, dB")].startswith(f"{psnr['measured']:.1f} [")
-    files = novel_view_scores.write(found, tmp_path / "tables", "one & two")
+    files = novel_view_scores.write(result, tmp_path / "tables", "one & two")
     assert [file.name for file in files] == ["novel_views.tex", "novel_views.csv"]
     tex = files[0].read_text()
     assert tex.count("&") == 7 * 4 + 1 and "one \\& two" in tex and tex.count("\\midrule") == 1
     line = next(line for line in tex.splitlines() if line.startswith("HoloGAN-Decoder"))
     assert line.split(" & ")[3] == "--" and line.split(" & ")[1] != "--"
-    kept = pd.read_csv(files[1], keep_default_na=False, na_values=[""])
-    assert kept["measured"].to_numpy() == pytest.approx(found["measured"].round(4).to_numpy(), nan_ok=True)
+    saved = pd.read_csv(files[1], keep_default_na=False, na_values=[""])
+    assert saved["measured"].to_numpy() == pytest.approx(result["measured"].round(4).to_numpy(), nan_ok=True)
     with pytest.raises(ViewnetError, match="same seed"):
         novel_view_scores.cells([*runs, runs[1]], lambda run: store)
 

@@ -33,11 +33,11 @@ def runs(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("VIEWNET_RUNS", str(root / "runs"))
         patch.setenv("VIEWNET_DATA", str(root / "data"))
-        wanted = [make_config(category=c, profile="smoke") for c in SHAPENET_CATEGORIES]
-        wanted.append(make_config(profile="smoke", seed=1))
-        wanted.append(make_config("single_head", profile="smoke", seed=2))
-        wanted += [untrained(v, wanted[2]) for v in ("constant", "best_constant")]
-        return ensure(wanted, workers=1, progress=False, steps=STEPS)
+        required = [make_config(category=c, profile="smoke") for c in SHAPENET_CATEGORIES]
+        required.append(make_config(profile="smoke", seed=1))
+        required.append(make_config("single_head", profile="smoke", seed=2))
+        required += [untrained(v, required[2]) for v in ("constant", "best_constant")]
+        return ensure(required, workers=1, progress=False, steps=STEPS)
 
 
 def build(name, runs, *arguments, **options) -> Table:
@@ -58,14 +58,14 @@ def cell(table, row, category, metric):
 def test_cells_are_means_over_seeds_of_aligned_test_errors(runs, table):
     cars = [r for r in runs if r.config.variant == "viewnet" and r.config.category == "car"]
     errors = [align(run.predictions).selected_errors for run in cars]
-    found = cell(table, "ViewNet", "car", "acc30")
+    result = cell(table, "ViewNet", "car", "acc30")
     values = [metrics.accuracy(e, 30) for e in errors]
-    assert found["measured"] == pytest.approx(np.mean(values))
-    assert found["sd"] == pytest.approx(np.std(values, ddof=1))
-    assert found["seeds"] == 2
-    assert found["low"] <= found["measured"] <= found["high"]
-    assert found["runs"].split() == [run.key for run in cars]
-    assert found["objects"] == len(set(cars[0].predictions.subset("test").objects))
+    assert result["measured"] == pytest.approx(np.mean(values))
+    assert result["sd"] == pytest.approx(np.std(values, ddof=1))
+    assert result["seeds"] == 2
+    assert result["low"] <= result["measured"] <= result["high"]
+    assert result["runs"].split() == [run.key for run in cars]
+    assert result["objects"] == len(set(cars[0].predictions.subset("test").objects))
     assert np.isnan(cell(table, "ViewNet", "chair", "acc30")["sd"])
     assert cell(table, "Constant", "chair", "acc30")["measured"] == 0
 
@@ -94,13 +94,13 @@ def test_latex_is_a_whole_booktabs_tabular(table):
 
 def on_photographs(name: str, categories: tuple[str, ...]) -> Table:
     """A table of synthetic predictors on synthetic photographs."""
-    found = [
+    result = [
         Entry(row.label, c, 0, row.alignment or "procrustes", f"{i}-{c}", noisy(make_index(40, 3, c)), {})
         for c in categories
         for i, row in enumerate(LAYOUTS[name].rows)
         if row.variant
     ]
-    return Table.of(name, found, categories, "made up", ["car: 3 left out & more"], {"VGG view*": "VGG view* (x_y)"})
+    return Table.of(name, result, categories, "made up", ["car: 3 left out & more"], {"VGG view*": "VGG view* (x_y)"})
 
 
 @pytest.mark.parametrize("name", ["table3_pascal3d", "table5_dva"])
@@ -131,11 +131,11 @@ def test_many_categories_have_one_column_each_and_ours_below_print(name):
 
 
 def test_a_run_fills_its_starred_row_too(runs):
-    found = entries("table3_pascal3d", [run for run in runs if run.config.variant == "viewnet"])
-    assert [(e.row, e.alignment) for e in found[:2]] == [("ViewNet*", "linear"), ("ViewNet", "procrustes")]
-    assert found[0].key == f"{runs[0].key}/linear" and found[1].key == runs[0].key
-    table = Table.of("table3_pascal3d", found)
-    for e, kind in ((found[0], "linear"), (found[1], "procrustes")):
+    result = entries("table3_pascal3d", [run for run in runs if run.config.variant == "viewnet"])
+    assert [(e.row, e.alignment) for e in result[:2]] == [("ViewNet*", "linear"), ("ViewNet", "procrustes")]
+    assert result[0].key == f"{runs[0].key}/linear" and result[1].key == runs[0].key
+    table = Table.of("table3_pascal3d", result)
+    for e, kind in ((result[0], "linear"), (result[1], "procrustes")):
         median = np.median(align(e.predictions, kind).selected_errors)
         assert table.cell(e.row, e.category, "median")["measured"] == pytest.approx(median)
 
