@@ -81,7 +81,7 @@ def test_figures_are_files(runs, store, tmp_path):
     assert files[1].read_bytes().startswith(b"%PDF")
 
 
-def test_untrained_drawer_is_what_a_run_gives(store, tmp_path):
+def test_untrained_renderer_is_that_of_a_run(store, tmp_path):
     """The two ways in which tests get a renderer agree."""
     one, other = run_renderer.RunRenderer.of(untrained_run(tmp_path / "run").folder, store), untrained_renderer(store)
     assert np.allclose(rendering.to_uint8(one.reconstruct([0])), rendering.to_uint8(other.reconstruct([0])), atol=2)
