@@ -18,7 +18,7 @@ from viewnet.evaluation.alignment import (
     PerAngle,
     Procrustes,
     Robust,
-    calibration_rows,
+    draw_calibration,
     fit_rotation,
 )
 from viewnet.evaluation.metrics import geodesic_error, vector_error
@@ -176,14 +176,15 @@ def test_undetermined_alignments_are_refused():
 
 def test_calibration_takes_whole_objects_in_a_seeded_order():
     val = noisy(make_index(80)).subset("val")
-    assert calibration_rows(val) is val
-    drawn = calibration_rows(val, 23, seed=1)
+    assert list(draw_calibration(val.objects)) == list(range(len(val)))
+    rows = draw_calibration(val.objects, 23, seed=1)
+    drawn = val.take(rows)
     counts = drawn.ids.groupby("model_id").size()
     assert len(drawn) == 23
     assert sorted(counts) == [3, 5, 5, 5, 5]
-    assert drawn.ids.equals(calibration_rows(val, 23, seed=1).ids)
-    assert not drawn.ids.equals(calibration_rows(val, 23, seed=2).ids)
+    assert np.array_equal(rows, draw_calibration(val.objects, 23, seed=1))
+    assert not np.array_equal(rows, draw_calibration(val.objects, 23, seed=2))
     assert set(drawn.ids["model_id"]) != set(val.ids["model_id"][:23])
     for count in (3, len(val) + 1):
         with pytest.raises(ViewnetError, match=f"{count} images requested, expected 4 to {len(val)}"):
-            calibration_rows(val, count)
+            draw_calibration(val.objects, count)

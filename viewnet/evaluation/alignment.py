@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from viewnet import geometry
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.predictions import Floats, Predictions
+from viewnet.evaluation.predictions import Floats
 
 MINIMUM = 4
 """Calibration images that any fit needs: an affine map of view vectors has four unknowns per coordinate."""
@@ -199,19 +199,14 @@ def fit_robust(predicted: Floats, truth: Floats) -> Floats:
     return best
 
 
-def calibration_rows(predictions: Predictions, count: int | None = None, seed: int = 0) -> Predictions:
-    """The images to fit on: `count` of them (None: all), see `draw_calibration`."""
-    if count is None:
-        return predictions
-    return predictions.take(draw_calibration(predictions.objects, count, seed))
-
-
-def draw_calibration(objects: NDArray[Any], count: int, seed: int = 0) -> NDArray[np.intp]:
-    """Positions of `count` calibration images of these objects (N,), taken object by object in a random order.
+def draw_calibration(objects: NDArray[Any], count: int | None = None, seed: int = 0) -> NDArray[np.intp]:
+    """Positions of `count` calibration images (None: all) of these objects (N,), object by object in a random order.
 
     Objects and not images are drawn, and not simply the first, so that the result does not depend on the order of the
     listing. The released code used 128 images. Raises ViewnetError where there are fewer than `count`.
     """
+    if count is None:
+        return np.arange(len(objects))
     if not MINIMUM <= count <= len(objects):
         raise ViewnetError(f"calibration: {count} images requested, expected {MINIMUM} to {len(objects)}")
     names, owner = np.unique(objects.astype(str), return_inverse=True)

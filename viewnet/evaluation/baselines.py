@@ -110,11 +110,9 @@ def calibrating(index: pd.DataFrame, count: int | None = None, seed: int = 0) ->
     They are those that predictions are aligned on (alignment.draw_calibration), so that a fitted baseline uses the same
     labels as an alignment does. Raises ViewnetError as that does.
     """
-    mask = np.ones(len(index), dtype=bool)
-    if count is not None:
-        val = np.flatnonzero(index["split"] == "val")
-        mask[val] = False
-        mask[val[draw_calibration(object_names(index.iloc[val]), count, seed)]] = True
+    mask = (index["split"] != "val").to_numpy(copy=True)
+    val = np.flatnonzero(~mask)
+    mask[val[draw_calibration(object_names(index.iloc[val]), count, seed)]] = True
     return mask
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
-from viewnet.evaluation.alignment import ALIGNMENTS, Alignment, Identity, Procrustes, calibration_rows
+from viewnet.evaluation.alignment import ALIGNMENTS, Alignment, Identity, Procrustes, draw_calibration
 from viewnet.evaluation.predictions import Floats, Predictions
 
 
@@ -65,7 +65,7 @@ def align(
         raise ViewnetError(f"evaluation: one category at a time, got {', '.join(categories)}")
     if both := set(val.objects) & set(test.objects):
         raise ViewnetError(f"evaluation: {sorted(both)[0]} is in the validation split and in the test split")
-    rows = calibration_rows(val, calibration, seed)
+    rows = val.take(draw_calibration(val.objects, calibration, seed))
     fitted = fit(rows.selected, rows.truth)
     hypotheses = fitted.apply(test.hypotheses)
     # Rotations of the world apply to up vectors too; other maps of view vectors do not determine the tilt.

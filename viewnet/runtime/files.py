@@ -136,10 +136,10 @@ def _sweep(place: Path) -> None:
 def _cause(error: Exception, file: Path) -> OSError | None:
     """The operating system's error behind a library's own one, where `file` could not be written."""
     code = None
+    if isinstance(error, OSError) and error.errno:
+        return None  # `writing` handles it
     if named := re.search(r"\(os error (\d+)\)", str(error)):
         code = int(named[1])
-    elif isinstance(error, OSError) and error.errno:
-        return None  # `writing` knows it
     elif shutil.disk_usage(file.parent).free < 2**16:
         code = errno.ENOSPC
     elif file.is_file() and 0 <= resource.getrlimit(resource.RLIMIT_FSIZE)[0] <= file.stat().st_size:
