@@ -81,7 +81,6 @@ def recognise(folder: Path) -> str:
 
 def check(folder: Path) -> Contents:
     """What a folder holds, by its data set's reader. Raises ViewnetError as `recognise` does."""
-
     folder = Path(folder)
     contents = Contents(recognise(folder), str(folder))
     with contents.error_is_problem():

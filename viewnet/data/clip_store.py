@@ -253,7 +253,6 @@ def _angle(value: float) -> float | None:
 
 def _sizes(path: Path) -> list[Any]:
     """Name and sizes of a file or of a folder's files."""
-
     files = [path] if path.is_file() else sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else []
     return [path.name, [(file.name, file.stat().st_size) for file in files]]
 

@@ -126,7 +126,6 @@ def coverage(mask: Image.Image) -> np.ndarray:
 
 def rgb(image: Image.Image) -> Image.Image:
     """An image in three channels; 16-bit grey is scaled to 8 bits, where `convert` would clip it."""
-
     if image.mode.startswith("I;16") or image.mode == "I":
         image = Image.fromarray((np.asarray(image).astype(np.int64) // 257).clip(0, 255).astype(np.uint8))
     return image.convert("RGB")

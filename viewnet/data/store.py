@@ -225,5 +225,4 @@ def _read_meta(file: Path) -> dict[str, Any]:
         raise ViewnetError(f"{file}: format {fields[0]}: this version reads format {FORMAT}: {_AGAIN}")
     if fields[1] != identity_of(fields[2]):
         raise ViewnetError(f"{file}: its identity does not match its made_by: {_AGAIN}")
-
     return meta

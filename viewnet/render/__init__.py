@@ -72,7 +72,7 @@ def render_cameras(
 
 
 def choose_backend(backend: Backend) -> Backend:
-    """The back end that will render: `auto` is the ray caster; pyrender falls back to it, with a warning.
+    """The back end to render with: `auto` is the ray caster; pyrender falls back to it, with a warning.
 
     Raises ViewnetError for another name.
     """
@@ -81,7 +81,7 @@ def choose_backend(backend: Backend) -> Backend:
     if backend == "pyrender":
         try:
             importlib.import_module("viewnet.render.opengl").check()
-        except Exception as error:  # GL stacks fail in every way there is.
+        except Exception as error:  # OpenGL stacks fail in many ways.
             log.warning("pyrender cannot render here (%s: %s): using the ray caster", type(error).__name__, error)
             return "raycast"
         return "pyrender"

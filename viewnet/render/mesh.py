@@ -9,7 +9,7 @@ import numpy as np
 
 from viewnet.errors import ViewnetError
 
-# What a face without a (defined) material looks like.
+# Colour of a face without a (defined) material.
 GREY = (0.8, 0.8, 0.8)
 
 
@@ -17,7 +17,7 @@ class UnusableModel(ViewnetError):
     """A CAD model that cannot be rendered; `reason` says why in a few words, `path` which file."""
 
     def __init__(self, path: Path, reason: str) -> None:
-        # What a file says may be of any length, and what is no UTF-8 in it could not be written to a list.
+        # Text from a file may be long, and bytes that are not UTF-8 could not be written to a list.
         reason = reason[:300].encode("utf-8", "backslashreplace").decode()
         super().__init__(f"{path}: {reason}")
         self.path, self.reason = path, reason
@@ -44,8 +44,7 @@ class Mesh:
     """Triangles: vertices (V, 3) float64, faces (F, 3) int32, material (F,) int32 into `materials`.
 
     `uv` (F, 3, 2) float32 are the texture coordinates of each face's corners (origin at the lower left, repeating) or
-    None; `colours` (V, 3) float32 in 0..1 are vertex colours or None, which count only on faces without a material of
-    their own (material 0).
+    None; `colours` (V, 3) float32 in 0..1 are vertex colours or None, used on faces without a material (material 0).
     """
 
     vertices: np.ndarray
@@ -57,10 +56,10 @@ class Mesh:
 
 
 def surfaces(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each set of faces (F, 3) with the same vertices, the first (G,), ascending, and the first wound otherwise.
+    """Of each set of faces (F, 3) with the same vertices, the first (G,), ascending, and the first of other winding.
 
-    CAD models often hold a surface twice, once for each side. Where there is no face of the other winding the second
-    array repeats the first: that face is seen from both sides.
+    CAD models often have a surface twice, once for each side. Without a face of the other winding the second array
+    repeats the first: that face is visible from both sides.
     """
     order = np.argsort(faces, axis=1, kind="stable")
     low, middle, high = np.take_along_axis(faces, order, axis=1).T

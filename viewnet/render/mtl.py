@@ -26,7 +26,7 @@ FORMATS = (*image_files.FORMATS, "TGA")
 MAX_BYTES = 64 * 2**20
 MAX_SCALE = 1e6
 
-# Options of a texture that do not change what we draw, and how many words follow them.
+# Options of a texture without effect here, and how many words follow them.
 _OPTIONS = {
     "-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1, "-imfchan": 1, "-mm": 2, "-texres": 1,
     "-type": 1, "-colorspace": 1,
@@ -35,7 +35,7 @@ _OPTIONS = {
 
 @dataclass
 class Entry:
-    """What an MTL file says of one material before its texture is opened."""
+    """The entry of one material in an MTL file, its texture not opened yet."""
 
     diffuse: tuple[float, float, float] = GREY
     opacity: float | None = None
@@ -69,7 +69,7 @@ def read_libraries(obj: Path, folder: Path, lines: Iterable[str]) -> dict[str, E
     """The materials of `mtllib` lines, each of which names one file (perhaps with spaces) or several."""
     files = [file for names in lines for file in _files(obj, folder, names)]
     library: dict[str, Entry] = {}
-    # Each once, however often it is named: what counts of a material is where it is defined last.
+    # Each file once, however often it is named: the last definition of a material counts.
     for file in reversed(dict.fromkeys(reversed(files))):
         library.update(_read(obj, folder, file))
     return library
@@ -82,7 +82,7 @@ def _files(obj: Path, folder: Path, names: str) -> list[Path]:
     parts = names.split()
     if len(parts) < 2:
         raise UnusableModel(obj, f"missing material library '{names}'")
-    return [found for part in parts for found in _files(obj, folder, part)]
+    return [file for part in parts for file in _files(obj, folder, part)]
 
 
 def _read(obj: Path, folder: Path, file: Path) -> dict[str, Entry]:
@@ -121,17 +121,17 @@ def _clip(value: float) -> float:
 
 
 def _texture_options(rest: str) -> tuple[tuple[float, float], tuple[float, float], str]:
-    """Scale, offset and file name of a `map_Kd` line; the other options do not change what we draw."""
+    """Scale, offset and file name of a `map_Kd` line; its other options have no effect here."""
     scale, offset = (1.0, 1.0), (0.0, 0.0)
     if len(rest) > 4096:  # no path is longer
         raise ValueError(rest)
     while match := re.match(r"(-[a-z]+)\s+", rest):
         option = match.group(1)
         if option in ("-s", "-o", "-t"):
-            found = re.match(r"-[a-z]\s+((?:[-+]?[\d.]+(?:[eE][-+]?\d+)?(?:\s+|$)){1,3})", rest)
-            if found is None:
+            values = re.match(r"-[a-z]\s+((?:[-+]?[\d.]+(?:[eE][-+]?\d+)?(?:\s+|$)){1,3})", rest)
+            if values is None:
                 raise ValueError(rest)
-            numbers = [float(x) for x in found.group(1).split()]
+            numbers = [float(x) for x in values.group(1).split()]
             if max(map(abs, numbers)) > MAX_SCALE:
                 raise ValueError(rest)
             u, v = numbers[0], numbers[1] if len(numbers) > 1 else (1.0 if option == "-s" else 0.0)
@@ -139,7 +139,7 @@ def _texture_options(rest: str) -> tuple[tuple[float, float], tuple[float, float
                 scale = (u, v)
             elif option == "-o":
                 offset = (u, v)
-            rest = rest[found.end() :]
+            rest = rest[values.end() :]
         elif option in _OPTIONS:
             rest = re.split(r"\s+", rest, maxsplit=1 + _OPTIONS[option])[-1]
         else:

@@ -1,9 +1,9 @@
 """Wavefront OBJ files as triangle meshes.
 
 The reader covers what CAD collections hold: polygons, every index form (`v`, `v/t`, `v//n`, `v/t/n`, negative),
-several materials and libraries, vertex colours, texture options and texture names with spaces. It exists because
-trimesh goes on in silence where a library or texture is missing or cannot be read, applies neither opacity nor texture
-options, and is slower. Lines are sorted by keyword and numbers read with array operations, never in a loop over lines.
+several materials and libraries, vertex colours, texture options and texture names with spaces. trimesh, in contrast,
+ignores missing libraries and textures, opacity and texture options, and is slower. Lines are sorted by keyword and
+numbers read with array operations, never in a loop over lines.
 """
 
 from __future__ import annotations
@@ -22,19 +22,20 @@ MAX_FACES = 2_000_000
 MAX_TEXTURED = 1000
 # Of a vertex, as exporters write it: 0 to 1, or to 255 or 65535.
 MAX_COLOUR = 65536.0
-# Of a texture coordinate: with a texture's scale it still is a number of single precision.
+# Of a texture coordinate: times a texture's scale it is still finite in single precision.
 MAX_UV = 1e30
-# Faces less opaque than this are not drawn; the others are drawn opaque.
+# Faces less opaque than this are left out; the others are rendered opaque.
 MIN_OPACITY = 0.05
 
 
 def read_obj(path: Path, folder: Path | None = None) -> Mesh:
     """The visible faces of an OBJ file as it stands (no change of frame or scale).
 
-    Polygons are cut as fans; faces of no area and faces that are (almost) wholly transparent are left out; normals in
-    the file are not used. Faces without a material, or with one that no library defines, are light grey. `folder`
-    (default: the file's own) is the one that libraries and textures must lie in. Raises UnusableModel with the
-    reason.
+    Polygons are triangulated as fans; faces without area and (almost) transparent faces are left out; normals in the
+    file are not used. Faces without a material, or with an undefined one, are light grey. Libraries and textures must
+    lie in `folder` (default: the file's own). Raises UnusableModel with the reason: no, an empty or an unreadable file,
+    no faces, NaN or infinite vertices, a broken or missing library or texture, a path that leads out of the folder,
+    more than MAX_FACES faces or MAX_BYTES bytes.
     """
     folder = path.parent if folder is None else folder
     lines = _Lines(path)
@@ -58,11 +59,11 @@ def read_obj(path: Path, folder: Path | None = None) -> Mesh:
     faces, material = corner_v[corners], polygon_material[owner]
 
     edge, other = (vertices[faces[:, i]] - vertices[faces[:, 0]] for i in (1, 2))
-    with np.errstate(over="ignore", invalid="ignore"):  # what is too large is told when it is brought to scale
+    with np.errstate(over="ignore", invalid="ignore"):  # the normalisation of the mesh rejects what is too large
         keep = (np.cross(edge, other) != 0).any(axis=1)
     opacity = np.array([1.0, *(library[name].shown if name in library else 1.0 for name in names)])
     if (visible := keep & (opacity >= MIN_OPACITY)[material]).any():
-        # Some exporters write opacity where transparency belongs, so a file that hides everything means the opposite.
+        # Some exporters write opacity for transparency, so a file that hides everything means the opposite.
         keep = visible
     if not keep.any():
         raise UnusableModel(path, "no face has an area")
@@ -115,12 +116,12 @@ class _Lines:
         """What follows a longer keyword on each of its lines, and how many faces stand before it."""
         lines = np.flatnonzero(self.of(keyword[:2]))
         before = np.cumsum(self.of("f"))[lines]
-        found = []
+        words = []
         for line, faces in zip(lines, before, strict=True):
             word, _, rest = self.data[self.starts[line] : self.ends[line]].partition(b" ")
             if word == keyword.encode():
-                found.append((int(faces), rest.decode("utf-8", errors="surrogateescape").strip()))
-        return found
+                words.append((int(faces), rest.decode("utf-8", errors="surrogateescape").strip()))
+        return words
 
 
 def _read(path: Path) -> bytes:
@@ -141,7 +142,7 @@ def _read(path: Path) -> bytes:
 def _numbers(path: Path, keyword: str, text: bytes, dtype: type) -> tuple[np.ndarray, np.ndarray]:
     counts, _ = _word_counts(text)
     with warnings.catch_warnings():
-        # NumPy only warns where it stops at something that is not a number; the count then tells.
+        # NumPy only warns and stops at something that is not a number; the count is then wrong.
         warnings.simplefilter("ignore", DeprecationWarning)
         try:
             values: np.ndarray = np.fromstring(text, dtype, sep=" ")
@@ -280,5 +281,5 @@ def _uv(lines: _Lines, corners: np.ndarray) -> np.ndarray:
     table = values[(np.cumsum(counts) - counts)[:, None] + np.arange(2)]
     if not (np.abs(table) <= MAX_UV).all():
         raise UnusableModel(lines.path, "a texture coordinate is NaN or infinite")
-    # The last row serves index -1, a corner without coordinates.
+    # The last row is for index -1, a corner without coordinates.
     return np.concatenate([table, np.zeros((1, 2))]).astype(np.float32)[corners]

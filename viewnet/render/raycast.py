@@ -1,10 +1,10 @@
 """The ray caster: rays through every pixel by Embree (embreex), shading in NumPy; no OpenGL.
 
 Every sample (pixel divided `supersample` times each way) takes the nearest face along the ray through its centre; a
-pixel's colour is the mean of its covered samples and its alpha the share of them. Shading is
-`AMBIENT + (1 - AMBIENT) max(0, n.l)` with the face's flat normal turned to the camera and one directional light. Of
-faces with the same corners the first in the file is seen, and of two that face opposite ways (a surface modelled once
-for each side) the one turned to the camera.
+pixel's colour is the mean of its covered samples and its alpha their share. Shading is
+`AMBIENT + (1 - AMBIENT) max(0, n.l)` with the face's flat normal towards the camera and one directional light. Of faces
+with the same corners the first in the file is visible, and of two that face opposite ways (a surface modelled for each
+side) the one towards the camera.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from viewnet.render.mesh import Mesh, surfaces
 AMBIENT = 0.4
 # Texels more transparent than this are holes.
 ALPHA_CUT = 128
-# How far behind a hole its ray goes on, above the rounding errors of single precision.
+# Distance behind a hole from which its ray continues, above the rounding errors of single precision.
 STEP = 1e-5
 # Rays cast and hits shaded at once, which bounds memory.
 BATCH = 2**18
@@ -36,8 +36,8 @@ class Surface:
 
     scene: EmbreeScene
     vertices: np.ndarray  # (V, 3) float64
-    front: np.ndarray  # (G,) face of each triangle of the scene, seen where it is turned to the camera
-    back: np.ndarray  # (G,) face seen in its place where it is not
+    front: np.ndarray  # (G,) face of each triangle of the scene, visible where it faces the camera
+    back: np.ndarray  # (G,) face visible in its place where it does not
     normals: np.ndarray  # (F, 3) float64
     planes: np.ndarray  # (F,) float64: the face's distance from the origin along its normal
     material: np.ndarray  # (F,) int32
@@ -50,7 +50,7 @@ class Surface:
 
 
 def prepare(mesh: Mesh) -> Surface:
-    """What casting needs of a mesh, once for all its views."""
+    """Prepare a mesh once for all its views."""
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.sqrt(np.einsum("fi,fi->f", normals, normals)), 1e-300)[:, None]
@@ -118,11 +118,11 @@ def render(
 
 
 Hits = tuple[np.ndarray, ...]
-"""Of rays that meet something: view, pixel of all views, triangle of the scene, and Embree's coordinates u and v."""
+"""Of rays that hit a face: view, pixel of all views, triangle of the scene, and Embree's coordinates u and v."""
 
 
 def _batches(parts: Iterator[Hits]) -> Iterator[Hits]:
-    """Joins hits of several views, for few and large array operations, but not so many that memory runs out."""
+    """Join hits of several views, up to BATCH, for few and large array operations."""
     pending: list[Hits] = []
     for part in parts:
         pending.append(part)
@@ -162,7 +162,7 @@ def _cast(
 
 
 def _first(surface: Surface, seen: np.ndarray, origin: np.ndarray, directions: np.ndarray) -> Hits:
-    """Which of the rays meet something, and the triangle and coordinates where they do; rays go on through holes."""
+    """Which rays hit a face, and the triangles and coordinates of the first hits; rays continue through holes."""
     cast = surface.scene.run(np.broadcast_to(origin, directions.shape), directions, output=1)
     triangle, u, v = cast["primID"], cast["u"], cast["v"]
     hit = np.flatnonzero(triangle >= 0)
@@ -185,11 +185,11 @@ def _blend(values: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _in_hole(surface: Surface, face: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(n,) bool: where a ray meets a texture that is transparent there."""
+    """(n,) bool: whether a ray hits a transparent part of a texture."""
     holed = np.flatnonzero(surface.holes[surface.material[face]])
-    found = np.zeros(len(face), bool)
-    found[holed] = _texture(surface, face[holed], u[holed], v[holed])[:, 3] < ALPHA_CUT
-    return found
+    transparent = np.zeros(len(face), bool)
+    transparent[holed] = _texture(surface, face[holed], u[holed], v[holed])[:, 3] < ALPHA_CUT
+    return transparent
 
 
 def _albedo(surface: Surface, face: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

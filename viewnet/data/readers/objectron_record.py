@@ -253,7 +253,6 @@ def _is_upright(camera: Any, in_camera: np.ndarray, points: np.ndarray) -> bool 
     shown = {True: np.column_stack([1 + up, 1 + right]) / 2, False: np.column_stack([1 + right, 1 - up]) / 2}
     apart = {rotated: float(np.abs(places - points).mean()) for rotated, places in shown.items()}
     best = min(apart, key=lambda rotated: apart[rotated])
-
     return best if apart[best] < 0.05 else None
 
 

@@ -312,7 +312,6 @@ def digest(root: Path, category: str, subset: str) -> str:
 
 def settings(config: PhotoConfig) -> dict[str, Any]:
     """The settings that choose among a data set's photographs, as JSON values."""
-
     return {"subset": config.subset, "keep": config.keep, "coarse": config.coarse}
 
 

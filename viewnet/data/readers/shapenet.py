@@ -169,7 +169,6 @@ def _paths(folder: Path) -> dict[Literal["v1", "v2"], Path]:
 def _read_csv(file: Path, synset: str) -> dict[str, str]:
     """Model id -> split of one category of an official list."""
     # Ids and synsets are text: numbers have no leading zeros, and "1e5" is an id.
-
     table = read_csv(file, dtype=str, keep_default_na=False)
     if missing := [name for name in ("synsetId", "modelId", "split") if name not in table.columns]:
         raise ViewnetError(f"{file}: no column {missing[0]}: expected id, synsetId, subSynsetId, modelId, split")

@@ -280,7 +280,6 @@ def _record(rng: np.random.Generator, shots: Many[_Shot], mesh: Mesh, size: tupl
             keypoint = seen.keypoints.add(id=place)
             keypoint.point_3d.x, keypoint.point_3d.y, keypoint.point_3d.z = point
             # In the image, which is the sensor's rotated by a quarter turn.
-
             keypoint.point_2d.x, keypoint.point_2d.y, keypoint.point_2d.depth = (1 + up) / 2, (1 + right) / 2, -point[2]
     return sequence
 
