@@ -73,8 +73,8 @@ def tight_crop(images: Tensor, size: int, stretch: bool = False, margin: float =
     start, end = torch.stack(low, 1).float(), torch.stack(high, 1).float()  # (N, 2): x, y
     empty = ~covered.flatten(1).any(1)  # (N,)
     start, end = start.masked_fill(empty[:, None], 0), end.masked_fill(empty[:, None], full)  # (N, 2)
-    margins = torch.where(empty | covered.flatten(1).all(1), 0.0, margin)
-    sides = end - start if stretch else (end - start).amax(1, keepdim=True).expand(-1, 2)
+    margins = torch.where(empty | covered.flatten(1).all(1), 0.0, margin)  # (N,)
+    sides = end - start if stretch else (end - start).amax(1, keepdim=True).expand(-1, 2)  # (N, 2)
     half = sides / 2 * (1 + 2 * margins[:, None])  # (N, 2), pixels
     centre = (start + end) / 2
     matrix = torch.diag_embed(half / (full / 2))  # (N, 2, 2); grids run over [-1, 1]
@@ -134,7 +134,7 @@ def sample_pairs(views: Views, objects: int, targets: int, seed: int, step: int)
     keys[torch.arange(keys.shape[1]) >= views.count[chosen, None]] = 2.0  # views that there are not come last
     order = keys.argsort(1)
     # An object with fewer views than asked for gives its targets again, never the appearance view.
-    repeat = 1 + torch.arange(targets)[None] % (views.count[chosen, None] - 1)
+    repeat = 1 + torch.arange(targets)[None] % (views.count[chosen, None] - 1)  # (objects, targets)
     appearance = views.first[chosen] + order[:, 0]  # (objects,)
     return appearance, (views.first[chosen, None] + order.gather(1, repeat)).flatten()  # (objects * targets,)
 

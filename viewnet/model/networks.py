@@ -262,7 +262,7 @@ class HoloGANDecoder(nn.Module):
         grid = torch.einsum("nij,dhwj->ndhwi", world_from_camera, points).unflatten(0, (-1, share)).flatten(1, 2)
         rotated = F.grid_sample(features, grid.to(features.dtype), padding_mode="border", align_corners=False)
         views = rotated.unflatten(2, (share, self.size)).transpose(1, 2).flatten(0, 1)  # (N, C, s, s, s)
-        x = F.relu(self.fold(views.flatten(1, 2).contiguous(memory_format=torch.channels_last)))
+        x = F.relu(self.fold(views.flatten(1, 2).contiguous(memory_format=torch.channels_last)))  # (N, C s, s, s)
         for stage in self.paint:
             x = stage(x, appearance.repeat_interleave(share, dim=0))  # (N, C, h, w)
         return torch.sigmoid(self.last(x))

@@ -33,8 +33,8 @@ class Muon(torch.optim.Optimizer):
                 if not state:
                     state["momentum"] = torch.zeros_like(weight)  # a running mean of gradients
                 state["momentum"].lerp_(weight.grad, 1 - group["momentum"])
-                direction = weight.grad.lerp(state["momentum"], group["momentum"]).flatten(1)
-                rows, columns = direction.shape  # (first, all others) of Nesterov's direction
+                direction = weight.grad.lerp(state["momentum"], group["momentum"]).flatten(1)  # (first, all others)
+                rows, columns = direction.shape  # of Nesterov's direction
                 scale = max(1.0, rows / columns) ** 0.5  # a unit change of outputs, tall or wide
                 weight.add_(orthogonal(direction, half=self.half).view_as(weight), alpha=-group["lr"] * scale)
 
@@ -47,7 +47,7 @@ def orthogonal(matrix: Tensor, iterations: int = 4, half: bool = False) -> Tenso
     if half and len(x) >= BFLOAT16_FROM:
         x = x.bfloat16()
     # Every iteration multiplies by a polynomial of the Gram matrix, and these commute: they are gathered first.
-    gram, product = x @ x.T, None
+    gram, product = x @ x.T, None  # (a, a)
     # The Gram matrix's norm bounds the largest singular value more tightly than the matrix's, which is worth an
     # iteration where there are many of one size.
     size = gram.norm() + 1e-7
@@ -59,4 +59,4 @@ def orthogonal(matrix: Tensor, iterations: int = 4, half: bool = False) -> Tenso
         if left:
             gram = factor @ gram @ factor  # of the next iterate
     x = (x if product is None else product @ x).to(matrix.dtype)
-    return x.T if matrix.shape[0] > matrix.shape[1] else x
+    return x.T if matrix.shape[0] > matrix.shape[1] else x  # (a, b), as it came

@@ -52,7 +52,7 @@ def validate(
     if annotated.any():
         predicted, truth = predicted[annotated], view_vector(*views.truth[rows][annotated].double().unbind(1))
         # The learned world frame is any rotation of the annotated one.
-        aligned = predicted @ torch.as_tensor(fit_rotation(predicted.numpy(), truth.numpy())).T
+        aligned = predicted @ torch.as_tensor(fit_rotation(predicted.numpy(), truth.numpy())).T  # (N, 3)
         accuracy = 100 * (rotation_angle(look_at(aligned), look_at(truth)) < 30).double().mean().item()
     model.train()
     return {"reconstruction": error / len(rows), "accuracy": accuracy}

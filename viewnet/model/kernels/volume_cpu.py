@@ -83,7 +83,7 @@ class _Render(torch.autograd.Function):
         _run("forward", voxels, cells, boxes, shape, frames, focal, steps, image)
         if not sparse:  # empty voxels are due their gradient too: backward walks the whole frame
             whole = [float(end) for side in reversed(shape) for end in (0, side + 1)]
-            cells, boxes = torch.ones_like(cells), torch.tensor(whole).expand_as(boxes).contiguous()
+            cells, boxes = torch.ones_like(cells), torch.tensor(whole).expand_as(boxes).contiguous()  # (B, P), (B, 6)
         ctx.save_for_backward(voxels, cells, boxes, frames, focal)
         ctx.shape, ctx.steps = shape, steps
         return image.permute(0, 3, 1, 2)  # (N, 4, S, S)
@@ -98,7 +98,7 @@ class _Render(torch.autograd.Function):
         arguments = (voxels, cells, boxes, ctx.shape, frames, focal, ctx.steps, grad, *found)
         _run("backward", *arguments)
         grad_volume = unpadded(grad_voxels, ctx.shape)  # (B, 4, Z, Y, X); the frame's is dropped
-        return grad_volume, grad_frames, grad_focal.sum().reshape(focal.shape), None, None, None
+        return grad_volume, grad_frames, grad_focal.sum().reshape(focal.shape), None, None, None  # focal's is a scalar
 
 
 _known: tuple[weakref.ref[Tensor], int, tuple[Tensor, Tensor]] | None = None  # weak: memory is freed
@@ -123,7 +123,7 @@ def _occupied(volume: Tensor, voxels: Tensor, shape: tuple[int, ...]) -> tuple[T
 def unpadded(voxels: Tensor, shape: tuple[int, ...]) -> Tensor:
     """The volume (B, 4, Z, Y, X) in `voxels` (B, P, 4), without the voxel all around."""
     nz, ny, nx = shape
-    return voxels.view(-1, nz + 2, ny + 2, nx + 2, 4)[:, 1:-1, 1:-1, 1:-1].permute(0, 4, 1, 2, 3)
+    return voxels.view(-1, nz + 2, ny + 2, nx + 2, 4)[:, 1:-1, 1:-1, 1:-1].permute(0, 4, 1, 2, 3)  # (B, 4, Z, Y, X)
 
 
 def padded(volume: Tensor, empty: bool = False) -> Tensor:

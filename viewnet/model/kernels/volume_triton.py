@@ -162,8 +162,8 @@ def draw(voxels, cells, frames, focal, image, share, nz, ny, nx, size, steps, RA
                 at, into = _place(ray, shape, k + c)
                 corners, weights, value = _four(voxels, at), _weights(into), tl.zeros((RAYS, 4), tl.float32)
                 for corner in tl.static_range(8):
-                    there = tl.load(corners + _values(shape, corner), mask=met[c][:, None], other=0.0)
-                    value += weights[corner][:, None] * there
+                    there = tl.load(corners + _values(shape, corner), mask=met[c][:, None], other=0.0)  # (R, 4)
+                    value += weights[corner][:, None] * there  # (R, 4)
                 q = tl.where(light >= OPAQUE, _last(value), 0.0)  # 0 for rays that have stopped
                 shown = tl.where(tl.arange(0, 4)[None, :] == 3, 1.0, value)  # a mask's colour is 1
                 total += (q * light)[:, None] * shown  # equations 3 and 4
@@ -205,8 +205,8 @@ def draw_backward(
     shape, drawn = (nz, ny, nx), (i < size) & (j < size)
     start = (n // share).to(tl.int64) * ((nz + 2) * (ny + 2) * (nx + 2))
     voxels, cells, grad_voxels = voxels + start * 4, cells + start, grad_voxels + start * 4
-    channel = tl.arange(0, 4)[None, :]
-    g = tl.load(_four(grad + n.to(tl.int64) * size * size * 4, i * size + j), mask=drawn[:, None], other=0.0)
+    channel = tl.arange(0, 4)[None, :]  # (1, 4)
+    g = tl.load(_four(grad + n.to(tl.int64) * size * size * 4, i * size + j), mask=drawn[:, None], other=0.0)  # (R, 4)
     frame, f = frames + n * 9, tl.load(focal)
     ray, low, high = _ray(frame, f, steps, shape, px, py, drawn & (tl.max((g != 0).to(tl.int32), axis=1) > 0))
 
@@ -247,7 +247,7 @@ def draw_backward(
                 at, into = _place(ray, shape, k - c)
                 corners, occupancies, colours = _four(voxels, at), (), ()
                 for corner in tl.static_range(8):
-                    value = tl.load(corners + _values(shape, corner), mask=met[c][:, None], other=0.0)
+                    value = tl.load(corners + _values(shape, corner), mask=met[c][:, None], other=0.0)  # (R, 4)
                     occupancies = occupancies + (_last(value),)
                     colours = colours + (tl.sum(tl.where(channel == 3, 0.0, value * g), axis=1),)
                 q, q_u, q_v, q_w = _trilinear(occupancies, into)  # Q and its slopes
@@ -271,7 +271,7 @@ def draw_backward(
                 corners, weights, taken = _four(grad_voxels, at), _weights(into), (met[c] & (light >= OPAQUE))[:, None]
                 for corner in tl.static_range(8):
                     to = corners + _values(shape, corner)  # shared with other rays: added atomically
-                    tl.atomic_add(to, weights[corner][:, None] * delta, mask=taken, sem="relaxed")
+                    tl.atomic_add(to, weights[corner][:, None] * delta, mask=taken, sem="relaxed")  # (R, 4)
         k -= CHUNK
 
     scaled = (scaled_u * (nx * 0.5), scaled_v * (ny * 0.5), scaled_w * (nz * 0.5))  # dL/dp in world coordinates
