@@ -57,7 +57,7 @@ def test_train_as_json_has_every_metric(folders, capsys):
     assert told == {"folder": str(result.parent), **read_json(result)}
 
 
-def test_train_says_what_is_trained_and_not_scored(capsys, monkeypatch):
+def test_train_reports_runs_that_are_not_scored(capsys, monkeypatch):
     def opened(folder):
         store = STEPS.open(folder)
         return replace(store, index=store.index[store.index["split"] == "train"])
@@ -78,7 +78,7 @@ def test_train_says_what_is_trained_and_not_scored(capsys, monkeypatch):
         (["train", "car", "--cluster", "scheduler-file:nowhere"], "cluster scheduler-file:nowhere: "),
     ],
 )
-def test_what_cannot_be_trained_is_said(arguments, message, capsys, monkeypatch):
+def test_errors_of_training(arguments, message, capsys, monkeypatch):
     monkeypatch.setenv("VIEWNET_CLUSTER", "")  # what the command sets goes with the test
     assert cli.main(arguments) == 2
     said = capsys.readouterr().err
@@ -86,14 +86,14 @@ def test_what_cannot_be_trained_is_said(arguments, message, capsys, monkeypatch)
     assert said.count("\n") == 1
 
 
-def test_a_notebook_s_kernel_is_told_the_cluster(monkeypatch, capsys):
+def test_a_notebook_s_kernel_gets_the_cluster(monkeypatch, capsys):
     monkeypatch.setenv("VIEWNET_CLUSTER", "")
     monkeypatch.setattr(notebooks, "run", lambda *_: os.environ["VIEWNET_CLUSTER"])
     assert cli.main(["notebook", "table2_ablation", "--cluster", "tcp://host:8786"]) == 0
     assert capsys.readouterr().out == "tcp://host:8786\n"
 
 
-def test_render_makes_what_training_asks_for(folders, capsys, monkeypatch):
+def test_render_makes_the_views_of_training(folders, capsys, monkeypatch):
     monkeypatch.undo()  # real views, small ones
     monkeypatch.setenv("VIEWNET_DATA", str(folders / "data"))
     arguments = ["car", "--profile", "smoke", "-s", "models=10", "-s", "views=2", "-s", "image_size=16"]
@@ -155,14 +155,14 @@ def test_every_command_s_examples_are_ones_that_it_takes(command, capsys):
         (["tables", "--pages"], "unrecognized arguments: --pages (see viewnet --help)"),
     ],
 )
-def test_what_is_no_command_line_is_told_in_one_line(arguments, message, capsys):
+def test_a_wrong_command_line_is_reported_in_one_line(arguments, message, capsys):
     with pytest.raises(SystemExit) as end:
         cli.main(arguments)
     assert end.value.code == 2
     assert capsys.readouterr().err == f"viewnet: {message}\n"
 
 
-def test_an_interruption_is_told(capsys, monkeypatch):
+def test_an_interruption_is_reported(capsys, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 

@@ -16,7 +16,7 @@ def run(tmp_path_factory):
     return finished_run(folder / "run", box_store(folder / "views", {"val": 2, "test": 2}, views=2))
 
 
-def test_without_gradio_what_to_install_is_said(run, monkeypatch, capsys):
+def test_without_gradio_the_message_says_what_to_install(run, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "gradio", None)
     assert cli.main(["demo", "--model", str(run.folder)]) == 2
     assert capsys.readouterr().err == 'viewnet: demo: gradio is not installed: pip install "viewnet[demo]"\n'
@@ -31,7 +31,7 @@ def test_without_gradio_what_to_install_is_said(run, monkeypatch, capsys):
         (["--device", "abacus"], "device abacus: not available here"),
     ],
 )
-def test_what_cannot_be_shown_is_said(run, arguments, message, capsys):
+def test_errors_of_the_command(run, arguments, message, capsys):
     pytest.importorskip("gradio")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
@@ -41,7 +41,7 @@ def test_what_cannot_be_shown_is_said(run, arguments, message, capsys):
     assert said.count("\n") == 1
 
 
-def test_a_port_that_is_taken_is_said(run, capsys):
+def test_a_port_in_use_is_reported(run, capsys):
     pytest.importorskip("gradio")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
@@ -51,7 +51,7 @@ def test_a_port_that_is_taken_is_said(run, capsys):
     assert "--port" in said
 
 
-def test_a_page_listens_on_this_machine_alone_unless_told():
+def test_by_default_the_page_is_served_to_this_machine_only():
     options = cli.parser().parse_args(["demo", "--model", "x"])
     assert (options.host, options.port, options.share, options.open) == ("127.0.0.1", 7860, "no", False)
 

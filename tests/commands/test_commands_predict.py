@@ -30,7 +30,7 @@ def images(store, tmp_path, monkeypatch):
     return [str(tmp_path / "a.png"), str(tmp_path / "b.png")]
 
 
-def test_predict_prints_a_line_a_image(images, capsys):
+def test_predict_prints_a_line_for_each_image(images, capsys):
     assert cli.main(["predict", *images, "--model", "0123456789ab"]) == 0
     lines = capsys.readouterr().out.splitlines()
     said = ViewpointEstimator.from_pretrained("0123456789ab").predict(images)
@@ -70,7 +70,7 @@ def test_predict_as_json_has_every_hypothesis(images, tmp_path, capsys):
     assert [row["azimuth"] for row in again] == boxed.azimuth.tolist() != said.azimuth.tolist()
 
 
-def test_a_frame_of_its_own_is_said(images, tmp_path, capsys):
+def test_a_model_without_alignment_is_reported(images, tmp_path, capsys):
     run = finished_run(tmp_path / "own", None)
     assert cli.main(["predict", images[0], "--model", str(run.folder)]) == 0
     assert "in the network's own frame" in capsys.readouterr().out
@@ -98,7 +98,7 @@ def test_turntable_writes_an_animation(images, tmp_path, capsys):
         (["turntable", "a.png", "-o", "a.webm", "--model", "0123456789ab"], "a.webm: unknown kind of animation"),
     ],
 )
-def test_what_cannot_be_estimated_is_said(images, arguments, message, capsys):
+def test_errors_of_predict_and_turntable(images, arguments, message, capsys):
     assert cli.main(arguments) == 2
     said = capsys.readouterr().err
     assert said.startswith(f"viewnet: {message}")

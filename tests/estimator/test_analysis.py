@@ -13,7 +13,7 @@ BOX = (10.0, 8.0, 70.0, 50.0)
 
 
 @pytest.mark.parametrize("overrides", [{}, SQUARE, PHOTOS], ids=["whole", "square", "photos"])
-def test_an_inspection_is_what_the_estimator_says_and_draws(overrides):
+def test_an_analysis_holds_what_the_estimator_gives(overrides):
     estimator, image = untrained(rotation=turned(40), **overrides), photograph()
     mask = np.zeros(image.shape[:2], bool)
     mask[15:40, 20:60] = True
@@ -30,7 +30,7 @@ def test_an_inspection_is_what_the_estimator_says_and_draws(overrides):
     assert len({analysis.analyse(estimator, image, None, box).input.tobytes() for box in (None, BOX)}) == 2
 
 
-def test_what_speaks_against_an_answer_is_said():
+def test_notes_say_why_a_prediction_may_be_wrong():
     def notes(estimator, **known):
         return " ".join(analysis.analyse(estimator, photograph(), **known).notes)
 
@@ -46,7 +46,7 @@ def test_what_speaks_against_an_answer_is_said():
     assert analysis.analyse(whole, transparent).notes == ()
 
 
-def test_what_the_model_is_is_said():
+def test_facts_about_the_model():
     config = untrained(**PHOTOS).config
     network = untrained(**PHOTOS).network
     scores = {"images": 40, "acc30": 81.25, "median": 12.5}
@@ -71,6 +71,6 @@ def test_what_the_model_is_is_said():
         ({"mask": np.ones((60, 91), bool)}, "^mask is 91 x 60"),
     ],
 )
-def test_what_cannot_be_looked_at_is_said(known, message):
+def test_errors_of_analysis(known, message):
     with pytest.raises(ViewnetError, match=message):
         analysis.analyse(untrained(**PHOTOS), photograph(), **known)

@@ -161,7 +161,7 @@ def test_without_a_mesh_all_else_is_shown(page, estimator, folder):
     assert shown[3].ndim == 3
 
 
-def test_a_frame_of_its_own_is_said(folder, page):
+def test_a_model_without_alignment_is_reported(folder, page):
     own = ViewpointEstimator(untrained(**PHOTOS).network, replace(make_config(profile="smoke"), recipe="photos"))
     told = app.Page(own, []).predict(taken(page, folder / "photo0.png"), None, TYPED)[1]
     assert "azimuth 0 and up are arbitrary" in told
@@ -292,7 +292,7 @@ def settled(look, before, tab):
 
 
 @pytest.mark.slow
-def test_a_image_is_asked_about_from_end_to_end(visit, estimator, folder, address, reached):
+def test_prediction_from_upload_to_answer(visit, estimator, folder, address, reached):
     visit.send(folder / "photo0.png")
     visit.frame(BOX)
     said = estimator.predict(folder / "photo0.png", boxes=BOX)[0]

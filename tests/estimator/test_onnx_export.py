@@ -18,7 +18,7 @@ load = ViewpointEstimator.from_pretrained
 
 @pytest.mark.parametrize("overrides", [{"recipe": "paper"}, {"in_plane": True}], ids=["replicate", "in plane"])
 @pytest.mark.slow
-def test_onnx_says_what_the_network_says(tmp_path, overrides):
+def test_onnx_gives_the_outputs_of_the_network(tmp_path, overrides):
     estimator = untrained(rotation=turned(30), **overrides)
     path = estimator.export_onnx(tmp_path / "models" / "car.onnx")
     onnx.checker.check_model(onnx.load(path), full_check=True)
@@ -42,7 +42,7 @@ def test_onnx_says_what_the_network_says(tmp_path, overrides):
     assert kept["category"] == "car"
 
 
-def test_what_cannot_be_exported_is_said(tmp_path, monkeypatch):
+def test_errors_of_the_export(tmp_path, monkeypatch):
     with pytest.raises(ViewnetError, match=r"car\.pt: unknown kind of model file: name it \.onnx"):
         untrained().export_onnx(tmp_path / "car.pt")
     monkeypatch.setitem(sys.modules, "onnxscript", None)

@@ -43,7 +43,7 @@ def test_a_run_that_is_not_scored_is_not_aligned(tmp_path, images):
     assert "its own, not aligned" in said
 
 
-def test_what_is_no_finished_run_is_said(run, tmp_path):
+def test_errors_of_loading(run, tmp_path):
     unfinished = untrained_run(tmp_path / "unfinished").folder
     with pytest.raises(ViewnetError, match="a run that is not finished: give the command that trains it again"):
         load(unfinished)
@@ -62,7 +62,7 @@ def test_what_is_no_finished_run_is_said(run, tmp_path):
             load(run.folder, device="cuda")
 
 
-def test_saved_models_say_the_same_to_the_bit(run, images, tmp_path):
+def test_saved_models_predict_the_same_bit_for_bit(run, images, tmp_path):
     estimator = load(run.folder)
     assert estimator.save_pretrained(tmp_path / "saved") is None
     assert sorted(p.name for p in (tmp_path / "saved").iterdir()) == ["README.md", "config.json", "model.safetensors"]
@@ -103,7 +103,7 @@ def test_folders_of_a_machine_stay_there(tmp_path):
         ({"config": {"variant": "viewnet"}}, "is of another version of viewnet"),
     ],
 )
-def test_a_configuration_that_does_not_fit_is_said(tmp_path, change, message):
+def test_errors_of_configurations(tmp_path, change, message):
     untrained().save_pretrained(tmp_path)
     values = read_json(tmp_path / "config.json") | change
     write_json(tmp_path / "config.json", {name: value for name, value in values.items() if value is not ...})
@@ -112,7 +112,7 @@ def test_a_configuration_that_does_not_fit_is_said(tmp_path, change, message):
 
 
 @pytest.mark.parametrize("rotation", [np.diag([1.0, 1.0, -1.0]), 2 * np.eye(3), np.ones(5)])
-def test_an_alignment_that_is_no_rotation_is_said(tmp_path, rotation):
+def test_an_alignment_that_is_not_a_rotation_is_an_error(tmp_path, rotation):
     untrained(rotation=rotation).save_pretrained(tmp_path)
     with pytest.raises(ViewnetError, match=r"config\.json: its alignment is not a rotation"):
         load(tmp_path)
@@ -164,7 +164,7 @@ def test_nothing_is_unpickled(tmp_path):
     assert trace.exists()
 
 
-def test_what_cannot_be_written_is_said(tmp_path):
+def test_errors_of_writing(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ViewnetError, match="is a file: name a folder"):
         untrained().save_pretrained(tmp_path / "file")
@@ -182,7 +182,7 @@ def test_half_precision_is_half_the_size_and_answers_alike(tmp_path, images):
     assert np.allclose(found.predict(images).hypotheses, estimator.predict(images).hypotheses, atol=0.01)
 
 
-def test_what_half_precision_cannot_hold_is_said(tmp_path):
+def test_values_out_of_range_of_half_precision_are_an_error(tmp_path):
     estimator = untrained()
     with torch.no_grad():
         next(estimator.network.viewpoint.encoder.parameters()).fill_(1e6)

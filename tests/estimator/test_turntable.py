@@ -52,7 +52,7 @@ def test_mp4_has_every_frame(renderer, tmp_path):
     assert np.abs(found[2].astype(int) - frames[2]).mean() < 10
 
 
-def test_what_cannot_be_written_is_said(renderer, tmp_path, monkeypatch):
+def test_errors_of_writing(renderer, tmp_path, monkeypatch):
     frames = [np.zeros((8, 8, 3), np.uint8)]
     with pytest.raises(ViewnetError, match=r"\.gif or \.mp4"):
         turntable.save(frames, tmp_path / "turn.webm")

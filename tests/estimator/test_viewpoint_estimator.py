@@ -62,7 +62,7 @@ def test_photographs_get_the_answers_that_they_are_scored_by(tmp_path):
         assert np.allclose(estimator.predict(files, boxes=boxes).hypotheses, scored.hypotheses, atol=1e-6)
 
 
-def test_whatever_a_image_comes_as_it_is_the_same_image(tmp_path):
+def test_all_types_of_input_give_the_same_viewpoint(tmp_path):
     estimator, array = untrained(**PHOTOS), photograph()
     tensor = torch.tensor(array).movedim(-1, 0)
     Image.fromarray(array).save(tmp_path / "a.png")
@@ -339,12 +339,12 @@ def test_turntables_are_those_of_the_run(store, images, tmp_path):
         (np.zeros((8, 8, 4), np.uint8), {}, "image 0: mask is empty"),
     ],
 )
-def test_what_is_no_image_is_said(image, given, message):
+def test_errors_of_images_masks_and_boxes(image, given, message):
     with pytest.raises(ViewnetError, match=message):
         untrained().predict(image, **given)
 
 
-def test_files_that_are_no_images_are_named(tmp_path):
+def test_unreadable_files_are_named(tmp_path):
     (tmp_path / "text.jpg").write_text("no image")
     for name, message in (("text.jpg", "image does not decode"), ("missing.jpg", "no such image")):
         with pytest.raises(ViewnetError, match=rf"{name}: {message}"):

@@ -77,7 +77,7 @@ def test_files_come_back(tmp_path, suffix):
     assert back.extents.argmin() == (1 if suffix == ".glb" else 2)  # the box is flat: which way is up
 
 
-def test_what_cannot_be_a_mesh_is_said(tmp_path):
+def test_errors_of_meshes(tmp_path):
     with pytest.raises(ViewnetError, match=r"highest occupancy is 0\.4, not above 0\.5"):
         volume_mesh.surface(torch.full((4, 4, 4, 4), 0.4))
     with pytest.raises(ViewnetError, match=r"expected \(4, Z, Y, X\)"):

@@ -9,7 +9,10 @@ from viewnet.config import DataConfig, RunConfig
 from viewnet.errors import ViewnetError
 
 METRICS = {"acc30": "Acc@30, %", "median": "median error, degrees", "dva": "DVA, %"}
-URL = "https://openaccess.thecvf.com/content/ICCV2021/html/Mariotti_ViewNet_Unsupervised_Viewpoint_Estimation_From_Conditional_Generation_ICCV_2021_paper.html"
+URL = (
+    "https://openaccess.thecvf.com/content/ICCV2021/html/"
+    "Mariotti_ViewNet_Unsupervised_Viewpoint_Estimation_From_Conditional_Generation_ICCV_2021_paper.html"
+)
 
 
 def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str | None = None) -> str:
