@@ -76,11 +76,11 @@ def _url(network: str) -> str:
     from torchvision import models
 
     try:
-        found = models.get_model_weights(_full(network))
+        weights = models.get_model_weights(_full(network))
     except ValueError:
         names = ", ".join(models.list_models(module=models))
         raise ViewnetError(f"unknown network {network!r}: choose one of {names}") from None
-    return str(next(iter(found)).url)
+    return str(next(iter(weights)).url)
 
 
 def _trunk(model: nn.Module, network: str) -> nn.Sequential:
