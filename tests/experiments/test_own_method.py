@@ -291,8 +291,6 @@ def test_images_come_in_an_order_of_their_own_and_answers_find_their_places(phot
     assert np.array_equal(np.sort(seen[0].sum((1, 2, 3))), np.sort(val.sum((1, 2, 3))))
     azimuths = geometry.azimuth_elevation(torch.from_numpy(said.selected))[0].numpy()
     turned = azimuths - said.ids["azimuth"].to_numpy() - 90
-        geometry.azimuth_elevation(torch.from_numpy(said.selected))[0].numpy() - said.ids["azimuth"].to_numpy() - 90
-    )
     assert np.median(np.abs((turned + 180) % 360 - 180)) < 10
 
 
