@@ -272,8 +272,8 @@ def test_a_killed_collection_goes_on_where_it_was(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return original(builder)
 
-    original = writer._obj
-    monkeypatch.setattr(writer, "_obj", killed)
+    original = writer.obj_text
+    monkeypatch.setattr(writer, "obj_text", killed)
     with pytest.raises(KeyboardInterrupt):
         cad.write_collection(tmp_path / "part", ["boat"], 6, progress=False)
     assert not (tmp_path / "part" / "all.csv").exists()

@@ -39,7 +39,7 @@ def test_drawn_ones_differ_and_are_the_same_again():
     assert made.classes.tolist() == [0] * 40 and made.rejected == [] and len(made.identity) == 16
     assert len({image.tobytes() for image in made.images}) == 40
     assert len(np.unique(made.images.mean(axis=(1, 2, 3)).round())) > 20
-    again = np.stack([scenes.draw(np.random.default_rng([0, n]), 24, 24) for n in range(40)]).transpose(0, 3, 1, 2)
+    again = np.stack([scenes.sample(np.random.default_rng([0, n]), 24, 24) for n in range(40)]).transpose(0, 3, 1, 2)
     assert (again == made.images).all()
     assert (load("drawn", 24, 40, seed=1).images != made.images).mean() > 0.5
 
@@ -50,7 +50,7 @@ def test_every_kind_draws_any_shape_with_something_in_it(kind, monkeypatch):
     spread = []
     for seed in range(12):
         for width, height in ((64, 64), (50, 20), (7, 31)):
-            image = scenes.draw(np.random.default_rng(seed), width, height)
+            image = scenes.sample(np.random.default_rng(seed), width, height)
             assert image.shape == (height, width, 3) and image.dtype == np.uint8
             spread.append(float(image.std()))
     assert np.median(spread) > 8

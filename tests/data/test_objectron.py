@@ -325,7 +325,7 @@ def test_frames_without_a_image_or_with_a_broken_one(tmp_path):
     assert sorted(rejected) == [
         (f"{NAME}/1", where, "no such image"),
         (f"{NAME}/3", where, "image does not decode (UnidentifiedImageError)"),
-        (f"{NAME}/4", where, "image is not turned as its annotation"),
+        (f"{NAME}/4", where, "image is not rotated as its annotation"),
     ]
 
 

@@ -26,7 +26,7 @@ def write_model(builder: Builder, folder: Path) -> None:
         raise FileExistsError(f"{folder} exists already")
     with filling(folder) as temporary:
         (temporary / "models").mkdir()
-        (temporary / "models" / "model_normalized.obj").write_text(_obj(builder), encoding="ascii")
+        (temporary / "models" / "model_normalized.obj").write_text(obj_text(builder), encoding="ascii")
         (temporary / "models" / "model_normalized.mtl").write_text(_mtl(builder, temporary), encoding="ascii")
 
 
@@ -39,7 +39,7 @@ def normalized(builder: Builder, points: Array) -> Array:
     return (points - (low + high) / 2) / diagonal @ TO_FILE.T
 
 
-def _obj(builder: Builder) -> str:
+def obj_text(builder: Builder) -> str:
     """The text of the .obj: shared vertices, faces in groups of one material."""
     builder.bounds()  # raises for an empty model, before numpy fails on it
     used = _used_materials(builder)

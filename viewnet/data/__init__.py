@@ -1,1 +1,1 @@
-"""View stores and the pairs drawn from them, whether rendered, cut from photographs or from videos."""
+"""View stores, rendered or cropped from photographs and videos, and the pairs that are sampled from them."""

@@ -110,7 +110,7 @@ def _digest(root: Path, listed: list[tuple[str, int]], missing: list[tuple[str, 
 def _synthetic(size: int, count: int, seed: int, progress: bool) -> np.ndarray:
     images = np.empty((count, 3, size, size), np.uint8)
     for number in bar(progress, iterable=range(count), desc="backgrounds", unit="image"):
-        images[number] = scenes.draw(np.random.default_rng([seed, number]), size, size).transpose(2, 0, 1)
+        images[number] = scenes.sample(np.random.default_rng([seed, number]), size, size).transpose(2, 0, 1)
     return images
 
 

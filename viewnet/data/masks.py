@@ -1,7 +1,7 @@
 """Masks of the object in every frame of a clip: read from files, taken from the images' alpha, or predicted.
 
-A mask source is asked for a follower per clip, which is shown the clip's frames in the order of time. What cannot be
-had is a ViewnetError that begins with "mask", the reason why its frame is not used.
+A mask source makes a follower for each clip, which is called on the clip's frames in the order of time. A frame without
+a usable mask raises ViewnetError with a reason that begins with "mask".
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from viewnet.runtime.image_files import opened
 VERSION = 1
 """Raise it when a change alters masks: it is part of every store's identity."""
 NETWORKS = {"maskrcnn": "maskrcnn_resnet50_fpn", "deeplabv3": "deeplabv3_resnet50"}
-"""Our name -> torchvision's. Mask R-CNN tells objects of a class apart; DeepLabV3 does not, so each of its connected
-regions counts as one."""
+"""Our name -> torchvision's. Mask R-CNN separates the objects of a class; DeepLabV3 does not, so each connected region
+counts as one."""
 COCO = {
     "aeroplane": "airplane",
     "diningtable": "dining table",
@@ -39,7 +39,7 @@ COCO = {
     "sofa": "couch",
     "tvmonitor": "tv",
 }
-"""What COCO calls a category where PASCAL VOC, and so DeepLabV3, has another word."""
+"""COCO's names of categories where PASCAL VOC, and so DeepLabV3, has other ones."""
 SURE = 0.5
 """Score of an object, and probability of a pixel, from which on they count."""
 SPECK = 0.02

@@ -147,7 +147,7 @@ _kept: dict[int, Any] = {}
 
 
 def _renderer(pixels: int) -> Any:
-    """An off-screen renderer with our shaders. Creating one takes half a second, so the last one is kept."""
+    """An off-screen renderer with our shaders. Creating one takes half a second, so the last one is reused."""
     if pixels in _kept:
         return _kept[pixels]
     # One at a time: deleting a context ends the display that a second one would share.

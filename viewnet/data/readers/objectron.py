@@ -143,7 +143,7 @@ def _frame(view: View, source: Path | _Images) -> Frame:
         size = image_files.size(file)
         width, height = view.size if view.size and view.upright is not None else size
         if (size[0] - size[1]) * (width - height) < 0:
-            raise ViewnetError("image is not turned as its annotation")
+            raise ViewnetError("image is not rotated as its annotation")
     elif view.size is None:
         raise ViewnetError("size of the video's image is not recorded")
     else:

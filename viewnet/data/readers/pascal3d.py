@@ -266,8 +266,8 @@ def _annotation(
     tilt = 0.0 if coarse else _number(viewpoint, "theta", 0.0)
     flags = (bool(_number(item, name, 0.0)) for name in ("truncated", "occluded", "difficult"))
     azimuth = azimuth % 360 % 360  # a tiny negative angle is 360 after rounding
-    seen = (f"{subset}/{image}/{number}", category, split, image_path, box, azimuth, elevation)
-    return Annotation(*seen, subset, image, number, tilt, coarse, *flags)
+    base = (f"{subset}/{image}/{number}", category, split, image_path, box, azimuth, elevation)
+    return Annotation(*base, subset, image, number, tilt, coarse, *flags)
 
 
 def _is_coarse(viewpoint: Any) -> bool:

@@ -126,7 +126,7 @@ def _save(image: Image.Image, file: Path) -> None:
 
 def _panorama(rng: np.random.Generator) -> np.ndarray:
     """The surroundings of the camera, (H, 4 W, 3), whose ends fit each other."""
-    half = np.concatenate([scenes.draw(rng, *SIZE), scenes.draw(rng, *SIZE)], axis=1)
+    half = np.concatenate([scenes.sample(rng, *SIZE), scenes.sample(rng, *SIZE)], axis=1)
     # Scenes are blended over a sixth of a frame.
     seam, middle = SIZE[0] // 6, SIZE[0]
     share = np.linspace(0, 1, seam)[None, :, None]

@@ -254,13 +254,13 @@ def _occlude(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.
         pen.rounded_rectangle(part, radius, 255)
     else:
         pen.rectangle(part, 255)
-    image.paste(Image.fromarray(scenes.draw(rng, *image.size)), mask=mask)
+    image.paste(Image.fromarray(scenes.sample(rng, *image.size)), mask=mask)
 
 
 def _background(backgrounds: Sequence[Path], rng: np.random.Generator) -> Image.Image:
     """A part of a given image, or a synthetic scene."""
     if not backgrounds:
-        return Image.fromarray(scenes.draw(rng, *SIZE))
+        return Image.fromarray(scenes.sample(rng, *SIZE))
     path = backgrounds[int(rng.integers(len(backgrounds)))]
     try:
         with opened(path) as source:

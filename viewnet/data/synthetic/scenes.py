@@ -1,7 +1,7 @@
-"""Images drawn by a program, to stand behind objects: ten kinds, none of them showing anything to be recognised.
+"""Synthetic scenes as backgrounds: random images of ten kinds, none of which shows a recognisable object.
 
-They are varied rather than beautiful: what a network has seen before them should not be thrown by a photograph. Sizes
-within an image are relative, so the same generator draws the same scene coarser or finer.
+They are varied rather than realistic, so that a network trained on them copes with photographs. Sizes within an image
+are relative, so the same generator gives the same scene at any resolution.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from scipy.spatial import cKDTree
 VERSION = 1
 """Raise it when a change alters images: it is part of every set of backgrounds' identity."""
 
-# Pixels that the shorter side has at least while a scene is drawn.
+# Least pixels of the shorter side while a scene is made.
 _SMALLEST = 32
 
 Rng = np.random.Generator
 Kind = Callable[[Rng, int, int], np.ndarray]
 
 
-def draw(rng: Rng, width: int, height: int) -> np.ndarray:
+def sample(rng: Rng, width: int, height: int) -> np.ndarray:
     """One image (height, width, 3) uint8: a kind at random, then blurred, tinted and lit at random."""
     scale = max(2, -(-_SMALLEST // min(width, height)))
     wide, high = scale * width, scale * height
@@ -50,7 +50,7 @@ def noise(rng: Rng, width: int, height: int) -> np.ndarray:
 
 
 def tilings(rng: Rng, width: int, height: int) -> np.ndarray:
-    """Stripes, checks or bricks, turned and perhaps seen at a slant."""
+    """Stripes, checks or bricks, rotated, sometimes in perspective."""
     x, y = _grid(width, height)
     angle = rng.choice([0.0, np.pi / 2, rng.uniform(0, np.pi)])
     u, v = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
@@ -129,15 +129,15 @@ def street(rng: Rng, width: int, height: int) -> np.ndarray:
 
 
 def facade(rng: Rng, width: int, height: int) -> np.ndarray:
-    """The front of a house, or shelves, fence and shutters: rectangles in rows, seen at a slant."""
+    """The front of a house, or shelves, fence and shutters: rectangles in rows, in perspective."""
     image = _drawing(np.broadcast_to(_palette(rng, 1)[0], (height, width, 3)))
     _house(rng, ImageDraw.Draw(image), (-0.1 * width, -0.1 * height, 1.1 * width, 1.1 * height))
     slant = rng.uniform(-0.25, 0.25, 4) * [width, height, width, height]
     corners = (slant[0], slant[1], -slant[0], height, width, height + slant[1], width + slant[2], slant[3])
-    turned = image.transform((width, height), Image.Transform.QUAD, corners, Image.Resampling.BILINEAR)
-    mask = Image.new("L", image.size, 255).transform(turned.size, Image.Transform.QUAD, corners)
+    slanted = image.transform((width, height), Image.Transform.QUAD, corners, Image.Resampling.BILINEAR)
+    mask = Image.new("L", image.size, 255).transform(slanted.size, Image.Transform.QUAD, corners)
     beyond = _drawing(_any_ground(rng, width, height))
-    beyond.paste(turned, mask=mask)
+    beyond.paste(slanted, mask=mask)
     return _array(beyond)
 
 
@@ -293,7 +293,7 @@ def _tree(rng: Rng, pen: ImageDraw.ImageDraw, x: float, foot: float, high: float
 
 
 def _any_ground(rng: Rng, width: int, height: int) -> np.ndarray:
-    """Something plain to draw upon."""
+    """A plain ground for shapes."""
     plain = int(rng.integers(3))
     if plain == 0:
         return np.broadcast_to(_palette(rng, 1)[0], (height, width, 3))
@@ -323,8 +323,8 @@ def _photographed(rng: Rng, image: Image.Image) -> np.ndarray:
 
 
 def _palette(rng: Rng, count: int, hue: float | None = None) -> np.ndarray:
-    """Colours (count, 3), 0 to 255, that go together: few hues, mostly dull, from dark to light."""
-    # Earth, leaves and sky more often than violet.
+    """Matching random colours (count, 3), 0 to 255: few hues, mostly dull, from dark to light."""
+    # Hues of earth, leaves and sky are more frequent than violet.
     hue = (
         rng.choice(
             [rng.normal(0.09, 0.04), rng.normal(0.28, 0.06), rng.normal(0.59, 0.05), rng.random()],
@@ -375,7 +375,7 @@ def _grid(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _bar(x: float, y: float, reach: float, thick: float, turn: float) -> list[tuple[float, float]]:
-    """The corners of a rectangle about (x, y), turned by `turn` radians."""
+    """The corners of a rectangle about (x, y), rotated by `turn` radians."""
     along, across = np.array([np.cos(turn), np.sin(turn)]) * reach, np.array([-np.sin(turn), np.cos(turn)]) * thick
     centre = np.array([x, y])
     corners = (centre + along + across, centre + along - across, centre - along - across, centre - along + across)

@@ -54,7 +54,7 @@ def rendered(estimator: ViewpointEstimator) -> list[Example]:
 def _on_background(view: Image.Image, rng: np.random.Generator) -> tuple[Image.Image, Box]:
     """A view at a random place on a random background, and its object's box."""
     width, height = BACKGROUND
-    background = Image.fromarray(scenes.draw(rng, width, height))
+    background = Image.fromarray(scenes.sample(rng, width, height))
     left, top = int(rng.integers(width - SIZE)), int(rng.integers(height - SIZE))
     background.paste(view, (left, top), view)
     x0, y0, x1, y1 = bounds(np.array(view.getchannel("A")))
