@@ -327,7 +327,10 @@ def known(value: str, choices: Iterable[str], what: str) -> str:
 
 
 def build(cls: Any, values: Any, where: str) -> Any:
-    """A dataclass from plain values, strictly: every name known, every type right, tuples restored from lists."""
+    """A dataclass from plain values, strictly: every name known, every type right, tuples restored from lists.
+
+    Raises ViewnetError naming what is wrong, within `where`.
+    """
     if not isinstance(values, dict):
         raise ViewnetError(f"{where}: expected a mapping, got {values!r}")
     hints = typing.get_type_hints(cls)

@@ -100,7 +100,7 @@ def test_without_triton_it_says_so(monkeypatch):
 
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch, "zeros", lambda *shape, device: None)
-    monkeypatch.setattr(volume_gpu, "_packed", packed)
+    monkeypatch.setattr(volume_gpu, "pack", packed)
     with pytest.warns(UserWarning, match=r"ImportError: No module named 'triton'"):
         assert volume_gpu.available.__wrapped__() is False
 
@@ -139,7 +139,7 @@ def test_a_renderer_that_cannot_be_had(monkeypatch):
 @needs_gpu
 def test_a_gpu_is_what_draws():
     assert volume_gpu.available()
-    assert volume._fused(torch.device("cuda")) is volume_gpu
+    assert volume.fused_kernels(torch.device("cuda")) is volume_gpu
 
 
 @needs_gpu

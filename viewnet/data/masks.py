@@ -156,7 +156,7 @@ def predicted(network: str, category: str, weights: Path | None = None) -> MaskS
 
 
 def segmenter(network: str, category: str, path: Path) -> Segmenter:
-    """The network of `predicted` with the weights of a file."""
+    """The network of `predicted` with the weights of a file. Raises ViewnetError where these cannot be used."""
     full = NETWORKS[network]
     known(category, CATEGORIES, "category")
     if not path.is_file():

@@ -287,7 +287,7 @@ def assemble(
     elevation: np.ndarray,
     made_by: dict[str, Any],
 ) -> ViewStore:
-    """Write the store from its chunks' files, without the models that could not be used."""
+    """Write the store from its chunks' files, without unusable models. Raises ViewnetError where none is usable."""
     import pandas as pd  # slow to import, and every rendering process imports this module
 
     reasons: dict[str, str] = {}

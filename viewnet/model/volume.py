@@ -139,14 +139,14 @@ def render(
         raise ValueError(
             f"{len(world_from_camera)} camera frames cannot be shared out evenly over {len(volume)} volumes"
         )
-    fused = _fused(volume.device)
+    fused = fused_kernels(volume.device)
     if fused is not None:
         return fused.render(volume.float(), world_from_camera.float(), focal.float(), size, steps, sparse)
     return render_reference(volume.float(), world_from_camera.float(), focal.float(), size, steps)
 
 
-def _fused(device: torch.device) -> ModuleType | None:
-    """The device's own renderer, if it can be used and is not refused."""
+def fused_kernels(device: torch.device) -> ModuleType | None:
+    """The device's own renderer, if it can be used and is not refused; ViewnetError for a wrong VIEWNET_RENDERER."""
     choice = os.environ.get("VIEWNET_RENDERER") or "auto"
     if choice not in ("auto", "reference", "fused"):
         raise ViewnetError(f"VIEWNET_RENDERER is {choice!r}: set it to auto, reference or fused, or unset it")

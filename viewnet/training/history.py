@@ -95,7 +95,10 @@ def keep_best(config: RunConfig, history: History, folder: Path) -> None:
 
 
 def board_of(folder: Path) -> Any:
-    """A TensorBoard log in the run's folder where VIEWNET_TENSORBOARD is set, else None."""
+    """A TensorBoard log in the run's folder where VIEWNET_TENSORBOARD is set, else None.
+
+    Raises ViewnetError where TensorBoard is not installed.
+    """
     if not os.environ.get("VIEWNET_TENSORBOARD"):
         return None
     try:

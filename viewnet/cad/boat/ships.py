@@ -10,6 +10,7 @@ from viewnet.cad.builder import Builder
 
 
 def freighter(rng: np.random.Generator, builder: Builder, c: dict[str, str]) -> None:
+    """Freighters: a hull with its bridge aft, and cargo."""
     length = 120.0
     beam, depth = length * rng.uniform(0.13, 0.18), length * rng.uniform(0.075, 0.11)
     form = Hull(length, beam, depth, rng.uniform(0.0, 0.1), rng.uniform(0.75, 0.95), 0.02 * length, False, full=True)
@@ -90,6 +91,7 @@ def liner(rng: np.random.Generator, builder: Builder, c: dict[str, str]) -> None
 
 
 def warship(rng: np.random.Generator, builder: Builder, c: dict[str, str]) -> None:
+    """Warships: a narrow hull with superstructure, masts and guns."""
     length = 140.0
     beam, depth = length * rng.uniform(0.10, 0.14), length * rng.uniform(0.05, 0.07)
     form = Hull(length, beam, depth, rng.uniform(0.15, 0.35), rng.uniform(0.6, 0.9), 0.02 * length, False)

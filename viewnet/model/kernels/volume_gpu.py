@@ -32,7 +32,7 @@ def available() -> bool:
         problem = "PyTorch finds none"
     else:
         try:
-            _packed(torch.zeros(1, 4, 1, 1, 1, device="cuda"))  # the smallest kernel: compiled, launched, run
+            pack(torch.zeros(1, 4, 1, 1, 1, device="cuda"))  # the smallest kernel: compiled, launched, run
             return True
         except Exception as error:  # no Triton, no C compiler for its launchers, a GPU it has no code for
             problem = f"{type(error).__name__}: {error}".splitlines()[0]
@@ -53,7 +53,7 @@ def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int,
 class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
-        (voxels, cells), frames = _packed(volume), frames.contiguous()
+        (voxels, cells), frames = pack(volume), frames.contiguous()
         image = volume.new_empty(len(frames), size, size, 4)  # a pixel's values side by side, as a voxel's
         numbers = (len(frames) // len(volume), *volume.shape[2:], size, steps)  # views a volume, Z, Y, X, S, steps
         _launch("draw", voxels, cells, frames, focal, image, *numbers, size=size)
@@ -76,7 +76,7 @@ class _Render(torch.autograd.Function):
         return unpadded(grad_voxels, tuple(shape)), grad_frames, grad_focal, None, None, None
 
 
-def _packed(volume: Tensor) -> tuple[Tensor, Tensor]:
+def pack(volume: Tensor) -> tuple[Tensor, Tensor]:
     """The volume (B, 4, Z, Y, X) as voxels (B, P, 4) in a frame of zeros, and which cells (B, P) hold anything."""
     from viewnet.model.kernels import volume_triton
 
