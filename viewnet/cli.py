@@ -22,7 +22,7 @@ COMMANDS = (
 """The modules of viewnet.commands, in the order of the help."""
 EXIT_CODES = """exit codes:
   0    done
-  1    viewnet tables: some notebooks failed, the others are done; elsewhere a defect, with its traceback
+  1    viewnet tables: some notebooks failed, the others are done; otherwise an internal error, with its traceback
   2    a mistake in the input, explained in one line
   130  interrupted: the same command continues where it stopped
 

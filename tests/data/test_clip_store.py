@@ -325,7 +325,7 @@ def test_masks_may_lie_in_another_folder(tmp_path, monkeypatch):
     assert found == [6, 5, 5]
     with pytest.raises(ViewnetError, match=r"mask_folder nowhere: no masks of any video, such as .*car001"):
         video_views(replace(cars, mask_folder="nowhere"), 1, False)
-    with pytest.raises(ViewnetError, match="mask_folder elsewhere: masks are alpha and not files: leave it"):
+    with pytest.raises(ViewnetError, match=r"elsewhere: only used with masks=files \(masks is alpha\)"):
         video_views(replace(cars, mask_folder="elsewhere", masks="alpha"), 1, False)
 
 

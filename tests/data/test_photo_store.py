@@ -272,7 +272,7 @@ def test_a_wrong_list_is_named(tmp_path):
         views(PhotoConfig("car", str(folder(tmp_path / "f", "1.png,0,0,val"))))
     with pytest.raises(ViewnetError, match=r"no usable photograph in the val split .*images/9\.png: no such image"):
         views(PhotoConfig("car", str(folder(tmp_path / "f", "1.png,0,0,test", "9.png,0,0,val"))))
-    with pytest.raises(ViewnetError, match="its list has no flags to go by: use keep='all'"):
+    with pytest.raises(ViewnetError, match="its list has no difficulty or coarse flags: use keep='all'"):
         views(PhotoConfig("car", str(tmp_path / "f"), keep="easy"))
 
 

@@ -45,7 +45,7 @@ def test_a_run_that_is_not_scored_is_not_aligned(tmp_path, images):
 
 def test_errors_of_loading(run, tmp_path):
     unfinished = untrained_run(tmp_path / "unfinished").folder
-    with pytest.raises(ViewnetError, match="a run that is not finished: give the command that trains it again"):
+    with pytest.raises(ViewnetError, match="the run is not finished: run viewnet train again to resume it"):
         load(unfinished)
     (unfinished / "checkpoint.safetensors").unlink()
     with pytest.raises(ViewnetError, match="neither a model of save_pretrained nor a finished run"):

@@ -152,7 +152,10 @@ OTHERS = json.dumps({"key": "ba9876543210", "on": "photographs", "alignments": {
     [
         (OTHERS, "scores: are of the run ba9876543210, and"),
         ('{"key": "0123456789ab", "on": "photographs"}', "scores: expected the output of viewnet evaluate --json"),
-        ('{"key": "0123456789ab", "on": "photographs", "alignments": {}}', "scores: expected the output of viewnet evaluate"),
+        (
+            '{"key": "0123456789ab", "on": "photographs", "alignments": {}}',
+            "scores: expected the output of viewnet evaluate",
+        ),
         ("[3]", "scores: expected the output of viewnet evaluate --json"),
         ("{", "not JSON"),
     ],

@@ -104,7 +104,7 @@ def test_a_run_whose_worker_dies_is_begun_again_and_a_refused_one_is_not(folders
         ensure([config(1)], progress=False, steps=STEPS, executor=mortal)
     assert mortal.submitted == 1
     mortal = Mortal(TRIES)
-    with pytest.raises(ViewnetError, match=r"its process was ended \(signal 9\): run again to go on"):
+    with pytest.raises(ViewnetError, match=r"its process was ended \(signal 9\): run again to resume it"):
         ensure([config(2)], progress=False, steps=STEPS, executor=mortal)
     assert mortal.submitted == TRIES
     assert calls(folders) == ["car-0", "car-1"]
@@ -114,7 +114,7 @@ def test_a_run_whose_worker_dies_is_begun_again_and_a_refused_one_is_not(folders
 def test_a_process_pool_that_breaks_is_said_and_the_next_goes_on(folders):
     plan(folders, seed0="die")
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
-        message = "car seed 0 .* its worker died .*: run again to go on where it was"
+        message = "car seed 0 .* its worker died .*: run again to resume it"
         with pytest.raises(ViewnetError, match=message):
             ensure([config()], progress=False, steps=STEPS, executor=executor)
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:

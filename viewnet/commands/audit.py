@@ -1,7 +1,7 @@
 """Compare the reported scores of constants with a list of viewpoints.
 
-Which scores of constants, and which confidence index, are possible by each definition of the error in the paper, and
-whether the reported ones are among them.
+Check whether the reported scores of constant predictors, and the confidence index, are possible under each published
+definition of the error.
 
 Examples:
 

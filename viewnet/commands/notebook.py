@@ -24,7 +24,7 @@ def add_arguments(parser: Parser) -> None:
     copy = "the executed copy (default: runs/notebooks/NOTEBOOK.ipynb)"
     add("-o", "--output", type=Path, metavar="FILE", help=copy)
     add("--parameters", action="store_true", help="list the parameters and stop")
-    add("--refresh", action="store_true", help="run with the defaults and keep the outputs in place")
+    add("--refresh", action="store_true", help="run with the defaults and overwrite the committed notebook's outputs")
     add_cluster(parser)
 
 

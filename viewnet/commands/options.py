@@ -47,7 +47,14 @@ def add_configuration(parser: Parser) -> None:
     parser.add_argument("--variant", default="viewnet", help=f"{', '.join(VARIANTS)} (default: viewnet)")
     parser.add_argument("--profile", default="tiny", help=f"{', '.join(PROFILES)} (default: tiny)")
     parser.add_argument("--recipe", help=f"{', '.join(RECIPES)} (default: the profile's)")
-    parser.add_argument("-s", "--set", action="append", default=[], metavar="NAME=VALUE", help="another value, as JSON")
+    parser.add_argument(
+        "-s",
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="override a setting of viewnet.config: epochs=3 (JSON)",
+    )
     parser.add_argument("--data-root", metavar="FOLDER", help="ShapeNetCore, v1 or v2 (default: the built-in models)")
     parser.add_argument("--splits", metavar="FOLDER", help="lists <synset>_train.txt, _val.txt and _test.txt for it")
 

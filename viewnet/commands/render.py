@@ -1,11 +1,11 @@
 """Render the views that training uses.
 
-Make what viewnet train learns from with the same arguments: models, views and backgrounds. What is there is reused.
+Make the CAD models, views and backgrounds that viewnet train uses with the same arguments; existing ones are reused.
 Prints where each view store lies, how many views it has, and which models could not be used.
 
 Examples:
 
-    viewnet render car chair                                        what viewnet train car chair learns from
+    viewnet render car chair                                        what viewnet train car chair uses
     viewnet render car --recipe photos --json                       over backgrounds, as for photographs
     viewnet render car --profile paper --data-root /data/ShapeNetCore.v1 --cluster tcp://HOST:8786
 """

@@ -24,7 +24,7 @@ def add_arguments(parser: Parser) -> None:
     add("--profile", help=f"{', '.join(PROFILES)}, for every notebook that trains (default: each notebook's own)")
     add("--seeds", metavar="N", help="how many (3), or which (0,2), for every notebook that takes them")
     add("--only", nargs="+", metavar="NOTEBOOK", help="these and no others")
-    add("--page", action="store_true", help="run nothing: write the page from what is there")
+    add("--page", action="store_true", help="only write the page, from existing files")
     add_cluster(parser)
     add_json(parser, "what was made, and what failed, as JSON")
 
@@ -36,7 +36,7 @@ def run(options: Options) -> int:
     from viewnet.experiments.page import page
 
     if options.page and (options.only or options.profile or options.seeds):
-        raise ViewnetError("--page runs nothing: give it alone, or leave it out")
+        raise ViewnetError("--page cannot be combined with other options")
     choose_cluster(options)
     done = []
     if not options.page:

@@ -203,7 +203,9 @@ def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]
         clips = [replace(clip, split="train") for clip in clips]
     if config.mask_folder != VideoConfig.mask_folder:
         if config.masks != "files":
-            raise ViewnetError(f"mask_folder {config.mask_folder}: masks are {config.masks} and not files: leave it")
+            raise ViewnetError(
+                f"mask_folder {config.mask_folder}: only used with masks=files (masks is {config.masks}): remove it"
+            )
         # A clip's id is its place below the folder, whatever the data set.
         folders = [root / Path(config.mask_folder).expanduser() / clip.id for clip in clips]
         if not any(folder.is_dir() for folder in folders):

@@ -107,7 +107,7 @@ def _from_run(file: Path) -> Pretrained:
     path = file.parent / "result.json"
     result = read_json(path) if path.is_file() else {}
     if "metrics" not in result:
-        raise ViewnetError(f"{file.parent}: a run that is not finished: give the command that trains it again")
+        raise ViewnetError(f"{file.parent}: the run is not finished: run viewnet train again to resume it")
     config, metrics = checkpoint.config_of(file), result["metrics"]
     alignment = None if metrics is None else metrics["procrustes"]["alignment"]
     network = checkpoint.build(config.model, checkpoint.read(file)[0], file)

@@ -180,7 +180,7 @@ PARAMETERS: dict[str, Parameter] = {
     ),
     "data_root": _folder("data_root", "photographs, empty: a stand-in; or ShapeNetCore, empty: the built-in models"),
     "cad_root": _folder("cad_root", "ShapeNetCore to train on; empty: the built-in models"),
-    "eval_root": _folder("eval_root", "ShapeNetCore to score on; empty: the own test models"),
+    "eval_root": _folder("eval_root", "ShapeNetCore to score on; empty: the run's own test models"),
     "extra_cad": _folder("extra_cad", "a second ShapeNetCore, all of whose models join training; empty: none"),
     "splits": Parameter("", folder_named, "<synset>_{train,val,test}.txt lists for CAD models; empty: their own"),
     "split_rule": _one_of(
@@ -225,6 +225,6 @@ PARAMETERS: dict[str, Parameter] = {
         lambda value, what: _path(value, what) if value else paths.tables(),
         "for tables; empty: paper_tables",
     ),
-    "workers": Parameter(0, _workers, "trainings side by side; 0: what the machine has room for"),
+    "workers": Parameter(0, _workers, "parallel trainings; 0: as many as the machine has room for"),
 }
 """Every parameter, in the order of the parts of a folder's name."""

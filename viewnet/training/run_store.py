@@ -103,7 +103,7 @@ def ensure(
     cluster = dask_cluster.executor() if not executor and dask_cluster.named() else contextlib.nullcontext(executor)
     with cluster as executor:
         if executor is not None and distributed.size() > 1:
-            raise ViewnetError("torchrun and a cluster at once: take torchrun for one run, a cluster for many")
+            raise ViewnetError("torchrun and --cluster cannot be combined: torchrun is for one run, a cluster for many")
         folders, jobs = distributed.first(lambda: _plan(configs, workers, progress, steps, executor))
         if distributed.size() > 1:
             make_together(jobs, steps, progress)

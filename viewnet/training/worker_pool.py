@@ -109,7 +109,7 @@ def _failure(future: Future[str | None], job: Job) -> str | BrokenExecutor | Non
         return future.result()
     except BrokenExecutor as error:
         reason = str(error) if isinstance(error, WorkerDied) else f"its worker died ({one_line(error)})"
-        return WorkerDied(f"{job.name}: {reason}: run again to go on where it was")
+        return WorkerDied(f"{job.name}: {reason}: run again to resume it")
     except Exception as error:
         return f"{job.name}: {one_line(error)}"
 

@@ -159,7 +159,7 @@ def _object_pose(objects: Many[Any], main: int) -> tuple[np.ndarray, np.ndarray]
         raise ViewnetError("object's pose is not nine and three finite numbers")
     rotation = rotation.reshape(3, 3)
     if not _is_rotation(rotation):
-        raise ViewnetError("object's rotation is none")
+        raise ViewnetError("object's rotation matrix is invalid")
     return rotation, translation
 
 
@@ -209,7 +209,7 @@ def _world_to_camera(camera: Any) -> np.ndarray:
         raise ViewnetError("camera's pose is not finite")
     matrix = values.reshape(4, 4)
     if not _is_rotation(matrix[:3, :3]) or not np.allclose(matrix[3], (0, 0, 0, 1), atol=_SLACK):
-        raise ViewnetError("camera's pose is no rotation and translation")
+        raise ViewnetError("camera's pose is not a rigid transform")
     if not recorded:
         turn = matrix[:3, :3].T
         matrix = np.vstack([np.column_stack([turn, -turn @ matrix[:3, 3]]), (0.0, 0.0, 0.0, 1.0)])
@@ -233,7 +233,7 @@ def _check(in_camera: np.ndarray, place: np.ndarray) -> None:
     lengths = np.linalg.norm(edges, axis=0)
     centre = in_camera.mean(axis=0)
     if lengths.min() <= 1e-6 * np.linalg.norm(centre):
-        raise ViewnetError("keypoints are no box")
+        raise ViewnetError("keypoints do not form a box")
     again = -(edges / lengths).T @ centre
     cosine = again @ place / (np.linalg.norm(again) * np.linalg.norm(place) or 1.0)
     if not cosine >= math.cos(math.radians(DISAGREE)):
