@@ -20,9 +20,7 @@ def add_arguments(parser: Parser) -> None:
     """The arguments of viewnet train."""
     shared.add_configuration(parser)
     parser.add_argument("--seed", type=int, default=0, metavar="N")
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="parallel runs (default: one per GPU, or per core without one)"
-    )
+    parser.add_argument("--workers", type=int, metavar="N", help="parallel runs (default: one per GPU or core)")
     shared.add_cluster(parser)
     shared.add_json(parser)
 

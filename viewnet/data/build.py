@@ -204,7 +204,7 @@ def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]
     if config.mask_folder != VideoConfig.mask_folder:
         if config.masks != "files":
             raise ViewnetError(
-                f"mask_folder {config.mask_folder}: only used with masks=files (masks is {config.masks}): remove it"
+                f"mask_folder {config.mask_folder}: only used with masks=files (masks is {config.masks})"
             )
         # A clip's id is its place below the folder, whatever the data set.
         folders = [root / Path(config.mask_folder).expanduser() / clip.id for clip in clips]
