@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -32,18 +31,13 @@ def render_mesh(
     """Straight-alpha RGBA images (V, size, size, 4) uint8 of a normalised mesh from viewpoints (V,) in degrees.
 
     `lights` (V, 3) are unit directions from the object to the light in the world frame; None puts it at the camera.
-    Both back ends share camera, lighting, flat normals, bilinear repeating textures and the treatment of transparency
-    (nearly transparent faces and holes of RGBA textures are left out, all else is opaque). Where there is nothing
-    the colour is black and alpha 0.
-
-    Raises ViewnetError for sizes below 1, counts that do not match, and a mesh that reaches beyond the unit sphere's
-    half radius (not normalised).
+    Back ends share camera, lighting, flat normals, bilinear repeating textures and the treatment of transparency (holes
+    of RGBA textures are left out, all else is opaque). The background is black, with alpha 0.
+    Raises ViewnetError for sizes below 1, counts that do not match, and a mesh that is not normalised.
     """
     azimuth, elevation = np.atleast_1d(azimuth), np.atleast_1d(elevation)
     if azimuth.ndim != 1 or azimuth.shape != elevation.shape:
-        raise ViewnetError(
-            f"azimuth {azimuth.shape} and elevation {elevation.shape}: expected one of each for every view"
-        )
+        raise ViewnetError(f"azimuth {azimuth.shape}, elevation {elevation.shape}: expected one of each for every view")
     world_from_camera = look_from(azimuth, elevation)
     lights = world_from_camera[:, :, 2] if lights is None else np.asarray(lights, dtype=np.float64)
     if lights.shape != (len(world_from_camera), 3):
@@ -54,20 +48,15 @@ def render_mesh(
 def render_cameras(
     mesh: Mesh, world_from_camera: np.ndarray, lights: np.ndarray, size: int, supersample: int, backend: Backend
 ) -> np.ndarray:
-    """As `render_mesh`, for world_from_camera (V, 3, 3) and a back end that `choose_backend` gave.
-
-    Raises ViewnetError for sizes below 1, and for a mesh that is not normalised.
-    """
+    """As `render_mesh`, for world_from_camera (V, 3, 3) and a back end that `choose_backend` gave."""
     if size < 1 or supersample < 1:
         raise ViewnetError(f"size {size}, supersample {supersample}: expected 1 or more")
     if (reach := float(np.abs(mesh.vertices).max(initial=0))) > RADIUS + 1e-6:
         raise ViewnetError(f"the mesh reaches {reach:g} from its centre: normalise it to a bounding-box diagonal of 1")
+    from viewnet.render import opengl, raycast
+
     if backend == "pyrender":
-        from viewnet.render import opengl
-
         return opengl.render(mesh, world_from_camera, lights, size, supersample)
-    from viewnet.render import raycast
-
     return raycast.render(raycast.prepare(mesh), world_from_camera, lights, size, supersample)
 
 
@@ -76,13 +65,15 @@ def choose_backend(backend: Backend) -> Backend:
 
     Raises ViewnetError for another name.
     """
-    if backend not in ("auto", "raycast", "pyrender"):
-        raise ViewnetError(f"unknown renderer {backend!r}: choose one of auto, raycast, pyrender")
-    if backend == "pyrender":
-        try:
-            importlib.import_module("viewnet.render.opengl").check()
-        except Exception as error:  # OpenGL stacks fail in many ways.
-            log.warning("pyrender cannot render here (%s: %s): using the ray caster", type(error).__name__, error)
-            return "raycast"
-        return "pyrender"
-    return "raycast"
+    if backend not in get_args(Backend):
+        raise ViewnetError(f"unknown renderer {backend!r}: choose one of {', '.join(get_args(Backend))}")
+    if backend != "pyrender":
+        return "raycast"
+    try:
+        from viewnet.render import opengl
+
+        opengl.check()
+    except Exception as error:  # OpenGL stacks fail in many ways.
+        log.warning("pyrender cannot render here (%s: %s): using the ray caster", type(error).__name__, error)
+        return "raycast"
+    return "pyrender"

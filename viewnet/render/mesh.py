@@ -9,8 +9,7 @@ import numpy as np
 
 from viewnet.errors import ViewnetError
 
-# Colour of a face without a (defined) material.
-GREY = (0.8, 0.8, 0.8)
+GREY = (0.8, 0.8, 0.8)  # colour of a face without a (defined) material
 
 
 class UnusableModel(ViewnetError):
@@ -58,14 +57,14 @@ class Mesh:
 def surfaces(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of each set of faces (F, 3) with the same vertices, the first (G,), ascending, and the first of other winding.
 
-    CAD models often have a surface twice, once for each side. Without a face of the other winding the second array
-    repeats the first: that face is visible from both sides.
+    CAD models often have a surface twice, once for each side. A face without one of the other winding is repeated in
+    the second array: it is visible from both sides.
     """
     order = np.argsort(faces, axis=1, kind="stable")
-    low, middle, high = np.take_along_axis(faces, order, axis=1).T
     even = (order[:, 1] - order[:, 0]) % 3 == 1
-    ranked = np.lexsort((high, middle, low))
-    key = np.stack([low, middle, high], axis=1)[ranked]
+    ascending = np.take_along_axis(faces, order, axis=1)
+    ranked = np.lexsort(ascending.T)
+    key = ascending[ranked]
     begins = np.append(True, (key[1:] != key[:-1]).any(axis=1))[: len(faces)]
     group = np.cumsum(begins) - 1
     first = ranked[begins]
@@ -74,5 +73,5 @@ def surfaces(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     sets, at = np.unique(group[otherwise], return_index=True)
     other = first.copy()
     other[sets] = ranked[otherwise[at]]
-    ascending = np.argsort(first)
-    return first[ascending], other[ascending]
+    by_number = np.argsort(first)
+    return first[by_number], other[by_number]

@@ -1,11 +1,11 @@
 """Wavefront MTL material libraries and their textures.
 
-Nothing outside a model's own folder is ever opened: a library or texture path that is absolute or leads out of the
-folder makes the model unusable.
+Nothing outside a model's folder is ever opened: an absolute path, or one that leads out, makes the model unusable.
 """
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Iterable
@@ -18,19 +18,16 @@ from PIL import Image
 from viewnet.errors import ViewnetError
 from viewnet.render.mesh import GREY, UnusableModel
 from viewnet.runtime import image_files
-from viewnet.runtime.image_files import opened
 
-# Images are 64 to 224 pixels wide: a larger texture would only alias, and cost memory.
-TEXTURE_SIZE = 256
+TEXTURE_SIZE = 256  # images are 64 to 224 pixels wide: a larger texture would only alias, and cost memory
 FORMATS = (*image_files.FORMATS, "TGA")
 MAX_BYTES = 64 * 2**20
 MAX_SCALE = 1e6
 
 # Options of a texture without effect here, and how many words follow them.
-_OPTIONS = {
-    "-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1, "-imfchan": 1, "-mm": 2, "-texres": 1,
-    "-type": 1, "-colorspace": 1,
-}  # fmt: skip
+_OPTIONS = {"-mm": 2} | dict.fromkeys(
+    ("-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-texres", "-type", "-colorspace"), 1
+)
 
 
 @dataclass
@@ -39,7 +36,7 @@ class Entry:
 
     diffuse: tuple[float, float, float] = GREY
     opacity: float | None = None
-    transparency: float | None = None
+    transparency: float = 0.0
     texture: Path | None = None
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
@@ -47,9 +44,7 @@ class Entry:
     @property
     def shown(self) -> float:
         """Opacity 0..1 from `d` or, without it, `Tr`; 1 where there is neither."""
-        if self.opacity is not None:
-            return self.opacity
-        return 1.0 if self.transparency is None else 1.0 - self.transparency
+        return 1.0 - self.transparency if self.opacity is None else self.opacity
 
 
 def _inside(obj: Path, folder: Path, name: str) -> Path:
@@ -76,11 +71,9 @@ def read_libraries(obj: Path, folder: Path, lines: Iterable[str]) -> dict[str, E
 
 
 def _files(obj: Path, folder: Path, names: str) -> list[Path]:
-    file = _inside(obj, folder, names) if len(names) <= 4096 else None
-    if file and file.is_file():
+    if len(names) <= 4096 and (file := _inside(obj, folder, names)).is_file():
         return [file]
-    parts = names.split()
-    if len(parts) < 2:
+    if len(parts := names.split()) < 2:
         raise UnusableModel(obj, f"missing material library '{names}'")
     return [file for part in parts for file in _files(obj, folder, part)]
 
@@ -97,8 +90,10 @@ def _read(obj: Path, folder: Path, file: Path) -> dict[str, Entry]:
             if word == "newmtl":
                 entry = library[rest] = Entry()
             elif word == "Kd" and not rest.startswith(("spectral", "xyz")):
-                red, green, blue, *_ = (float(x) for x in rest.split() * 3)
-                entry.diffuse = _clip(red), _clip(green), _clip(blue)
+                red, green, blue, *_ = (min(max(float(x), 0.0), 1.0) for x in rest.split() * 3)
+                if math.isnan(red + green + blue):
+                    raise ValueError(rest)
+                entry.diffuse = red, green, blue
             elif word == "d":
                 entry.opacity = float(rest.removeprefix("-halo"))
             elif word == "Tr":
@@ -113,38 +108,26 @@ def _read(obj: Path, folder: Path, file: Path) -> dict[str, Entry]:
     return library
 
 
-def _clip(value: float) -> float:
-    """Into 0..1; ValueError for NaN."""
-    if value != value:
-        raise ValueError(value)
-    return min(max(value, 0.0), 1.0)
-
-
 def _texture_options(rest: str) -> tuple[tuple[float, float], tuple[float, float], str]:
     """Scale, offset and file name of a `map_Kd` line; its other options have no effect here."""
-    scale, offset = (1.0, 1.0), (0.0, 0.0)
+    values = {"-s": (1.0, 1.0), "-o": (0.0, 0.0), "-t": (0.0, 0.0)}
     if len(rest) > 4096:  # no path is longer
         raise ValueError(rest)
     while match := re.match(r"(-[a-z]+)\s+", rest):
-        option = match.group(1)
-        if option in ("-s", "-o", "-t"):
-            values = re.match(r"-[a-z]\s+((?:[-+]?[\d.]+(?:[eE][-+]?\d+)?(?:\s+|$)){1,3})", rest)
-            if values is None:
+        option = match[1]
+        if option in values:
+            match = re.match(r"-[a-z]\s+((?:[-+]?[\d.]+(?:[eE][-+]?\d+)?(?:\s+|$)){1,3})", rest)
+            numbers = [float(x) for x in match[1].split()] if match else []
+            if match is None or max(map(abs, numbers)) > MAX_SCALE:
                 raise ValueError(rest)
-            numbers = [float(x) for x in values.group(1).split()]
-            if max(map(abs, numbers)) > MAX_SCALE:
-                raise ValueError(rest)
-            u, v = numbers[0], numbers[1] if len(numbers) > 1 else (1.0 if option == "-s" else 0.0)
-            if option == "-s":
-                scale = (u, v)
-            elif option == "-o":
-                offset = (u, v)
-            rest = rest[values.end() :]
+            u, v, *_ = *numbers, 1.0 if option == "-s" else 0.0
+            values[option] = u, v
+            rest = rest[match.end() :]
         elif option in _OPTIONS:
             rest = re.split(r"\s+", rest, maxsplit=1 + _OPTIONS[option])[-1]
         else:
             break
-    return scale, offset, rest.strip()
+    return values["-s"], values["-o"], rest.strip()
 
 
 def read_texture(obj: Path, folder: Path, file: Path) -> np.ndarray:
@@ -155,7 +138,7 @@ def read_texture(obj: Path, folder: Path, file: Path) -> np.ndarray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with opened(file, f"texture '{name}'", FORMATS) as image:
+            with image_files.opened(file, f"texture '{name}'", FORMATS) as image:
                 image.draft("RGB", (TEXTURE_SIZE, TEXTURE_SIZE))
                 alpha = "A" in image.getbands() or "transparency" in image.info
                 small = image.convert("RGBA" if alpha else "RGB")

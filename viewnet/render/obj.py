@@ -1,9 +1,6 @@
-"""Wavefront OBJ files as triangle meshes.
+"""Wavefront OBJ files as triangle meshes: all that CAD collections hold, read by array operations.
 
-The reader covers what CAD collections hold: polygons, every index form (`v`, `v/t`, `v//n`, `v/t/n`, negative),
-several materials and libraries, vertex colours, texture options and texture names with spaces. trimesh, in contrast,
-ignores missing libraries and textures, opacity and texture options, and is slower. Lines are sorted by keyword and
-numbers read with array operations, never in a loop over lines.
+trimesh, in contrast, ignores missing libraries and textures, opacity and texture options, and is slower.
 """
 
 from __future__ import annotations
@@ -20,26 +17,22 @@ from viewnet.render.mtl import Entry, read_libraries, read_texture
 MAX_BYTES = 512 * 2**20
 MAX_FACES = 2_000_000
 MAX_TEXTURED = 1000
-# Of a vertex, as exporters write it: 0 to 1, or to 255 or 65535.
-MAX_COLOUR = 65536.0
-# Of a texture coordinate: times a texture's scale it is still finite in single precision.
-MAX_UV = 1e30
-# Faces less opaque than this are left out; the others are rendered opaque.
-MIN_OPACITY = 0.05
+MAX_COLOUR = 65536.0  # of a vertex, as exporters write it: 0 to 1, or to 255 or 65535
+MAX_UV = 1e30  # of a texture coordinate: times a texture's scale it is still finite in single precision
+MIN_OPACITY = 0.05  # faces less opaque than this are left out; the others are rendered opaque
 
 
 def read_obj(path: Path, folder: Path | None = None) -> Mesh:
-    """The visible faces of an OBJ file as it stands (no change of frame or scale).
+    """The visible faces of an OBJ file as it stands (no change of frame or scale), polygons triangulated as fans.
 
-    Polygons are triangulated as fans; faces without area and (almost) transparent faces are left out; normals in the
-    file are not used. Faces without a material, or with an undefined one, are light grey. Libraries and textures must
-    lie in `folder` (default: the file's own). Raises UnusableModel with the reason: no, an empty or an unreadable file,
-    no faces, NaN or infinite vertices, a broken or missing library or texture, a path that leads out of the folder,
-    more than MAX_FACES faces or MAX_BYTES bytes.
+    Faces without area and (almost) transparent ones are left out; faces without a defined material are light grey.
+    Libraries and textures must lie in `folder` (default: the file's own). Raises UnusableModel with the reason: a file
+    that is missing, empty or unreadable, no faces, NaN or infinite vertices, a broken or missing library or texture, a
+    path that leads out of the folder, more than MAX_FACES faces or MAX_BYTES bytes.
     """
     folder = path.parent if folder is None else folder
     lines = _Lines(path)
-    values, counts = lines.numbers("v")
+    values, counts = lines.numbers("v", lines.text("v"))
     if len(counts) == 0:
         raise UnusableModel(path, "no vertices")
     if counts.min() < 3:
@@ -67,9 +60,8 @@ def read_obj(path: Path, folder: Path | None = None) -> Mesh:
         keep = visible
     if not keep.any():
         raise UnusableModel(path, "no face has an area")
-    if not keep.all():
-        faces, material, corners = faces[keep], material[keep], corners[keep]
-    materials, uv = _materials(path, folder, names, library, material, lines, corner_t[corners])
+    faces, material, corners = faces[keep], material[keep], corners[keep]
+    materials, uv = _materials(lines, folder, names, library, material, corner_t[corners])
     shades = None if colours is None else colours.astype(np.float32)
     return Mesh(vertices, faces.astype(np.int32), material.astype(np.int32), materials, uv, shades)
 
@@ -79,13 +71,17 @@ class _Lines:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        data = _read(path)
-        if b"\\" in data:
-            data = re.sub(rb"\\\r?\n", b" ", data)
-        if b"\r" in data:
-            data = data.replace(b"\r", b"\n")
-        if b"\t" in data:
-            data = data.replace(b"\t", b" ")
+        try:
+            if (size := path.stat().st_size) > MAX_BYTES:
+                raise UnusableModel(path, f"{size} bytes, more than {MAX_BYTES}")
+            data = path.read_bytes()
+        except FileNotFoundError:
+            raise UnusableModel(path, "no such file") from None
+        except OSError as error:
+            raise UnusableModel(path, f"cannot be read ({error.strerror})") from None
+        if not data.strip():
+            raise UnusableModel(path, "empty file")
+        data = re.sub(rb"\\\r?\n", b" ", data).replace(b"\r", b"\n").replace(b"\t", b" ")
         if b"\n " in data or data.startswith(b" "):
             data = re.sub(rb"(?m)^ +", b"", data)
         self.data = data + b"\n"
@@ -103,14 +99,23 @@ class _Lines:
         """The lines with this keyword, without it and without comments; each ends in a line feed."""
         mine = self.of(keyword)
         characters = self.characters.copy()
-        for i in range(len(keyword)):
-            characters[self.starts[mine] + i] = 32
+        characters[self.starts[mine][:, None] + np.arange(len(keyword))] = 32
         text = characters[np.repeat(mine, self.ends - self.starts)].tobytes()
         return re.sub(rb"#[^\n]*", b"", text) if b"#" in text else text
 
-    def numbers(self, keyword: str) -> tuple[np.ndarray, np.ndarray]:
-        """All numbers of the lines with this keyword in one array, and how many each line has."""
-        return _numbers(self.path, keyword, self.text(keyword), np.float64)
+    def numbers(self, keyword: str, text: bytes, dtype: type = np.float64) -> tuple[np.ndarray, np.ndarray]:
+        """All numbers of the `text` of the lines with this keyword in one array, and how many each line has."""
+        counts, _ = _word_counts(text)
+        with warnings.catch_warnings():
+            # NumPy only warns and stops at something that is not a number; the count is then wrong.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            try:
+                values: np.ndarray = np.fromstring(text, dtype, sep=" ")
+            except ValueError:
+                values = np.zeros(0, dtype)
+        if len(values) != counts.sum():
+            raise UnusableModel(self.path, f"a '{keyword}' line holds something that is not a number")
+        return values, counts
 
     def words(self, keyword: str) -> list[tuple[int, str]]:
         """What follows a longer keyword on each of its lines, and how many faces stand before it."""
@@ -122,35 +127,6 @@ class _Lines:
             if word == keyword.encode():
                 words.append((int(faces), rest.decode("utf-8", errors="surrogateescape").strip()))
         return words
-
-
-def _read(path: Path) -> bytes:
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise UnusableModel(path, f"{size} bytes, more than {MAX_BYTES}")
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise UnusableModel(path, "no such file") from None
-    except OSError as error:
-        raise UnusableModel(path, f"cannot be read ({error.strerror})") from None
-    if not data.strip():
-        raise UnusableModel(path, "empty file")
-    return data
-
-
-def _numbers(path: Path, keyword: str, text: bytes, dtype: type) -> tuple[np.ndarray, np.ndarray]:
-    counts, _ = _word_counts(text)
-    with warnings.catch_warnings():
-        # NumPy only warns and stops at something that is not a number; the count is then wrong.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        try:
-            values: np.ndarray = np.fromstring(text, dtype, sep=" ")
-        except ValueError:
-            values = np.zeros(0, dtype)
-    if len(values) != counts.sum():
-        raise UnusableModel(path, f"a '{keyword}' line holds something that is not a number")
-    return values, counts
 
 
 def _word_counts(text: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -182,22 +158,19 @@ def _corners(lines: _Lines, vertices: int) -> tuple[np.ndarray, np.ndarray, np.n
     slash = np.frombuffer(text, np.uint8) == 47
     slashes = _per_line(slash, ends)
     doubles = _per_line(np.append(False, slash[1:] & slash[:-1]), ends)
-    values, counts = _numbers(path, "f", text.replace(b"/", b" "), np.int64)
+    values, counts = lines.numbers("f", text.replace(b"/", b" "), np.int64)
     width = np.select(
         [slashes == 0, (slashes == sizes) & (doubles == 0), (slashes == 2 * sizes) & (doubles == 0)],
         [1, 2, 3],
         default=2 * ((slashes == 2 * sizes) & (doubles == sizes)),
     )
     if (wrong := width * sizes != counts).any():
-        raise UnusableModel(
-            path, f"cannot understand the face '{text.splitlines()[int(wrong.argmax())].decode().strip()}'"
-        )
+        face = text.splitlines()[int(wrong.argmax())].decode().strip()
+        raise UnusableModel(path, f"cannot understand the face '{face}'")
     step = np.repeat(width, sizes)
     at = np.cumsum(step) - step
     textured = np.repeat((slashes > 0) & (doubles == 0), sizes)
-    v = values[at]
-    t = values[at[textured] + 1]
-    faces = lines.of("f")
+    v, t, faces = values[at], values[at[textured] + 1], lines.of("f")
     if v.min(initial=0) < 0:
         v = np.where(v < 0, v + 1 + np.repeat(np.cumsum(lines.of("v"))[faces], sizes), v)
     if t.min(initial=0) < 0:
@@ -214,16 +187,14 @@ def _corners(lines: _Lines, vertices: int) -> tuple[np.ndarray, np.ndarray, np.n
 
 def _fans(path: Path, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Corner numbers (F, 3) of the triangles of polygons with `sizes` corners, and the polygon each belongs to."""
-    first = np.cumsum(sizes) - sizes
     triangles = np.maximum(sizes - 2, 0)
-    count = int(triangles.sum())
-    if count == 0:
+    if (count := int(triangles.sum())) == 0:
         raise UnusableModel(path, "no faces")
     if count > MAX_FACES:
         raise UnusableModel(path, f"{count} faces, more than {MAX_FACES}")
     owner = np.repeat(np.arange(len(sizes)), triangles)
     step = np.arange(count) - np.repeat(np.cumsum(triangles) - triangles, triangles)
-    start = first[owner]
+    start = (np.cumsum(sizes) - sizes)[owner]
     return np.stack([start, start + step + 1, start + step + 2], axis=1), owner
 
 
@@ -239,13 +210,7 @@ def _assign(uses: list[tuple[int, str]], polygons: int) -> tuple[list[str], np.n
 
 
 def _materials(
-    path: Path,
-    folder: Path,
-    names: list[str],
-    library: dict[str, Entry],
-    material: np.ndarray,
-    lines: _Lines,
-    corners: np.ndarray,
+    lines: _Lines, folder: Path, names: list[str], library: dict[str, Entry], material: np.ndarray, corners: np.ndarray
 ) -> tuple[tuple[Material, ...], np.ndarray | None]:
     """Material 0 (none) and those of `names` with the textures that faces use, and (F, 3, 2) coordinates if any do."""
     used = np.bincount(material, minlength=len(names) + 1) > 0
@@ -255,7 +220,7 @@ def _materials(
         if used[number] and (entry := library.get(name)) and entry.texture and (corners[material == number] >= 0).any()
     }
     if len(textured) > MAX_TEXTURED:
-        raise UnusableModel(path, f"{len(textured)} materials with textures, more than {MAX_TEXTURED}")
+        raise UnusableModel(lines.path, f"{len(textured)} materials with textures, more than {MAX_TEXTURED}")
     images: dict[Path, np.ndarray] = {}
     uv = _uv(lines, corners) if textured else None
     materials = [Material()]
@@ -266,7 +231,7 @@ def _materials(
         entry, texture = library[name], None
         if uv is not None and number in textured:
             file = textured[number]
-            texture = images[file] = images[file] if file in images else read_texture(path, folder, file)
+            texture = images[file] = images[file] if file in images else read_texture(lines.path, folder, file)
             if entry.scale != (1.0, 1.0) or entry.offset != (0.0, 0.0):
                 mine = material == number
                 uv[mine] = uv[mine] * np.array(entry.scale) + np.array(entry.offset)
@@ -275,7 +240,7 @@ def _materials(
 
 
 def _uv(lines: _Lines, corners: np.ndarray) -> np.ndarray:
-    values, counts = lines.numbers("vt")
+    values, counts = lines.numbers("vt", lines.text("vt"))
     if counts.min() < 2:
         raise UnusableModel(lines.path, "a texture coordinate with fewer than two numbers")
     table = values[(np.cumsum(counts) - counts)[:, None] + np.arange(2)]

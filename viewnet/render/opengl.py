@@ -1,6 +1,6 @@
-"""The OpenGL renderer: pyrender off screen (EGL or OSMesa), with shaders that light as the ray caster does.
+"""The OpenGL renderer: pyrender off screen (EGL or OSMesa), lit as by the ray caster, of which it is a check.
 
-It is the independent check of `raycast`, and an option; it needs pyrender and a driver, which not every machine has.
+It needs pyrender and a driver, which not every machine has.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import importlib
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from viewnet.render.camera import DISTANCE, FOCAL, RADIUS
-from viewnet.render.mesh import Mesh, surfaces
+from viewnet.render.mesh import Material, Mesh, surfaces
 from viewnet.render.raycast import ALPHA_CUT, AMBIENT
 
 _VERTEX = """#version 330 core
@@ -34,11 +35,8 @@ layout(location = COLOR_0_LOC) in vec4 color_0;
 out vec4 vertex_color;
 #endif
 layout(location = INST_M_LOC) in mat4 inst_m;
-uniform mat4 M;
-uniform mat4 V;
-uniform mat4 P;
-out vec3 point;
-out vec3 face_normal;
+uniform mat4 M, V, P;
+out vec3 point, face_normal;
 void main() {
     point = vec3(M * inst_m * vec4(position, 1.0));
     gl_Position = P * V * vec4(point, 1.0);
@@ -61,10 +59,8 @@ struct Material {
 };
 uniform DirectionalLight directional_lights[1];
 uniform Material material;
-uniform vec3 ambient_light;
-uniform vec3 cam_pos;
-in vec3 point;
-in vec3 face_normal;
+uniform vec3 ambient_light, cam_pos;
+in vec3 point, face_normal;
 #ifdef TEXCOORD_0_LOC
 in vec2 uv_0;
 #endif
@@ -93,8 +89,6 @@ _LINEAR, _REPEAT = 9729, 10497
 @lru_cache(maxsize=1)
 def check() -> None:
     """Render one triangle; whatever is wrong with OpenGL or pyrender here is raised."""
-    from viewnet.render.mesh import Material
-
     corners = np.array([[0.0, -0.3, -0.3], [0.0, 0.3, -0.3], [0.0, 0.0, 0.3]])
     mesh = Mesh(corners, np.array([[0, 1, 2]], np.int32), np.zeros(1, np.int32), (Material(),))
     camera = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -104,15 +98,12 @@ def check() -> None:
 
 def render(mesh: Mesh, world_from_camera: np.ndarray, lights: np.ndarray, size: int, supersample: int) -> np.ndarray:
     """Straight-alpha RGBA (V, size, size, 4) uint8 for cameras (V, 3, 3) and unit directions to the light (V, 3)."""
-    renderer, pyrender = _renderer(size * supersample), _pyrender()
-    scene = pyrender.Scene(bg_color=np.zeros(4), ambient_light=np.full(3, AMBIENT))
-    scene.add(pyrender.Mesh(_primitives(mesh)))
     pixels = size * supersample
-    camera = scene.add(
-        pyrender.IntrinsicsCamera(
-            FOCAL * pixels, FOCAL * pixels, pixels / 2, pixels / 2, DISTANCE - 2 * RADIUS, DISTANCE + 2 * RADIUS
-        )
-    )
+    renderer, pyrender = _renderer(pixels), _pyrender()
+    scene = pyrender.Scene(bg_color=np.zeros(4), ambient_light=np.full(3, AMBIENT))
+    scene.add(pyrender.Mesh(list(_primitives(mesh))))
+    focal, centre, near, far = FOCAL * pixels, pixels / 2, DISTANCE - 2 * RADIUS, DISTANCE + 2 * RADIUS
+    camera = scene.add(pyrender.IntrinsicsCamera(focal, focal, centre, centre, near, far))
     light = scene.add(pyrender.DirectionalLight())
     images = np.zeros((len(world_from_camera), size, size, 4), np.uint8)
     for view, (pose, direction) in enumerate(zip(world_from_camera, lights, strict=True)):
@@ -167,7 +158,7 @@ def _renderer(pixels: int) -> Any:
     return renderer
 
 
-def _primitives(mesh: Mesh) -> list[Any]:
+def _primitives(mesh: Mesh) -> Iterator[Any]:
     """One primitive for each material and sidedness; corners are not shared, for flat normals."""
     pyrender = _pyrender()
     corners = mesh.vertices[mesh.faces]
@@ -176,38 +167,28 @@ def _primitives(mesh: Mesh) -> list[Any]:
     front, back = surfaces(mesh.faces)
     shown, single = np.zeros((2, len(mesh.faces)), bool)
     shown[front] = shown[back] = True
-    for side in (front, back):
-        single[side] = front != back
-    primitives = []
+    single[front] = single[back] = front != back
     for number in np.unique(mesh.material):
-        entry = mesh.materials[number]
-        texture = None
-        if entry.texture is not None:
-            texels = entry.texture
+        entry, texture = mesh.materials[number], None
+        if (texels := entry.texture) is not None:
             if texels.shape[2] == 3:
                 texels = np.concatenate([texels, np.full_like(texels[..., :1], 255)], axis=2)
             sampler = pyrender.Sampler(magFilter=_LINEAR, minFilter=_LINEAR, wrapS=_REPEAT, wrapT=_REPEAT)
             texture = pyrender.Texture(source=texels, source_channels="RGBA", sampler=sampler)
+        colours = mesh.colours if number == 0 else None
         for one in (False, True):
             faces = shown & (mesh.material == number) & (single == one)
-            if not faces.any():
-                continue
-            coloured = number == 0 and mesh.colours is not None
-            primitives.append(
-                pyrender.Primitive(
+            if faces.any():
+                yield pyrender.Primitive(
                     positions=corners[faces].reshape(-1, 3),
                     normals=np.repeat(normals[faces], 3, axis=0),
                     texcoord_0=None if texture is None or mesh.uv is None else mesh.uv[faces].reshape(-1, 2),
-                    color_0=mesh.colours[mesh.faces[faces]].reshape(-1, 3)
-                    if coloured and mesh.colours is not None
-                    else None,
+                    color_0=None if colours is None else colours[mesh.faces[faces]].reshape(-1, 3),
                     material=pyrender.MetallicRoughnessMaterial(
                         baseColorFactor=(*entry.diffuse, 1.0), baseColorTexture=texture, doubleSided=not one
                     ),
                     mode=4,
                 )
-            )
-    return primitives
 
 
 def _pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:

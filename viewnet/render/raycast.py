@@ -1,10 +1,8 @@
 """The ray caster: rays through every pixel by Embree (embreex), shading in NumPy; no OpenGL.
 
-Every sample (pixel divided `supersample` times each way) takes the nearest face along the ray through its centre; a
-pixel's colour is the mean of its covered samples and its alpha their share. Shading is
+A pixel's colour is the mean of its covered samples (`supersample` each way) and its alpha their share. Shading is
 `AMBIENT + (1 - AMBIENT) max(0, n.l)` with the face's flat normal towards the camera and one directional light. Of faces
-with the same corners the first in the file is visible, and of two that face opposite ways (a surface modelled for each
-side) the one towards the camera.
+with the same corners the first in the file is visible, and of two that face opposite ways the one towards the camera.
 """
 
 from __future__ import annotations
@@ -22,12 +20,9 @@ from viewnet.render.camera import DISTANCE, FOCAL, project
 from viewnet.render.mesh import Mesh, surfaces
 
 AMBIENT = 0.4
-# Texels more transparent than this are holes.
-ALPHA_CUT = 128
-# Distance behind a hole from which its ray continues, above the rounding errors of single precision.
-STEP = 1e-5
-# Rays cast and hits shaded at once, which bounds memory.
-BATCH = 2**18
+ALPHA_CUT = 128  # texels more transparent than this are holes
+STEP = 1e-5  # distance behind a hole from which its ray continues, above the rounding errors of single precision
+BATCH = 2**18  # rays cast and hits shaded at once, which bounds memory
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,31 +56,21 @@ def prepare(mesh: Mesh) -> Surface:
     TriangleMesh(scene, mesh.vertices.astype(np.float32), faces[front].astype(np.int32))
     texture = np.zeros((len(mesh.materials), 3), np.int64)
     holes = np.zeros(len(mesh.materials), bool)
-    texels = [np.zeros((0, 4), np.uint8)]
-    offset = 0
+    blocks = [np.zeros((0, 4), np.uint8)]
     for number, material in enumerate(mesh.materials):
         if material.texture is not None and mesh.uv is not None:
             height, width, channels = material.texture.shape
-            texture[number] = offset, height, width
+            texture[number] = sum(map(len, blocks)), height, width
             block = np.full((height * width, 4), 255, np.uint8)
             block[:, :channels] = material.texture.reshape(-1, channels)
             holes[number] = bool((block[:, 3] < ALPHA_CUT).any())
-            texels.append(block)
-            offset += height * width
+            blocks.append(block)
+    planes, texels = np.einsum("fi,fi->f", normals, corners[:, 0]), np.concatenate(blocks)
+    diffuse = np.array([material.diffuse for material in mesh.materials], np.float32) * 255
+    uv = None if mesh.uv is None else np.take_along_axis(mesh.uv, order[:, :, None], axis=1)
+    colours = None if mesh.colours is None else mesh.colours[faces] * np.float32(255)
     return Surface(
-        scene,
-        mesh.vertices,
-        front,
-        back,
-        normals,
-        np.einsum("fi,fi->f", normals, corners[:, 0]),
-        mesh.material,
-        np.array([m.diffuse for m in mesh.materials], np.float32) * 255,
-        texture,
-        np.concatenate(texels),
-        holes,
-        None if mesh.uv is None else np.take_along_axis(mesh.uv, order[:, :, None], axis=1),
-        None if mesh.colours is None else mesh.colours[faces] * np.float32(255),
+        scene, mesh.vertices, front, back, normals, planes, mesh.material, diffuse, texture, texels, holes, uv, colours
     )
 
 
