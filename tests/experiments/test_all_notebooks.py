@@ -76,7 +76,7 @@ def test_the_page_alone_runs_nothing(ran, capsys, tmp_path):
         (["--only", "table9"], "unknown notebook 'table9': choose one of architecture"),
         (["--profile", "huge"], "unknown profile 'huge': choose one of smoke"),
         (["--seeds", "none"], "seeds 'none': expected how many"),
-        (["--page", "--profile", "smoke"], "--page runs nothing"),
+        (["--page", "--profile", "smoke"], "--page cannot be combined with other options"),
     ],
 )
 def test_what_cannot_be_run_is_said_before_anything_is(ran, arguments, message, capsys):

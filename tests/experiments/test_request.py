@@ -113,6 +113,22 @@ def test_bad_parameters_are_named(option, message):
         experiment("table2_ablation", **option)
 
 
+@pytest.mark.parametrize(
+    ("name", "ignored", "refused"),
+    [
+        ("table2_ablation", {"video_root": "", "start": "", "keep": "all", "calibration": 0}, {"keep": "first"}),
+        ("table4_freiburg", {"categories": "all", "splits": "", "ridge": 1000.0}, {"categories": "car"}),
+        ("your_method", {"recipe": "default", "variant": "", "viewpoints": ""}, {"recipe": "photos"}),
+    ],
+)
+def test_parameters_a_notebook_does_not_take_are_ignored_at_their_defaults(name, ignored, refused):
+    assert experiment(name, **ignored) == experiment(name)
+    with pytest.raises(ViewnetError, match=f"unknown parameter of {name} '{next(iter(refused))}'"):
+        experiment(name, **ignored | refused)
+    with pytest.raises(ViewnetError, match=f"unknown parameter of {name} 'nothing'"):
+        experiment(name, nothing="")
+
+
 def test_every_design_is_known():
     with pytest.raises(ViewnetError, match="unknown notebook 'table9': choose one of table1_shapenet"):
         experiment("table9")

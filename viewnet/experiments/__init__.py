@@ -15,20 +15,14 @@ from viewnet.experiments.photos import PhotoExperiment
 from viewnet.experiments.request import DESIGNS
 from viewnet.experiments.videos import VideoExperiment
 
-_KINDS: dict[str, type[Experiment]] = {
-    "cad": Experiment,
-    "photos": PhotoExperiment,
-    "videos": VideoExperiment,
-    "objectron": ObjectronExperiment,
-    "own_method": OwnMethodExperiment,
-}
+_KINDS: dict[str, type[Experiment]] = {"cad": Experiment, "photos": PhotoExperiment, "videos": VideoExperiment}
+_KINDS |= {"objectron": ObjectronExperiment, "own_method": OwnMethodExperiment}
 
 
 def experiment(name: str, **parameters: Any) -> Any:
-    """The experiment of the notebook `name`, its parameters checked (viewnet.experiments.parameters.PARAMETERS).
+    """The experiment of the notebook `name`, of the class for its kind (viewnet.experiments.request.DESIGNS).
 
-    An Experiment, or for notebooks that score photographs, train on videos or add methods the subclass for that.
-    Raises ViewnetError naming the parameter and its valid values.
+    Raises ViewnetError naming the parameter (viewnet.experiments.parameters.PARAMETERS) and its valid values.
 
     >>> request = experiment("table2_ablation", profile="smoke", categories="car", seeds="0,2")
     >>> request.label, request.seeds, len(request.configs)  # six trained rows with two seeds, two constants

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,9 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
-from viewnet.experiments.request import Request
+from viewnet.experiments.request import Request, accepted
 from viewnet.recipes import make_config
-from viewnet.tables.table import Entry, Table, entries, own_predictions
+from viewnet.tables.table import Entry, Table, entries
 from viewnet.training.other_views import transferred
 from viewnet.training.run_store import ensure, untrained
 
@@ -26,28 +27,25 @@ Rows = dict[str, tuple[ViewStore, NDArray[np.intp]]]
 
 
 class Experiment(Request):
-    """A request that can be run. Of CAD models, their collection is `data_root`."""
+    """A request that can be run."""
 
     @property
     def cad_collection(self) -> str | None:
-        """The folder of the CAD models to train on; None: the built-in models."""
-        return self.data_root
+        """The folder of the CAD models to train on, `cad_root` where that is a parameter; None: the built-in models."""
+        return self.cad_root if "cad_root" in accepted(self.name) else self.data_root
 
     @property
     def configs(self) -> list[RunConfig]:
         """One configuration a run: by variant, category and seed; untrained variants once a category."""
-        configs = []
-        for variant in self.variants:
-            for category in self.categories:
-                for seed in self.seeds:
-                    base = self._config("viewnet" if variant in UNTRAINED else variant, category, seed)
-                    configs.append(untrained(variant, base) if variant in UNTRAINED else base)
-        return list(dict.fromkeys(configs))
+        runs = product(self.variants, self.categories, self.seeds)
+        return list(dict.fromkeys(self._config(*run) for run in runs))
 
     def _config(self, variant: str, category: str, seed: int, **overrides: Any) -> RunConfig:
-        """A training on CAD models."""
+        """A run on CAD models."""
+        trained = "viewnet" if variant in UNTRAINED else variant
         place = (self.cad_collection, self.splits)
-        return make_config(variant, category, self.profile, self.recipe, seed, *place, **overrides)
+        config = make_config(trained, category, self.profile, self.recipe, seed, *place, **overrides)
+        return untrained(variant, config) if variant in UNTRAINED else config
 
     @property
     def trained_on(self) -> str:
@@ -74,12 +72,12 @@ class Experiment(Request):
 
         `added` are entries of other methods (viewnet.experiments.own_method), `remarks` further lines under the table.
         """
-        predictions = self._transferred if self.eval_root else own_predictions
+
+        def predictions(run: Run) -> Predictions:
+            return transferred(run, build.view_store(self.eval_data(run.config))) if self.eval_root else run.predictions
+
         own = entries(self.name, runs, predictions)
         return Table.of(self.name, own, self.categories, self.note, remarks, added=added)
-
-    def _transferred(self, run: Run) -> Predictions:
-        return transferred(run, build.view_store(self.eval_data(run.config)))
 
     def eval_data(self, config: RunConfig) -> DataConfig:
         """The views of `eval_root`, rendered as those of a run."""

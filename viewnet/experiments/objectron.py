@@ -80,12 +80,7 @@ class ObjectronExperiment(VideoExperiment):
         for kind, video in zip(("supervised", "weak"), self.videos, strict=False):
             source = f"{video.masks} in {Path(video.mask_folder).name}" if video.masks == "files" else video.masks
             lines.append(f"{kind} masks ({source}): {self.video_summary(video)}")
-        return lines + [photo_store.summary(store) for store in stores.values()]
-
-    @property
-    def renamed_rows(self) -> dict[str, str]:
-        """None: no row is a regression."""
-        return {}
+        return [*lines, *map(photo_store.summary, stores.values())]
 
     @property
     def unmeasured_rows(self) -> tuple[str, ...]:
@@ -94,11 +89,8 @@ class ObjectronExperiment(VideoExperiment):
 
     def entries(self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
         """As PhotoExperiment.entries; all trained rows are of one variant, and told apart by the videos trained on."""
-        rows = {run.key: self._row(run) for run in runs}
+        trainings = (None, *self.videos)
+        rows = {run.key: _ROWS[trainings.index(run.config.data.video)] for run in runs}
         # The key of a run in another alignment is followed by that: "key/linear".
         keyed = [(rows.get(e.key.partition("/")[0]), e) for e in super().entries(runs, stores, name)]
         return [entry for row, entry in keyed if row in (None, _NAMES.get(entry.row))]
-
-    def _row(self, run: Run) -> str:
-        video = run.config.data.video
-        return _ROWS[0 if video is None else 1 + self.videos.index(video)]

@@ -33,7 +33,7 @@ from viewnet.evaluation.alignment import ALIGNMENTS
 from viewnet.evaluation.predictions import ID_COLUMNS, UNIT_TOLERANCE, Floats, Predictions, joined, true_vectors
 from viewnet.evaluation.run import Run
 from viewnet.experiments.cad import Experiment, Rows
-from viewnet.experiments.photos import PhotoExperiment
+from viewnet.experiments.photos import PhotoExperiment, content_key
 from viewnet.experiments.request import DESIGNS
 from viewnet.runtime import provenance
 from viewnet.tables.layouts import ADDED, LAYOUTS
@@ -173,11 +173,6 @@ class OwnMethodExperiment(Experiment):
         }
 
     @property
-    def cad_collection(self) -> str | None:
-        """The folder of the CAD models to train on; None: the built-in models."""
-        return self.cad_root
-
-    @property
     def configs(self) -> list[RunConfig]:
         """The runs of all tables, each once."""
         return list(dict.fromkeys(config for table in self.tables.values() for config in table.configs))
@@ -300,7 +295,7 @@ def _entry(submission: Submission, images: HeldOut, category: str, calibration: 
         "fitted": hasattr(method, "fit"),
         "predictions": digest(said),
     }
-    key = f"{ADDED}-{hashlib.sha256(json.dumps(origin, sort_keys=True).encode()).hexdigest()[:12]}"
+    key = content_key(ADDED, origin)
     origin["git"] = provenance.commit()
     return Entry(submission.label, category, 0, submission.alignment, key, said, origin, calibration)
 

@@ -24,8 +24,6 @@ SHAPENET = "shapenet"
 SUBSETS = ("imagenet", "pascal", "both")
 """Of PASCAL3D+."""
 MOST_SEEDS = 1000
-LEAST_CALIBRATION = 4
-"""Photographs that an alignment can be fitted on, at least."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,7 @@ class Parameter:
     """One parameter.
 
     default  the plain value where none is given
-    check    (plain value, name) -> the value that a Request holds; raises ViewnetError naming the parameter and its
-             valid values
+    check    (plain value, name) -> the value that a Request holds; ViewnetError naming the parameter and valid values
     help     its meaning, in a line
     label    format of its part of the output folder's name, where the value is not the notebook's usual one; "": none
     text     what `label` formats, of a checked value
@@ -103,16 +100,15 @@ def _seeds(value: Any, what: str) -> tuple[int, ...]:
     raise problem
 
 
-def _workers(value: Any, what: str) -> int | None:
-    if not _is_whole(value):
-        raise ViewnetError(f"{what} {value!r}: expected a whole number, 0 for what the machine has room for")
-    return value or None
+def _count(least: int, expected: str, help: str, label: str = "") -> Parameter:
+    """0, checked to None, or a whole number from `least`."""
 
+    def check(value: Any, what: str) -> int | None:
+        if not _is_whole(value) or 0 < value < least:
+            raise ViewnetError(f"{what} {value!r}: expected a whole number{expected}")
+        return value or None
 
-def _calibration(value: Any, what: str) -> int | None:
-    if not _is_whole(value) or 0 < value < LEAST_CALIBRATION:
-        raise ViewnetError(f"{what} {value!r}: expected a whole number from {LEAST_CALIBRATION}, or 0 for all")
-    return value or None
+    return Parameter(0, check, help, label)
 
 
 def _number(default: float, accepts: Callable[[float], bool], expected: str, help: str, label: str) -> Parameter:
@@ -134,10 +130,6 @@ def _backbone(value: Any, what: str) -> str:
     return value
 
 
-def _start(value: Any, what: str) -> str:
-    return value if value in ("", SHAPENET) else str(checkpoint.locate(value))
-
-
 def _one_of(default: str, choices: Collection[str], help: str, label: str = "{}") -> Parameter:
     return Parameter(default, lambda value, what: known(value, choices, what), help, label)
 
@@ -155,11 +147,7 @@ PARAMETERS: dict[str, Parameter] = {
     "profile": _one_of("default", PROFILES, "smoke, tiny, small or paper; default: $VIEWNET_PROFILE or the notebook's"),
     "recipe": _one_of("default", RECIPES, "how models are trained (viewnet.recipes); default: the profile's"),
     "variant": _one_name(
-        "",
-        (*VARIANTS, *baselines.UNTRAINED),
-        "the row of a figure; empty: the notebook's",
-        "variants",
-        "{0[0]}",
+        "", (*VARIANTS, *baselines.UNTRAINED), "the row of a figure; empty: the notebook's", "variants", "{0[0]}"
     ),
     "categories": Parameter(
         "all",
@@ -173,10 +161,7 @@ PARAMETERS: dict[str, Parameter] = {
     "video_root": _folder("video_root", "the videos to train on; empty: a stand-in is made"),
     # Within video_root or anywhere, so that it is looked for with the videos.
     "weak_masks": Parameter(
-        "",
-        lambda value, what: value,
-        "weak masks, laid out as masks/; empty: the stand-in's",
-        "weak_masks",
+        "", lambda value, what: value, "weak masks, laid out as masks/; empty: the stand-in's", "weak_masks"
     ),
     "data_root": _folder("data_root", "photographs, empty: a stand-in; or ShapeNetCore, empty: the built-in models"),
     "cad_root": _folder("cad_root", "ShapeNetCore to train on; empty: the built-in models"),
@@ -189,7 +174,7 @@ PARAMETERS: dict[str, Parameter] = {
     "masks": _one_of("files", ("files", "alpha", "maskrcnn", "deeplabv3"), "files (in masks/), alpha, maskrcnn ..."),
     "start": Parameter(
         "",
-        _start,
+        lambda value, what: value if value in ("", SHAPENET) else str(checkpoint.locate(value)),
         "weights to start from; empty: random; shapenet: trained on CAD models; else a run's key or folder",
         "{}",
         lambda start: start if start == SHAPENET else f"start_{Path(start).parent.name}",
@@ -212,19 +197,15 @@ PARAMETERS: dict[str, Parameter] = {
         0.0, lambda x: 0 <= x <= 2, "0 to 2 sides of the box", "cropped beyond a box's longer side", "margin{:g}"
     ),
     "backbone": Parameter("auto", _backbone, "of the view regression: vgg16, pixels ...; or auto", "{}"),
-    "ridge": _number(
-        baselines.RIDGE,
-        lambda x: 0 < x < math.inf,
-        "more than 0",
-        "of the view regression",
-        "ridge{:g}",
+    "ridge": _number(baselines.RIDGE, lambda x: 0 < x < math.inf, "more than 0", "of the view regression", "ridge{:g}"),
+    "calibration": _count(
+        4, " from 4, or 0 for all", "photographs to align and fit on; 0: all there are", "calibration{}"
     ),
-    "calibration": Parameter(0, _calibration, "photographs to align and fit on; 0: all there are", "calibration{}"),
     "output": Parameter(
-        "",
-        lambda value, what: _path(value, what) if value else paths.tables(),
-        "for tables; empty: paper_tables",
+        "", lambda value, what: _path(value, what) if value else paths.tables(), "for tables; empty: paper_tables"
     ),
-    "workers": Parameter(0, _workers, "parallel trainings; 0: as many as the machine has room for"),
+    "workers": _count(
+        1, ", 0 for what the machine has room for", "parallel trainings; 0: as many as the machine has room for"
+    ),
 }
 """Every parameter, in the order of the parts of a folder's name."""

@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -49,24 +50,25 @@ def photographs(category: str, root: str | None, square: bool, smoke: bool, **se
     return PhotoConfig(category, root, size=features.SIZE, square=square, **settings, **stand_in)
 
 
+def content_key(name: str, content: Any) -> str:
+    """The key of a table's entry that is no run: its `name`, and 12 hex digits of what decides it, a JSON value."""
+    return f"{name}-{hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]}"
+
+
 class PhotoExperiment(Experiment):
     """Photographs are in `data_root`, the CAD models trained on in `cad_root` and `extra_cad`."""
 
     @property
-    def cad_collection(self) -> str | None:
-        """The folder of the CAD models to train on; None: the built-in models."""
-        return self.cad_root
+    def trained_variants(self) -> list[str]:
+        """The variants that are not fitted on photographs."""
+        return [variant for variant in self.variants if variant in VARIANTS]
 
     @property
     def configs(self) -> list[RunConfig]:
         """One configuration a training: by variant, category and seed."""
-        return [
-            self._config(variant, category, seed, extra=self.extra_cad, backgrounds=self.backgrounds)
-            for variant in self.variants
-            if variant in VARIANTS
-            for category in self.categories
-            for seed in self.seeds
-        ]
+        settings: dict[str, Any] = {"extra": self.extra_cad, "backgrounds": self.backgrounds}
+        runs = product(self.trained_variants, self.categories, self.seeds)
+        return [self._config(*run, **settings) for run in runs]
 
     @property
     def photographs(self) -> PhotoConfig:
@@ -119,16 +121,16 @@ class PhotoExperiment(Experiment):
     def renamed_rows(self) -> dict[str, str]:
         """The names of regressions that use another backbone's features than the reported ones."""
         rows = [row.label for row in LAYOUTS[self.name].rows if (row.variant or "").endswith("_regression")]
-        return {} if self.features == "vgg16" else {row: f"{row} ({self.features})" for row in rows}
+        return {row: f"{row} ({self.features})" for row in rows if self.features != "vgg16"}
 
     def remarks(self, stores: dict[str, ViewStore]) -> list[str]:
         """Lines under the table: how untrained rows are fitted, and the photographs left out."""
         count = "all" if self.calibration is None else str(self.calibration)
-        lines = [
+        return [
             f"aligned, and untrained rows fitted, on {count} calibration photographs",
             f"view regression: ridge {self.ridge:g} from {features.describe(self.features)}",
+            *map(photo_store.summary, stores.values()),
         ]
-        return lines + [photo_store.summary(store) for store in stores.values()]
 
     @property
     def features(self) -> str:
@@ -137,31 +139,24 @@ class PhotoExperiment(Experiment):
 
     def entries(self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
         """The entries of a table, by default its own: the runs, and the untrained predictors, on these photographs."""
-        name = name or self.name
-        identities = {category: {"photographs": store.identity} for category, store in stores.items()}
-        trained = entries(
-            name, runs, lambda run: other_views.on_photographs(run, stores[run.config.category]), self.calibration
-        )
-        return [replace(e, origin=e.origin | identities[e.category]) for e in trained] + [
-            entry
-            for category, store in stores.items()
-            for variant in LAYOUTS[name].variants
-            if variant not in VARIANTS
-            for entry in self._untrained(name, variant, category, store)
-        ]
+        name, result = name or self.name, []
 
-    def _untrained(self, name: str, variant: str, category: str, store: ViewStore) -> list[Entry]:
-        predictions, settings = self.fitted(variant, store, self.calibration)
-        alignment = ALIGNED.get(variant, "none")
-        origin: dict[str, Any] = {"variant": variant, "category": category, "photographs": store.identity}
-        origin |= {"alignment": alignment, **settings, "calibration": self.calibration}
-        identity = json.dumps([origin, provenance.code_identity(CODE)], sort_keys=True)
-        key = f"{variant}-{hashlib.sha256(identity.encode()).hexdigest()[:12]}"
-        origin["git"] = provenance.commit()
-        return [
-            Entry(row.label, category, 0, alignment, key, predictions, origin, self.calibration)
-            for row in LAYOUTS[name].rows_of(variant)
-        ]
+        def predictions(run: Run) -> Predictions:
+            return other_views.on_photographs(run, stores[run.config.category])
+
+        for entry in entries(name, runs, predictions, self.calibration):
+            result.append(replace(entry, origin=entry.origin | {"photographs": stores[entry.category].identity}))
+        untrained = [variant for variant in LAYOUTS[name].variants if variant not in VARIANTS]
+        for (category, store), variant in product(stores.items(), untrained):
+            fitted, settings = self.fitted(variant, store, self.calibration)
+            alignment = ALIGNED.get(variant, "none")
+            origin: dict[str, Any] = {"variant": variant, "category": category, "photographs": store.identity}
+            origin |= {"alignment": alignment, **settings, "calibration": self.calibration}
+            key = content_key(variant, [origin, provenance.code_identity(CODE)])
+            origin["git"] = provenance.commit()
+            for row in LAYOUTS[name].rows_of(variant):
+                result.append(Entry(row.label, category, 0, alignment, key, fitted, origin, self.calibration))
+        return result
 
     def fitted(
         self, variant: str, store: ViewStore, calibration: int | None = None, seed: int = 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -33,7 +32,7 @@ class Design:
     """What a notebook shows unless its parameters say otherwise.
 
     kind    what is trained on and scored on: cad, photos, videos, objectron or own_method (a module each)
-    tables  those that a notebook of own methods adds rows to
+    tables  to which a notebook of own methods adds rows
     fixed   values of parameters that it does not take
     """
 
@@ -43,11 +42,6 @@ class Design:
     profile: str = "tiny"
     tables: tuple[str, ...] = ()
     fixed: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """The names of the parameters that it takes."""
-        return TAKES[self.kind]
 
     def usual(self, profile: str) -> dict[str, Any]:
         """Field of Request -> its value where no parameter says otherwise: no part of a folder's name."""
@@ -59,21 +53,13 @@ class Design:
 
 _DESIGNED = ("profile", "recipe", "categories", "category", "variant")
 """Parameters whose defaults are the notebook's."""
-_TABLE_KINDS = {
-    "table4_freiburg": "videos",
-    "objectron": "objectron",
-    "table3_pascal3d": "photos",
-    "table5_dva": "photos",
-}
+_TABLE_KINDS = {"table4_freiburg": "videos", "table3_pascal3d": "photos", "table5_dva": "photos"}
 _ABLATION = tuple(variant for variant in LAYOUTS["table2_ablation"].variants if variant in VARIANTS)
 """The trained rows of Table 2."""
 _METHOD_TABLES = ("table1_shapenet", "table3_pascal3d", "table5_dva")
 
 DESIGNS = {
-    **{
-        name: Design(layout.variants, _TABLE_KINDS.get(name, "cad"), layout.categories)
-        for name, layout in LAYOUTS.items()
-    },
+    **{name: Design(t.variants, _TABLE_KINDS.get(name, "cad"), t.categories) for name, t in LAYOUTS.items()},
     "objectron": Design(("viewnet",), "objectron", LAYOUTS["objectron"].categories, fixed={"start": SHAPENET}),
     "alignment_study": Design(LAYOUTS["table3_pascal3d"].variants, "photos"),
     "figure3_azimuth": Design(("viewnet",)),
@@ -136,13 +122,14 @@ class Request:
 
     @classmethod
     def check(cls, name: str, **given: Any) -> Self:
-        """The request of the notebook `name` for these parameters.
+        """The request of the notebook `name` for these parameters; others are ignored at their defaults.
 
         Raises ViewnetError naming the parameter and its valid values.
         """
-        design = DESIGNS[known(name, DESIGNS, "notebook")]
-        for key in given:
-            known(key, design.parameters, f"parameter of {name}")
+        design, taken = DESIGNS[known(name, DESIGNS, "notebook")], TAKES[DESIGNS[name].kind]
+        for key in [key for key in given if key not in taken]:
+            if key not in PARAMETERS or given.pop(key) not in ("", PARAMETERS[key].default):
+                known(key, taken, f"parameter of {name}")
         profile = given.pop("profile", "default")
         profile = os.environ.get("VIEWNET_PROFILE", design.profile) if profile == "default" else profile
         values: dict[str, Any] = {"profile": PARAMETERS["profile"].check(profile, "profile")}
@@ -157,7 +144,10 @@ class Request:
             for at, parameter in ((p.field or key, p) for key, p in PARAMETERS.items())
             if parameter.label and at in values and values[at] != usual[at]
         ]
-        return cls(name=name, **(usual | values), label=_label(values["profile"], parts))
+        # The profile stands first wherever there is anything, except for a list of viewpoints, which has none.
+        if parts not in ([], ["viewpoints"]) and parts[0] != values["profile"]:
+            parts = [values["profile"], *parts]
+        return cls(name=name, **(usual | values), label="-".join(parts))
 
     @property
     def smoke(self) -> bool:
@@ -177,11 +167,4 @@ class Request:
 
 def accepted(name: str) -> set[str]:
     """The parameters that a notebook takes."""
-    return set(DESIGNS[known(name, DESIGNS, "notebook")].parameters)
-
-
-def _label(profile: str, parts: Sequence[str]) -> str:
-    """The profile stands first wherever there is anything, except for a list of viewpoints, which has none."""
-    if list(parts) not in ([], ["viewpoints"]) and parts[0] != profile:
-        parts = [profile, *parts]
-    return "-".join(parts)
+    return set(TAKES[DESIGNS[known(name, DESIGNS, "notebook")].kind])

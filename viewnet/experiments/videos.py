@@ -6,6 +6,7 @@ ViewNet sees no viewpoints of the videos. A linear regression fitted on those vi
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.parameters import SHAPENET
 from viewnet.experiments.photos import PhotoExperiment
-from viewnet.recipes import VARIANTS, make_config
+from viewnet.recipes import make_config
 from viewnet.training.run_store import ensure
 
 SMOKE_SEQUENCES, SMOKE_FRAMES, SMOKE_SIZE = (1, 2, 3, 4), 8, 32
@@ -61,15 +62,11 @@ class VideoExperiment(PhotoExperiment):
     def _configs(self, starts: dict[int, str | None]) -> list[RunConfig]:
         # Without annotated views held out, training can only select weights by reconstruction.
         selection: dict[str, Any] = {"select_by": "reconstruction"} if self.video.split_rule == "all" else {}
-        settings = {"backgrounds": self.backgrounds} | selection
+        settings: dict[str, Any] = {"backgrounds": self.backgrounds} | selection
+        how = (self.profile, self.recipe)
         return [
-            make_config(
-                variant, video.category, self.profile, self.recipe, seed, video=video, start=starts[seed], **settings
-            )
-            for video in self.videos
-            for variant in self.variants
-            if variant in VARIANTS
-            for seed in self.seeds
+            make_config(variant, video.category, *how, seed, video=video, start=starts[seed], **settings)
+            for video, variant, seed in product(self.videos, self.trained_variants, self.seeds)
         ]
 
     @property
