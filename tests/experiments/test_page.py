@@ -221,10 +221,11 @@ def test_every_committed_file_has_its_place(committed):
 
 
 def test_every_number_of_a_committed_table_is_on_the_page(committed):
-    tables = {(s.name, t.name): t.blocks[0] for s in committed for t in s.settings if s.chapter == "Tables"}
+    tables = {(s.name, t.name): t.content.blocks[0] for s in committed for t in s.settings if s.chapter == "Tables"}
     for setting in next(s for s in committed if s.name == "your_method").settings:
-        names = sorted(path.stem for path in (COMMITTED / "your_method" / setting.name).glob("*.json"))
-        tables |= {(name, f"your_method/{setting.name}"): b for name, b in zip(names, setting.blocks, strict=True)}
+        place, blocks = f"your_method/{setting.name}", setting.content.blocks
+        names = sorted(path.stem for path in (COMMITTED / place).glob("*.json"))
+        tables |= {(name, place): block for name, block in zip(names, blocks, strict=True)}
     for path in COMMITTED.rglob("table*.json"):
         setting = path.parent.relative_to(COMMITTED).as_posix()
         block = tables[path.stem, "" if setting == "." else setting]
@@ -232,7 +233,7 @@ def test_every_number_of_a_committed_table_is_on_the_page(committed):
         listed = [c for c in json.loads(path.read_text())["cells"] if c["printed"] or c["measured"] is not None]
         order = list(dict.fromkeys(c["metric"] for c in listed))
         listed.sort(key=lambda c: order.index(c["metric"]))
-        assert [cell.printed for cell in shown if cell.printed] == [c["printed"] for c in listed if c["printed"]]
+        assert [cell.reported for cell in shown if cell.reported] == [c["printed"] for c in listed if c["printed"]]
         measured = [c["measured"] for c in listed if c["measured"] is not None]
         assert np.allclose([float(cell.measured) for cell in shown if cell.measured], measured, atol=0.051)
 

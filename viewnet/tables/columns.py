@@ -1,10 +1,13 @@
-"""The metrics that tables have columns of: headings and digits, in one place for text, LaTeX and the overview page."""
+"""Columns of tables, one a metric: headings and digits for text, LaTeX and the overview page; and measured cells."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
 
 HEADLINE = ("acc30", "median")
 """The two metrics of the paper's tables."""
@@ -24,19 +27,15 @@ class Column(NamedTuple):
     page_digits: int = 1
 
 
-COLUMNS = {
-    "acc30": Column(
-        "acc@30, %", r"Accuracy (\%) $\uparrow$",
-        "Accuracy within 30°, % (higher is better)", digits=0),
+METRICS = {
+    "acc30": Column("acc@30, %", r"Accuracy (\%) $\uparrow$", "Accuracy within 30°, % (higher is better)", digits=0),
     "median": Column(
-        "median, degrees", r"Median error ($^\circ$) $\downarrow$",
-        "Median error, degrees (lower is better)"),
+        "median, degrees", r"Median error ($^\circ$) $\downarrow$", "Median error, degrees (lower is better)"),
     "dva": Column(
         "DVA, %", r"Discretized viewpoint accuracy (\%) $\uparrow$",
         "Discretized viewpoint accuracy (DVA), % (higher is better)", digits=0),
     "confidence_index": Column(
-        "confidence index", "",
-        "Confidence index: share of azimuth bins with more than ten photographs", 2, 2),
+        "confidence index", "", "Confidence index: share of azimuth bins with more than ten photographs", 2, 2),
     "psnr": Column("PSNR, dB", r"PSNR (dB) $\uparrow$", "PSNR of novel views, dB (higher is better)"),
     "ssim": Column("SSIM", r"SSIM $\uparrow$", "SSIM of novel views (higher is better)", 3, 3),
     "iou": Column("mask IoU", r"IoU $\uparrow$", "IoU of masks of novel views (higher is better)", 3, 3),
@@ -54,20 +53,51 @@ COLUMNS = {
         "Error of ViewNet's network on rendered views, median degrees"),
 }  # fmt: skip
 """Metric -> its column. The digits in LaTeX are those the paper has."""
-NOVEL_VIEWS = tuple(list(COLUMNS)[4:])
+NOVEL_VIEWS = tuple(METRICS)[4:]
 """The metrics of novel views (viewnet.tables.novel_view_scores)."""
-
-
-def lower_is_better(metric: str) -> bool:
-    """Whether a metric is an error."""
-    return metric.endswith("median")
 
 
 def text(value: float, metric: str) -> str:
     """A number with the digits that the paper has, -- for NaN."""
-    return DASH if math.isnan(value) else f"{value:.{COLUMNS[metric].digits}f}"
+    return DASH if math.isnan(value) else f"{value:.{METRICS[metric].digits}f}"
 
 
 def names(metrics: Iterable[str]) -> dict[str, str]:
     """Metric -> heading as plain text."""
-    return {metric: COLUMNS[metric].name for metric in metrics}
+    return {metric: METRICS[metric].name for metric in metrics}
+
+
+Key = tuple[str, str, str]
+"""Row, category and metric of a cell."""
+UNMEASURED: dict[str, Any] = {
+    **dict.fromkeys(("measured", "sd", "low", "high"), math.nan),
+    **dict.fromkeys(("seeds", "images", "objects"), 0),
+}
+
+
+def measured(
+    values: Sequence[float], interval: tuple[float, float] | None, objects: Sequence[np.ndarray]
+) -> dict[str, Any]:
+    """The measured part of a cell, keys as UNMEASURED: mean and standard deviation over seeds, interval, counts.
+
+    `values` has a number and `objects` an array (N,) of object names for each seed.
+    """
+    spread = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
+    numbers = (float(np.mean(values)), spread, *(interval or (math.nan, math.nan)))
+    return dict(zip(UNMEASURED, (*numbers, len(objects), len(objects[0]), len(set(objects[0]))), strict=True))
+
+
+def best(cells: pd.DataFrame, digits: Callable[[str], int]) -> set[Key]:
+    """The best measured cells of each column when rounded to `digits`, ties included; none in a column of one."""
+    keys: set[Key] = set()
+    for (category, metric), column in cells.dropna(subset="measured").groupby(["category", "metric"]):
+        rounded = column["measured"].astype(float).round(digits(metric))
+        if len(rounded) > 1:
+            top = rounded.min() if metric.endswith("median") else rounded.max()  # medians are of errors
+            keys |= {(row, category, metric) for row in column.loc[rounded == top, "row"]}
+    return keys
+
+
+def by_key(cells: pd.DataFrame) -> dict[Key, dict[str, Any]]:
+    """(row, category, metric) -> cell."""
+    return {(cell["row"], cell["category"], cell["metric"]): cell for cell in cells.to_dict("records")}

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pandas as pd
 
-from viewnet.tables.cells import best, by_key
-from viewnet.tables.columns import COLUMNS, DASH, text
+from viewnet.tables.columns import DASH, METRICS, Key, best, by_key, text
 from viewnet.tables.layouts import Layout
 
 SHORT = {"aeroplane": "airplane", "bicycle": "bike", "diningtable": "table", "motorbike": "mbike", "tvmonitor": "tv"}
 """The paper's short names of categories."""
+NAMED = {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}"}
+SPECIAL = str.maketrans(NAMED | {character: f"\\{character}" for character in "&%$#_{}"})
+"""Special characters of LaTeX -> how they are written."""
 WIDE = 4
 """With more categories than this, a measured number stands below the reported one and not beside it."""
 
@@ -23,19 +24,18 @@ def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ())
 
     `cells` are those of viewnet.tables.table.Table.
     """
-    categories = list(dict.fromkeys(cells["category"]))
-    headings = [COLUMNS[metric].latex for metric in layout.metrics]
-    width = 2 * len(headings) * len(categories)
-    pairs = _pairs(cells)
+    categories, pairs = list(dict.fromkeys(cells["category"])), _pairs(cells)
+    headings = [METRICS[metric].latex for metric in layout.metrics]
+    count = len(headings) * len(categories)
     body = [
         spanned(headings, [len(categories) * 2] * len(headings)),
-        spanned(categories * len(headings), [2] * (width // 2)),
-        line(["", *["print", "ours"] * (width // 2)]) + "\\midrule\n",
+        spanned(categories * len(headings), [2] * count),
+        line(["", *["print", "ours"] * count]) + "\\midrule\n",
     ]
     for row in dict.fromkeys(cells["row"]):
         shown = (pairs.get((row, c, metric), (DASH, DASH)) for metric in layout.metrics for c in categories)
         body.append(line([escape(row), *(part for pair in shown for part in pair)]))
-    return tabular(f"l{'r' * width}", body, lines)
+    return tabular(f"l{'r' * 2 * count}", body, lines)
 
 
 def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ()) -> str:
@@ -44,27 +44,25 @@ def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ()) -> st
     Up to WIDE categories have two columns each, reported and measured; more of them one, with the measured number in
     italics below the reported one, in a smaller font and with less space between columns.
     """
-    categories = list(dict.fromkeys(cells["category"]))
-    wide = len(categories) > WIDE
-    width = len(categories) * (1 if wide else 2)
-    ours = set(cells.loc[cells["variant"] != "", "row"])
-    pairs = _pairs(cells)
-    if wide:
+    categories, pairs = list(dict.fromkeys(cells["category"])), _pairs(cells)
+    measured_rows = set(cells.loc[cells["variant"] != "", "row"])
+    if wide := len(categories) > WIDE:
         body = [line(["", *(SHORT.get(category, category) for category in categories)])]
     else:
         body = [spanned(categories, [2] * len(categories)), line(["", *["print", "ours"] * len(categories)])]
+    width = len(categories) * (1 if wide else 2)
     for metric in layout.metrics:
-        body.append(_heading(COLUMNS[metric].latex, width + 1))
+        body.append(_heading(METRICS[metric].latex, width + 1))
         for row in dict.fromkeys(cells["row"]):
             shown = [pairs.get((row, c, layout.own.get(row, metric)), (DASH, DASH)) for c in categories]
             if not wide:
                 body.append(line([escape(row), *(part for pair in shown for part in pair)]))
                 continue
             label = f"{escape(row)}, \\textit{{ours}}"
-            if row not in ours or any(reported != DASH for reported, _ in shown):
+            if row not in measured_rows or any(reported != DASH for reported, _ in shown):
                 body.append(line([escape(row), *(reported for reported, _ in shown)]))
                 label = "\\quad\\textit{ours}"
-            if row in ours:
+            if row in measured_rows:
                 body.append(line([label, *(f"\\textit{{{measured}}}" for _, measured in shown)]))
     table = tabular(f"l{'r' * width}", body) + (f"\n{boxed(lines, 'footnotesize')}\n" if lines else "")
     return f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}\n{table}}}\n" if wide else table
@@ -75,7 +73,7 @@ def measured(cells: pd.DataFrame, metrics: Sequence[str], note: str = "") -> str
 
     `cells` has a line for each row, category and metric, with its number in "measured" (NaN for none).
     """
-    body = [line(["", *(COLUMNS[metric].latex for metric in metrics)])]
+    body = [line(["", *(METRICS[metric].latex for metric in metrics)])]
     for category, part in cells.groupby("category", sort=False):
         body.append(_heading(escape(str(category)), len(metrics) + 1))
         values = part.pivot(index="row", columns="metric", values="measured")
@@ -87,8 +85,8 @@ def measured(cells: pd.DataFrame, metrics: Sequence[str], note: str = "") -> str
 def tabular(columns: str, body: Iterable[str], lines: Sequence[str] = ()) -> str:
     """A booktabs tabular: rules around the rows of `body`, then `lines` of plain text over its whole width."""
     under = (f"\\multicolumn{{{len(columns)}}}{{l}}{{\\footnotesize {escape(text)}}} \\\\\n" for text in lines)
-    parts = [f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n", *body, "\\bottomrule\n", *under, "\\end{tabular}\n"]
-    return "".join(parts)
+    rows = "".join([*body, "\\bottomrule\n", *under])
+    return f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{rows}\\end{{tabular}}\n"
 
 
 def boxed(lines: Sequence[str], size: str = "") -> str:
@@ -113,29 +111,18 @@ def spanned(labels: Sequence[str], spans: Sequence[int]) -> str:
 
 def escape(plain: str) -> str:
     """Plain text for LaTeX."""
-    return plain.translate(_specials())
-
-
-@functools.cache
-def _specials() -> dict[int, str]:
-    return str.maketrans(
-        {c: f"\\{c}" for c in "&%$#_{}"}
-        | {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}"}
-    )
+    return plain.translate(SPECIAL)
 
 
 def _heading(latex: str, width: int) -> str:
     return f"\\midrule\n\\multicolumn{{{width}}}{{l}}{{{latex}}} \\\\\n"
 
 
-def _pairs(cells: pd.DataFrame) -> dict[tuple[str, str, str], tuple[str, str]]:
+def _pairs(cells: pd.DataFrame) -> dict[Key, tuple[str, str]]:
     """(row, category, metric) -> reported and measured number, the best of each in bold."""
-    top = best(cells, lambda metric: COLUMNS[metric].digits)
+    top = best(cells, lambda metric: METRICS[metric].digits)
     return {
-        key: (
-            _bold(cell["printed"] or DASH, bool(cell["bold"])),
-            _bold(text(cell["measured"], key[2]), key in top),
-        )
+        key: (_bold(cell["printed"] or DASH, cell["bold"]), _bold(text(cell["measured"], key[2]), key in top))
         for key, cell in by_key(cells).items()
     }
 

@@ -17,16 +17,11 @@ MARKS = {None: "", "linear": "*", "robust": " (robust)"}
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a table.
+    """A row of a table."""
 
-    name       its label without the mark of an alignment
-    variant    the variant that fills it, None where this project has no such method
-    alignment  the alignment of its predictions; None: the usual one of its variant
-    """
-
-    name: str
-    variant: str | None = None
-    alignment: str | None = None
+    name: str  # its label without the mark of an alignment
+    variant: str | None = None  # the variant that fills it; None: this project has no such method
+    alignment: str | None = None  # of its predictions; None: the usual one of its variant
 
     @property
     def label(self) -> str:
@@ -36,27 +31,17 @@ class Row:
 
 @dataclass(frozen=True)
 class Layout:
-    """A table of the paper.
-
-    rows         from top to bottom
-    categories   its columns by default
-    metrics      the metrics of each row and category
-    own          label -> metric, for rows with a metric of their own
-    reported     the file of reported numbers, where its name is not the table's
-    reported_as  label -> row of that file, where they differ
-    blocks       whether metrics stand one below the other instead of side by side
-    videos       the data set of videos that its rows are trained on: "freiburg", "objectron" or none
-    """
+    """A table of the paper, its rows from top to bottom."""
 
     title: str
     rows: tuple[Row, ...]
-    categories: tuple[str, ...] = SHAPENET_CATEGORIES
-    metrics: tuple[str, ...] = HEADLINE
-    own: dict[str, str] = field(default_factory=dict)
-    reported: str | None = None
-    reported_as: dict[str, str] = field(default_factory=dict)
-    blocks: bool = False
-    videos: str = ""
+    categories: tuple[str, ...] = SHAPENET_CATEGORIES  # its columns by default
+    metrics: tuple[str, ...] = HEADLINE  # of each row and category
+    own: dict[str, str] = field(default_factory=dict)  # label -> metric, for rows with a metric of their own
+    reported: str | None = None  # the file of reported numbers, where its name is not the table's
+    reported_as: dict[str, str] = field(default_factory=dict)  # label -> row of that file, where they differ
+    blocks: bool = False  # whether metrics stand one below the other instead of side by side
+    videos: str = ""  # the data set of videos that its rows are trained on: "freiburg", "objectron" or none
 
     @property
     def variants(self) -> tuple[str, ...]:
@@ -97,12 +82,9 @@ LAYOUTS = {
     "table2_ablation": Layout(
         "Ablation study",
         (
-            Row("ViewNet", "viewnet"),
-            Row("Single-head", "single_head"),
-            Row("Segmentation Target", "segmentation_target"),
-            Row("No Shape Prior", "no_shape_prior"),
-            Row("Encoder-Decoder", "encoder_decoder"),
-            Row("HoloGAN-Decoder", "hologan_decoder"),
+            Row("ViewNet", "viewnet"), Row("Single-head", "single_head"),
+            Row("Segmentation Target", "segmentation_target"), Row("No Shape Prior", "no_shape_prior"),
+            Row("Encoder-Decoder", "encoder_decoder"), Row("HoloGAN-Decoder", "hologan_decoder"),
             Row("Constant", "constant"),
             Row("Best constant", "best_constant"),  # not in the paper, whose constant points to the sky
         ),
@@ -110,16 +92,10 @@ LAYOUTS = {
     "table3_pascal3d": Layout(
         "PASCAL3D+ results",
         (
-            *_CONSTANTS,
-            Row("VGG view*", "view_regression"),
-            Row("SSV*"),
-            *_ON_PHOTOGRAPHS,
-            Row("Liao (withdrawn)"),
-            Row("Liao (corrected)"),
-            Row("Grabner"),
+            *_CONSTANTS, Row("VGG view*", "view_regression"), Row("SSV*"), *_ON_PHOTOGRAPHS,
+            Row("Liao (withdrawn)"), Row("Liao (corrected)"), Row("Grabner"),
         ),
-        reported_as={"Liao (withdrawn)": "Liao"},
-        blocks=True,
+        reported_as={"Liao (withdrawn)": "Liao"}, blocks=True,
     ),
     "table4_freiburg": Layout(
         "Trained on Freiburg Cars, evaluated on PASCAL3D+",
@@ -128,41 +104,24 @@ LAYOUTS = {
             # Reported with Table 3's numbers, so fitted as there, on calibration photographs.
             Row("VGG view", "view_regression"),
             Row("VGG view, videos", "video_regression"),  # not in the paper: fitted on the videos' viewpoints
-            Row("VpDR-Net + FrC"),
-            Row("ViewNet", "viewnet"),
-            Row("ViewNet + cycle", "viewnet_cycle"),
+            Row("VpDR-Net + FrC"), Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
         ),
-        categories=("car",),
-        reported="table5_freiburg",
-        blocks=True,
-        videos="freiburg",
+        categories=("car",), reported="table5_freiburg", blocks=True, videos="freiburg",
     ),
     "objectron": Layout(
         "Trained on Objectron, evaluated on PASCAL3D+",
         (
             Row("Constant", "constant"),  # not in the paper
-            *_aligned("ShapeNet"),
-            *_aligned("+ Objectron, supervised masks"),
-            *_aligned("+ Objectron, weak masks"),
+            *_aligned("ShapeNet"), *_aligned("+ Objectron, supervised masks"), *_aligned("+ Objectron, weak masks"),
         ),
-        categories=("chair",),
-        blocks=True,
-        videos="objectron",
+        categories=("chair",), blocks=True, videos="objectron",
     ),
     "table5_dva": Layout(
         "Discretized viewpoint accuracy",
-        (
-            Row("Confidence index", "photographs"),
-            *_CONSTANTS,
-            Row("VGG view*", "view_regression"),
-            *_ON_PHOTOGRAPHS,
-        ),
-        metrics=("dva",),
-        own={"Confidence index": "confidence_index"},
-        reported="table4_dva",
-        blocks=True,
+        (Row("Confidence index", "photographs"), *_CONSTANTS, Row("VGG view*", "view_regression"), *_ON_PHOTOGRAPHS),
+        metrics=("dva",), own={"Confidence index": "confidence_index"}, reported="table4_dva", blocks=True,
     ),
-}
+}  # fmt: skip
 
 LABELS = {
     row.variant: row.label

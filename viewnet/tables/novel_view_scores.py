@@ -34,9 +34,8 @@ from viewnet.evaluation.predictions import Floats, true_vectors
 from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
 from viewnet.runtime.files import write_text
-from viewnet.tables import cells as table_cells
-from viewnet.tables import latex
-from viewnet.tables.columns import COLUMNS, DASH, FIDELITY, HEADLINE, NOVEL_VIEWS, names
+from viewnet.tables import columns, latex
+from viewnet.tables.columns import DASH, FIDELITY, HEADLINE, METRICS, NOVEL_VIEWS
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, renderers
 
@@ -168,15 +167,15 @@ def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -
 
 def frame(cells: pd.DataFrame) -> pd.DataFrame:
     """`cells` for reading: a line per row, columns (category, metric), numbers with intervals as text, -- for none."""
+    digits = [METRICS[metric].digits for metric in cells["metric"]]
     texts = [
         DASH if np.isnan(m) else f"{m:.{d}f} [{low:.{d}f}, {high:.{d}f}]"
-        for m, low, high, metric in cells[["measured", "low", "high", "metric"]].itertuples(index=False)
-        for d in [COLUMNS[metric].digits]
+        for m, low, high, d in zip(cells["measured"], cells["low"], cells["high"], digits, strict=True)
     ]
     wide = cells.assign(text=texts).pivot(index="row", columns=["category", "metric"], values="text")
-    columns = [(c, m) for c in dict.fromkeys(cells["category"]) for m in NOVEL_VIEWS]
-    wide = wide.reindex(index=list(dict.fromkeys(cells["row"])), columns=pd.MultiIndex.from_tuples(columns))
-    return wide.fillna(DASH).rename(columns=names(NOVEL_VIEWS), level=1).rename_axis(index=None)
+    order = pd.MultiIndex.from_product([cells["category"].unique(), NOVEL_VIEWS])
+    wide = wide.reindex(index=cells["row"].unique(), columns=order).fillna(DASH)
+    return wide.rename(columns=columns.names(NOVEL_VIEWS), level=1).rename_axis(index=None)
 
 
 def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
@@ -203,11 +202,8 @@ def _lines(
         bounds = metrics.bootstrap_intervals(seeds, objects, np.random.default_rng(0), draws)
         for statistic in HEADLINE:
             values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in seeds], bounds[statistic]
-    nothing = [float("nan")], None
-    return [
-        {**about, "metric": m, **table_cells.measured(*values.get(m, nothing), objects), "runs": keys}
-        for m in NOVEL_VIEWS
-    ]
+    parts = {m: columns.measured(*values.get(m, ([np.nan], None)), objects) for m in NOVEL_VIEWS}
+    return [{**about, "metric": metric, **part, "runs": keys} for metric, part in parts.items()]
 
 
 def _batches(count: int) -> Iterator[list[int]]:

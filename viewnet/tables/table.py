@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
+import operator
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,47 +16,33 @@ import pandas as pd
 from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
-from viewnet.evaluation.evaluate import Aligned, align
+from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.runtime.files import write_json, write_text
-from viewnet.tables import cells as table_cells
-from viewnet.tables import latex, reported
-from viewnet.tables.columns import DASH, HEADLINE, names, text
+from viewnet.tables import columns, latex, reported
+from viewnet.tables.columns import DASH, HEADLINE, text
 from viewnet.tables.layouts import LAYOUTS, Layout
 
 DRAWS = 1000
 ORIGIN = ("variant", "category", "profile", "recipe", "seed", "views", "git", "training")
 """The keys of a run's result.json that a table's JSON repeats."""
-
-
-def own_predictions(run: Run) -> Predictions:
-    """The predictions a run is scored on by default: of its own test split."""
-    return run.predictions
+own_predictions: Callable[[Run], Predictions] = operator.attrgetter("predictions")
+"""The predictions a run is scored on by default: of its own test split."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """The predictions of one predictor for one category and seed: a part of a cell.
+    """The predictions of one predictor for one category and seed: a part of a cell."""
 
-    row          the label of the table's row
-    alignment    how it is aligned (viewnet.evaluation.alignment), on `calibration` of its "val" images (None: all)
-    key          its name in the table's files: a run's key, and the alignment where it is not the run's usual one
-    origin       where it comes from, as plain JSON types
-    """
-
-    row: str
+    row: str  # the label of the table's row
     category: str
     seed: int
-    alignment: str
-    key: str
+    alignment: str  # its kind, see viewnet.evaluation.alignment
+    key: str  # its name in the table's files: a run's key, and the alignment where it is not the run's usual one
     predictions: Predictions
-    origin: dict[str, Any]
-    calibration: int | None = None
-
-    def aligned(self) -> Aligned:
-        """Test predictions in the annotated frame. The calibration images are drawn from the same seed for all."""
-        return align(self.predictions, self.alignment, self.calibration)
+    origin: dict[str, Any]  # where it comes from, as plain JSON types
+    calibration: int | None = None  # the number of "val" images to align on; None: all
 
 
 def entries(
@@ -62,10 +51,7 @@ def entries(
     predictions: Callable[[Run], Predictions] = own_predictions,
     calibration: int | None = None,
 ) -> list[Entry]:
-    """Finished runs as entries of a table, one for each row of a run's variant, scored on `predictions` of the run.
-
-    Raises ViewnetError for runs that have no place in the table.
-    """
+    """Finished runs as entries of a table, one for each row of a run's variant. ViewnetError for runs without a row."""
     layout, result = LAYOUTS[known(name, LAYOUTS, "table")], []
     for run in runs:
         config = run.config
@@ -75,9 +61,8 @@ def entries(
             alignment = (row.alignment if run.trained else None) or run.alignment
             key = run.key if alignment == run.alignment else f"{run.key}/{alignment}"
             origin = {name: run.result[name] for name in ORIGIN} | {"alignment": alignment}
-            result.append(
-                Entry(row.label, config.category, config.seed, alignment, key, predicted, origin, calibration)
-            )
+            about = (row.label, config.category, config.seed, alignment)
+            result.append(Entry(*about, key, predicted, origin, calibration))
     return result
 
 
@@ -106,49 +91,41 @@ class Table:
         categories: Sequence[str] | None = None,
         note: str = "",
         remarks: Sequence[str] = (),
-        called: dict[str, str] | None = None,
+        renamed: dict[str, str] | None = None,
         unmeasured: Collection[str] = (),
         added: Sequence[Entry] = (),
     ) -> Table:
-        """From entries. Several of one row and category are seeds and are averaged; `called` renames rows.
+        """From entries. Several of one row and category are seeds and are averaged; `renamed`: label -> new label.
 
-        Rows in `unmeasured` have reported numbers only. Entries in `added` are of other methods
-        (viewnet.experiments.own_method): their rows stand below the layout's and have no reported numbers.
-        Raises ViewnetError for entries that have no place in the table, for two of the same row, category and seed, and
-        for an added row with the label of another.
+        Rows in `unmeasured` have reported numbers only. Entries in `added` are of other methods, without reported
+        numbers: their rows stand below the layout's. Raises ViewnetError for entries that have no place in the table,
+        for two of the same row, category and seed, and for an added row with the label of another.
         """
-        others, called = tuple(dict.fromkeys(entry.row for entry in added)), called or {}
+        others, renamed = tuple(dict.fromkeys(entry.row for entry in added)), renamed or {}
         layout = LAYOUTS[known(name, LAYOUTS, "table")].extended(others)
-        layout.extended(called.values())
+        layout.extended(renamed.values())
         categories, given = tuple(categories or layout.categories), [*own, *added]
         for entry in given:
             known(entry.row, (row.label for row in layout.rows if row.variant), f"row of {name}")
             known(entry.category, categories, f"column of {name}")
-        paper = {(r.row, r.metric, r.category): (r.value, r.bold) for r in _reported(layout, name).itertuples()}
+        printed = reported.load(layout.reported or name)
+        paper = {(r.row, r.metric, r.category): (r.value, bool(r.bold)) for r in printed.itertuples()}
         lines: list[dict[str, Any]] = []
-        for row in layout.rows:
+        for row, category in itertools.product(layout.rows, categories):
             label = row.label
+            mine = [e for e in given if e.row == label and e.category == category]
+            if len({e.seed for e in mine}) < len(mine):
+                raise ViewnetError(f"{name}: two runs of {label}, {category} have the same seed: choose one")
+            variant = "" if row.variant is None or label in unmeasured else row.variant
+            about = {"row": renamed.get(label, label), "variant": variant, "category": category}
             row_metrics = (layout.own[label],) if label in layout.own else layout.metrics
-            for category in categories:
-                mine = [e for e in given if e.row == label and e.category == category]
-                if len({e.seed for e in mine}) < len(mine):
-                    raise ViewnetError(f"{name}: two runs of {label}, {category} have the same seed: choose one")
-                measured = _measure(mine, row_metrics) if mine else {}
-                for metric in row_metrics:
-                    value, bold = paper.get((layout.reported_as.get(label, label), metric, category), ("", False))
-                    lines.append(
-                        {
-                            "row": called.get(label, label),
-                            "variant": "" if row.variant is None or label in unmeasured else row.variant,
-                            "category": category,
-                            "metric": metric,
-                            "printed": value,
-                            "bold": bool(bold),
-                            **measured.get(metric, table_cells.UNMEASURED),
-                            "runs": " ".join(e.key for e in mine),
-                        }
-                    )
-        labels = {new: old for old, new in called.items()}
+            measured = _measure(mine, row_metrics) if mine else {}
+            for metric in row_metrics:
+                value, bold = paper.get((layout.reported_as.get(label, label), metric, category), ("", False))
+                numbers = measured.get(metric, columns.UNMEASURED)
+                line = {**about, "metric": metric, "printed": value, "bold": bold, **numbers}
+                lines.append(line | {"runs": " ".join(e.key for e in mine)})
+        labels = {new: old for old, new in renamed.items()}
         origins = {e.key: e.origin for e in given}
         return cls(name, note, pd.DataFrame(lines), origins, tuple(remarks), labels, others)
 
@@ -179,8 +156,8 @@ class Table:
             metric=self.cells["metric"].where(self.cells["metric"].isin(shown), shown[0]),
         )
         wide = cells.pivot(index="row", columns=["metric", "category"], values=["print", "ours"])
-        columns = [(m, c, k) for m in shown for c in self.categories for k in ("print", "ours")]
-        wide = wide.reorder_levels([1, 2, 0], axis=1).loc[list(self.rows), columns]
+        order = list(itertools.product(shown, self.categories, ("print", "ours")))
+        wide = wide.reorder_levels([1, 2, 0], axis=1).loc[list(self.rows), order]
         return wide.rename_axis(index=None, columns=[None] * 3)
 
     def differences(self, reference: str = "ViewNet") -> pd.DataFrame:
@@ -189,26 +166,25 @@ class Table:
         values = cells.assign(print=pd.to_numeric(cells["printed"]), ours=cells["measured"].astype(float))
         wide = values.pivot(index="row", columns="category", values=["print", "ours"]).swaplevel(axis=1)
         rows = [row for row in self.rows if row in wide.index]
-        wide = wide.loc[rows, [(c, k) for c in self.categories for k in ("print", "ours")]]
+        wide = wide.loc[rows, list(itertools.product(self.categories, ("print", "ours")))]
         return (wide - wide.loc[reference]).drop(index=reference).round(1).rename_axis(index=None, columns=[None] * 2)
 
     def measurements(self) -> pd.DataFrame:
         """The measured numbers in full: a line per measured (row, category), with intervals, seeds and counts."""
         shown, keys = list(self.layout.metrics), ["row", "category"]
         measured = self.cells[(self.cells["seeds"] > 0) & self.cells["metric"].isin(shown)]
-        lines = [
-            f"{m:.1f} [{low:.1f}, {high:.1f}]"
-            for m, low, high in measured[["measured", "low", "high"]].itertuples(index=False)
-        ]
-        wide = measured.assign(text=lines).pivot(index=keys, columns="metric", values="text")
+        numbers = measured[["measured", "low", "high"]].itertuples(index=False)
+        texts = [f"{m:.1f} [{low:.1f}, {high:.1f}]" for m, low, high in numbers]
+        wide = measured.assign(text=texts).pivot(index=keys, columns="metric", values="text")
         counts = measured.drop_duplicates(keys).set_index(keys)[["seeds", "objects", "images"]]
         wide = wide.join(counts).loc[counts.index, [*shown, *counts.columns]]
-        return wide.rename(columns={metric: f"{name} [95 %]" for metric, name in names(shown).items()})
+        return wide.rename(columns={metric: f"{name} [95 %]" for metric, name in columns.names(shown).items()})
 
     def checks(self) -> dict[str, bool]:
         """Properties that hold for every table, whatever was trained and for how long."""
         cells, layout = self.cells, self.layout
-        paper, rows = _reported(layout, self.name)["row"], [self.labels.get(row, row) for row in self.rows]
+        paper = reported.load(layout.reported or self.name)["row"]
+        rows = [self.labels.get(row, row) for row in self.rows]
         measured = cells[cells["seeds"] > 0]
 
         def within(least: float, most: float, *metrics: str) -> bool:
@@ -237,11 +213,7 @@ class Table:
         files = [folder / f"{self.name}{suffix}" for suffix in (".tex", ".csv", ".json")]
         write_text(files[0], self.latex())
         write_text(files[1], self.cells.round(4).to_csv(index=False, lineterminator="\n"))
-        cells = [
-            {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in cell.items()}
-            | {"runs": cell["runs"].split()}
-            for cell in self.cells.round(4).to_dict("records")
-        ]
+        cells = self.cells.round(4).assign(runs=self.cells["runs"].str.split()).astype(object)
         about = {
             "table": self.name,
             "title": self.layout.title,
@@ -250,12 +222,13 @@ class Table:
             "error": "geodesic angle between camera frames, degrees; accuracy: per cent strictly below 30",
             "interval": f"95 % percentile bootstrap over objects, {DRAWS} draws, of the mean over seeds",
         }
-        write_json(files[2], about | {"cells": cells, "runs": self.provenance})
+        lines = cells.where(cells.notna(), None).to_dict("records")
+        write_json(files[2], about | {"cells": lines, "runs": self.provenance})
         return files
 
     def cell(self, row: str, category: str, metric: str) -> dict[str, Any] | None:
         """One line of `cells`; None where the row has no such metric."""
-        return table_cells.by_key(self.cells).get((row, category, metric))
+        return columns.by_key(self.cells).get((row, category, metric))
 
 
 def scores_by_definition(runs: Sequence[Run], table: str, row: str) -> pd.DataFrame:
@@ -277,25 +250,18 @@ def scores_by_definition(runs: Sequence[Run], table: str, row: str) -> pd.DataFr
     return frame
 
 
-def _reported(layout: Layout, name: str) -> pd.DataFrame:
-    return reported.load(layout.reported or name)
-
-
 def _measure(seeds: Sequence[Entry], row_metrics: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Metric -> the measured part of a cell, of the seeds of one row and category."""
-    aligned = [entry.aligned() for entry in seeds]
+    # The calibration images are drawn from the same seed for all.
+    aligned = [align(entry.predictions, entry.alignment, entry.calibration) for entry in seeds]
     errors = [one.selected_errors for one in aligned]
     objects = [one.predictions.objects for one in aligned]
     azimuths = [one.predictions.ids["azimuth"].to_numpy() for one in aligned]
     statistics = [metric for metric in row_metrics if metric != "confidence_index"]
     rng = np.random.default_rng(0)
     intervals = metrics.bootstrap_intervals(errors, objects, rng, DRAWS, statistics=statistics, azimuths=azimuths)
-    return {
-        metric: table_cells.measured(
-            [_value(metric, e, a) for e, a in zip(errors, azimuths, strict=True)], intervals.get(metric), objects
-        )
-        for metric in row_metrics
-    }
+    values = {metric: list(map(functools.partial(_value, metric), errors, azimuths)) for metric in row_metrics}
+    return {metric: columns.measured(values[metric], intervals.get(metric), objects) for metric in row_metrics}
 
 
 def _value(metric: str, errors: np.ndarray, azimuths: np.ndarray) -> float:

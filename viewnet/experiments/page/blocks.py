@@ -17,9 +17,7 @@ from viewnet.experiments.reported_constants import ConstantAudit
 from viewnet.runtime.files import read_csv, read_json
 from viewnet.tables import benchmark
 from viewnet.tables.architecture import COLUMNS, Architecture
-from viewnet.tables.cells import best, by_key
-from viewnet.tables.columns import COLUMNS as METRICS
-from viewnet.tables.columns import Column
+from viewnet.tables.columns import METRICS, Column, best, by_key
 
 FLOATS = ("measured", "sd", "low", "high")
 Files = Mapping[str, Path]
@@ -30,7 +28,7 @@ Files = Mapping[str, Path]
 class Cell:
     """A row's number for a category: reported, measured, its interval, and details shown on pointing at it."""
 
-    printed: str = ""
+    reported: str = ""
     bold: bool = False
     measured: str = ""
     interval: str = ""
@@ -44,7 +42,7 @@ class MetricTable:
 
     title: str
     categories: tuple[str, ...]
-    in_print: bool  # whether there are reported numbers
+    with_reported: bool
     parts: tuple[tuple[str, tuple[tuple[str, tuple[Cell, ...]], ...]], ...]
 
 
@@ -87,18 +85,12 @@ def tables(files: Files) -> Content:
 def metric_table(cells: pd.DataFrame, title: str) -> MetricTable:
     """The cells of a table (viewnet.tables.table.Table.cells), metric by metric."""
     lines, top = by_key(cells), best(cells, lambda metric: _column(metric).page_digits)
-    categories = tuple(dict.fromkeys(cells["category"]))
-    parts = tuple(
-        (
-            _column(metric).page,
-            tuple(
-                (row, tuple(_cell(lines.get(key := (row, c, metric)), key in top) for c in categories))
-                for row in dict.fromkeys(part["row"])
-            ),
-        )
-        for metric, part in cells.groupby("metric", sort=False)
-    )
-    return MetricTable(title, categories, bool((cells["printed"] != "").any()), parts)
+    categories, parts = tuple(dict.fromkeys(cells["category"])), []
+    for metric, part in cells.groupby("metric", sort=False):
+        keys = {row: [(row, category, metric) for category in categories] for row in part["row"]}
+        rows = tuple((row, tuple(_cell(lines.get(key), key in top) for key in each)) for row, each in keys.items())
+        parts.append((_column(metric).page, rows))
+    return MetricTable(title, categories, bool((cells["printed"] != "").any()), tuple(parts))
 
 
 def _column(metric: str) -> Column:
@@ -108,17 +100,16 @@ def _column(metric: str) -> Column:
 def _cell(line: dict[str, Any] | None, is_best: bool) -> Cell:
     if line is None:
         return Cell()
+    reported, bold = line["printed"], bool(line["bold"])
+    if math.isnan(line["measured"]):
+        return Cell(reported, bold)
     digits = _column(line["metric"]).page_digits
-    printed, value = {"printed": line["printed"], "bold": bool(line["bold"])}, float(line["measured"])
-    if math.isnan(value):
-        return Cell(**printed)
-    low, high, spread = (float(line[name]) for name in ("low", "high", "sd"))
-    about = f"{value:.{digits}f}: {line['images']} images of {line['objects']} objects, "
+    measured, spread, low, high = (f"{line[name]:.{digits}f}" for name in FLOATS)
+    about = f"{measured}: {line['images']} images of {line['objects']} objects, "
     about += "1 seed" if line["seeds"] == 1 else f"mean of {line['seeds']} seeds"
-    about += "" if math.isnan(spread) else f", sd {spread:.{digits}f}"
+    about += "" if math.isnan(line["sd"]) else f", sd {spread}"
     about += f"; runs: {line['runs']}" if line["runs"] else ""
-    interval = "" if math.isnan(low) else f"[{low:.{digits}f}, {high:.{digits}f}]"
-    return Cell(**printed, measured=f"{value:.{digits}f}", interval=interval, best=is_best, about=about)
+    return Cell(reported, bold, measured, "" if math.isnan(line["low"]) else f"[{low}, {high}]", is_best, about)
 
 
 def novel_views(files: Files) -> Content:
@@ -135,13 +126,11 @@ def study(files: Files) -> Content:
     result = Study("", *(read_csv(files[f"alignment_study_{name}.csv"]) for name in ("scores", "collapse")))
     names = {"acc30": "accuracy, %", "median": "median error, degrees", "dva": "DVA, %", "per_angle": "per angle"}
     gains = {"spread_linear": "spread left", "acc30_gain": "accuracy added", "dva_gain": "DVA added"}
+    question = "Does the linear alignment collapse? Rank correlations with one-sidedness"
     return Content(
         (
             plain_table("By alignment, calibrated on all photographs", result.side_by_side().rename(columns=names)),
-            plain_table(
-                "Does the linear alignment collapse? Rank correlations with one-sidedness",
-                result.verdict().rename(columns=gains),
-            ),
+            plain_table(question, result.verdict().rename(columns=gains)),
             plain_table("Accuracy (%) by the number of calibration photographs", result.by_count(), folded=True),
             plain_table("Increasingly one-sided photographs", result.collapsed(), folded=True),
         ),
@@ -169,10 +158,7 @@ def audit(files: Files) -> Content:
 
 
 def architecture(files: Files) -> Content:
-    """Of the CSV files that viewnet.tables.architecture.Architecture.write writes, beside the paper's layers.
-
-    ViewnetError for a file with other columns.
-    """
+    """Layers of viewnet.tables.architecture beside the paper's. ViewnetError for a file with other columns."""
     blocks = []
     for part in ("encoder", "generator"):
         if (name := f"architecture_{part}.csv") in files:
@@ -206,9 +192,7 @@ def csv_files(files: Files) -> Content:
 
 def plain_table(title: str, frame: pd.DataFrame, folded: bool = False, index: bool = True) -> PlainTable:
     """A data frame as an HTML table, all of its text escaped."""
-    html = frame.to_html(
-        border=0, na_rep="", index=index, index_names=False, justify="unset", escape=True, sparsify=True
-    )
+    html = frame.to_html(border=0, na_rep="", index=index, index_names=False, justify="unset", escape=True)
     return PlainTable(title, Markup(html), folded)
 
 

@@ -7,8 +7,10 @@ give the same page.
 from __future__ import annotations
 
 import functools
+import itertools
 import logging
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatch
@@ -23,8 +25,7 @@ from markupsafe import Markup
 from viewnet.errors import ViewnetError
 from viewnet.experiments import notebooks
 from viewnet.experiments.page import blocks
-from viewnet.experiments.page.blocks import Block, Content
-from viewnet.experiments.page.images import SUFFIXES, EmbeddedImage, embedded
+from viewnet.experiments.page.images import SUFFIXES, TEMPLATES, EmbeddedImage, embedded
 from viewnet.experiments.request import DESIGNS
 from viewnet.runtime.files import read_json, write_text
 from viewnet.runtime.progress import bar
@@ -41,71 +42,18 @@ IGNORED = ("published/*", NAME, ".*")
 
 @dataclass(frozen=True)
 class Kind:
-    """The rule for the files of a section.
-
-    name      of its notebook, or of the program that writes the files
-    chapter   the chapter it belongs to
-    patterns  patterns of the files' names
-    folder    the folder of `paper_tables` with the files; a folder inside it holds another setting, named like it
-    title, lead, command   of a section without a notebook: heading, introduction, and the command that writes its files
-    """
+    """The rule for the files of a section, as in templates/sections.toml."""
 
     name: str
     chapter: str
-    patterns: tuple[str, ...]
+    patterns: list[str]
     folder: str = ""
     title: str = ""
     lead: str = ""
     command: str = ""
 
 
-TABLES = ("table1_shapenet", "table2_ablation", "table3_pascal3d", "table4_freiburg", "table5_dva", "objectron")
-KINDS = (
-    *(Kind(name, "Tables", (f"{name}.*",)) for name in TABLES),
-    Kind("figure3_azimuth", "Figures", ("figure3_*",)),
-    Kind("novel_views", "Figures", ("novel_views.*",)),
-    Kind("novel_views", "Figures", ("novel_views_*",), "figures"),
-    Kind("learned_volumes", "Figures", ("volumes_*", "turntable_*", "*.glb"), "figures"),
-    Kind("reconstructions", "Figures", ("reconstructions.*",), "figures"),
-    Kind("training_curves", "Figures", ("training_curves.*",), "figures"),
-    Kind("failures", "Figures", ("failures_*",), "figures"),
-    Kind("alignment_study", "Studies", ("alignment_*",)),
-    Kind("audit_metrics", "Studies", ("audit_*", "stand_in_*")),
-    Kind("architecture", "Studies", ("architecture_*",)),
-    Kind(
-        "predicting", "Software", ("predicting.*",), "benchmarks", "Time to predict",
-        "Seconds for the viewpoint of one image in a fresh interpreter, and images per second of the estimator beside "
-        "the bare network.",
-        "python benchmarks/predicting.py",
-    ),
-    Kind(
-        "bench", "Software", ("*",), "benchmarks", "Speed",
-        "Time and memory of the volume renderer and of the training step, beside a plain textbook version of the same "
-        "work, measured in turn on the same machine.",
-        "viewnet bench",
-    ),
-    Kind(
-        "fuzz", "Software", ("fuzz.*",), "trust", "Damaged files",
-        "Every reader of files is given damaged ones. Each case must end in a result, or in one error that names the "
-        "file.",
-        "python benchmarks/fuzz.py --cases 300",
-    ),
-    Kind(
-        "crashes", "Software", ("crashes.*", "pairs.*"), "trust", "Killed processes",
-        "View stores, runs and tables, killed at any moment or requested by two processes at once: the number of "
-        "damaged files, and whether the result is that of undisturbed work.",
-        "python benchmarks/crashes.py --kills 50 --pairs 20",
-    ),
-    Kind(
-        "faults", "Software", ("faults.*",), "trust", "Faults of the machine",
-        "A full disk, a closed folder, a broken download, wrong clocks, a loss that is not finite: the errors raised, "
-        "those that name the place, the damage, and the result of the same command afterwards.",
-        "python benchmarks/faults.py",
-    ),
-    Kind("your_method", "Other methods", ("*",), "your_method"),
-    Kind("other", "Other files", ("*",), title="Other files", lead="Files that no notebook of this version writes."),
-)  # fmt: skip
-"""In the order of the page. A file belongs to the first kind that fits, those with a folder before the others."""
+KINDS = [Kind(**rule) for rule in tomllib.loads((TEMPLATES / "sections.toml").read_text(encoding="utf-8"))["section"]]
 
 
 @dataclass(frozen=True)
@@ -113,8 +61,7 @@ class Setting:
     """A section's content at one setting: one profile, data set or machine."""
 
     name: str  # of its folder, "" for the default
-    blocks: tuple[Block, ...]
-    notes: tuple[str, ...]
+    content: blocks.Content
     origins: tuple[dict[str, str], ...]
     summary: str
     images: tuple[EmbeddedImage, ...]
@@ -134,10 +81,7 @@ class Section:
 
 
 def write(folder: Path) -> Path:
-    """Write the page of the tables and figures in `folder`; returns its path.
-
-    Raises ViewnetError for a folder without any, and naming the file where one cannot be read.
-    """
+    """Write the page of a folder; returns its path. ViewnetError for an empty folder and for an unreadable file."""
     for widest in WIDTHS:
         page = render(sections(folder, widest))
         if len(page.encode()) <= LIMIT:
@@ -149,16 +93,9 @@ def write(folder: Path) -> Path:
 
 def render(content: list[Section]) -> str:
     """The page as HTML."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("viewnet.experiments.page"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    chapters: dict[str, list[Section]] = {}
-    for section in content:
-        chapters.setdefault(section.chapter, []).append(section)
+    options: Any = {"autoescape": True, "undefined": jinja2.StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
+    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), **options)
+    chapters = {name: list(group) for name, group in itertools.groupby(content, lambda section: section.chapter)}
     names = {section.name for section in content}
     missing = {k.name: heading(k)[0] for k in KINDS if k.name in DESIGNS and k.name not in names}
     origins = {o["key"]: o for section in content for setting in section.settings for o in setting.origins}
@@ -177,7 +114,7 @@ def sections(folder: Path, widest: int = WIDTHS[0]) -> list[Section]:
             files.setdefault(name, {}).setdefault(setting, []).append(path)
     if not files:
         raise ViewnetError(f"{folder}: no tables and no figures: make some first (viewnet tables)")
-    origins = _origins(path for settings in files.values() for paths in settings.values() for path in paths)
+    origins = _origins(itertools.chain.from_iterable(p for settings in files.values() for p in settings.values()))
     kinds = {kind.name: kind for kind in reversed(KINDS)}
     result = []
     with bar(True, total=sum(map(len, files.values())), desc=NAME, unit="part", leave=False) as progress:
@@ -194,13 +131,11 @@ def _place(path: Path) -> tuple[str, str]:
     """The section and the setting of a file, by its path below the folder of tables."""
     folders = path.parts[:-1]
     for kind in sorted(KINDS, key=lambda kind: not kind.folder):
-        inside = folders[1:] if kind.folder else folders
-        if kind.folder and folders[:1] != (kind.folder,):
-            continue
-        if any(fnmatch(path.name, pattern) for pattern in kind.patterns):
-            if "meshes" in inside:  # a folder for each category, not a setting
-                inside = inside[: inside.index("meshes")]
-            return kind.name, "/".join(inside)
+        here = not kind.folder or folders[:1] == (kind.folder,)
+        if here and any(fnmatch(path.name, pattern) for pattern in kind.patterns):
+            inside = folders[1:] if kind.folder else folders
+            # In `meshes` there is a folder for each category, not for each setting.
+            return kind.name, "/".join(itertools.takewhile(lambda name: name != "meshes", inside))
     raise AssertionError("the last kind fits every file")
 
 
@@ -210,18 +145,16 @@ def _setting(
     content = _content(name, {path.name: path for path in paths})
     by_key = {key.partition("/")[0]: origin for key, origin in (content.origins or {}).items()}
     origins = tuple({"key": key, **_origin(known.get(key, origin))} for key, origin in sorted(by_key.items()))
-    images = [path for path in paths if path.suffix in SUFFIXES]
-    shown: set[Path] = set()
     figures = []
-    for image in images:
+    for image in [path for path in paths if path.suffix in SUFFIXES]:
         same = [path for path in paths if path.stem == image.stem and path.suffix in (".pdf", image.suffix)]
-        shown.update(same)
         figures.append(embedded(image, widest, [path.relative_to(folder) for path in same]))
-    files = tuple(path.relative_to(folder).as_posix() for path in paths if path not in shown)
-    return Setting(setting, content.blocks, content.notes, origins, _summary(origins), tuple(figures), files)
+    shown = {file for figure in figures for file in figure.files}
+    files = tuple(p.as_posix() for p in (path.relative_to(folder) for path in paths) if p not in shown)
+    return Setting(setting, content, origins, _summary(origins), tuple(figures), files)
 
 
-def _content(name: str, files: Mapping[str, Path]) -> Content:
+def _content(name: str, files: Mapping[str, Path]) -> blocks.Content:
     """The content of a section's files. ViewnetError for files that this version does not write."""
     try:
         return blocks.READERS.get(name, blocks.tables)(files)
@@ -229,18 +162,17 @@ def _content(name: str, files: Mapping[str, Path]) -> Content:
         if isinstance(error, ViewnetError):
             raise
         names = ", ".join(str(path) for path in files.values() if path.suffix in (".json", ".csv"))
-        raise ViewnetError(
-            f"{names}: not as this version writes it ({type(error).__name__}: {error}): make it again"
-        ) from error
+        reason = f"not as this version writes it ({type(error).__name__}: {error})"
+        raise ViewnetError(f"{names}: {reason}: make it again") from error
 
 
 def _origins(paths: Iterable[Path]) -> dict[str, dict[str, Any]]:
     """Key -> origin of every run in a table's JSON."""
     origins: dict[str, dict[str, Any]] = {}
     for path in paths:
-        if path.suffix == ".json" and isinstance(table := read_json(path), dict):
-            runs = table.get("runs")
-            origins |= runs if isinstance(runs, dict) else {}
+        table = read_json(path) if path.suffix == ".json" else None
+        if isinstance(table, dict) and isinstance(runs := table.get("runs"), dict):
+            origins |= runs
     return origins
 
 
@@ -261,10 +193,9 @@ def _origin(origin: Mapping[str, Any]) -> dict[str, str]:
 
 def _summary(origins: Iterable[Mapping[str, str]]) -> str:
     """Profiles, recipes, dates, machines and commits of runs, in a line."""
-    listed = list(origins)
-    parts = []
+    origins, parts = list(origins), []
     for name in ("profile", "recipe", "date", "machine", "commit"):
-        values = sorted({origin[name] for origin in listed if origin[name]})
+        values = sorted({origin[name] for origin in origins if origin[name]})
         if values and name == "date":
             parts.append("trained " + " to ".join(dict.fromkeys((values[0], values[-1]))))
         elif values:
