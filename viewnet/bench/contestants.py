@@ -1,7 +1,6 @@
-"""The two contestants of `viewnet bench`, the package and the textbook version: their work, its time and its memory.
+"""The contestants of `viewnet bench`, the package and viewnet.bench.textbook: their work, its time and its memory.
 
-A contestant is a function without arguments that does the work once. Both get the same volumes, weights, images and
-viewpoints; the textbook version is viewnet.bench.textbook.
+A contestant is a function without arguments that does the work once, on the same inputs as the other.
 """
 
 from __future__ import annotations
@@ -10,8 +9,7 @@ import contextlib
 import ctypes
 import gc
 import math
-import sys
-import time
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -23,7 +21,7 @@ import torch
 from torch import Tensor
 
 from viewnet.bench import textbook
-from viewnet.bench.roofline import synchronise
+from viewnet.bench.roofline import seconds, synchronise
 from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.geometry import look_at, view_vector
@@ -34,12 +32,8 @@ from viewnet.recipes import make_config
 from viewnet.training.optimisers import make_optimisers
 from viewnet.training.step import step_loss
 
-FORWARD, BOTH, EXACT, STEP = (
-    "renderer, forward",
-    "renderer, forward + backward",
-    "renderer, forward + backward (all voxels)",
-    "training step",
-)
+FORWARD, BOTH = "renderer, forward", "renderer, forward + backward"
+EXACT, STEP = "renderer, forward + backward (all voxels)", "training step"
 VIEWS = 3
 """Images rendered of each volume: one for each head of the paper's viewpoint network."""
 FOCAL = 0.4
@@ -107,10 +101,7 @@ def images(count: int, size: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def step_config(profile: str) -> RunConfig:
-    """The recipe `paper` at the size of a profile, without random numbers.
-
-    Pixels are compared instead of VGG16's features, whose weights are not everywhere, and nothing is augmented.
-    """
+    """The recipe `paper` at the size of a profile, without augmentation, other random numbers or VGG16's weights."""
     changes: dict[str, Any] = {"perceptual": "none", "pixel_weight": 1.0, "augment": False, "targets_per_object": 1}
     return make_config(profile=profile, recipe="paper", **changes)
 
@@ -125,8 +116,7 @@ def _renderer(work: Work, by_textbook: bool, device: torch.device) -> Callable[[
     cameras, focal = camera_frames(work.images).to(device), torch.tensor(FOCAL, device=device)
     size = work.size
     weights = torch.randn(work.images, 4, size, size, generator=torch.Generator(device).manual_seed(0), device=device)
-    if by_textbook:
-        shape = shape.contiguous()
+    shape = shape.contiguous() if by_textbook else shape
 
     def call() -> None:
         # New leaves each time, so that nothing cached of the last volume helps.
@@ -154,8 +144,7 @@ def _step(work: Work, by_textbook: bool, device: torch.device) -> Callable[[], N
         net.load(model.state_dict())
         net.prior = model.prior
         net.to(device)
-        optimiser = settings.optimiser
-        adam = torch.optim.Adam(net.parameters(), lr=optimiser.learning_rate, betas=optimiser.betas)
+        adam = torch.optim.Adam(net.parameters(), settings.optimiser.learning_rate, settings.optimiser.betas)
 
         def call() -> None:
             loss = textbook.step_loss(net, batch, settings)
@@ -176,22 +165,12 @@ def _step(work: Work, by_textbook: bool, device: torch.device) -> Callable[[], N
     return call
 
 
-def seconds(call: Callable[[], None], device: torch.device, times: int = 1) -> float:
-    """Seconds per call, the mean of `times` in a row."""
-    synchronise(device)
-    start = time.perf_counter()
-    for _ in range(times):
-        call()
-    synchronise(device)
-    return (time.perf_counter() - start) / times
-
-
 def in_turn(
     calls: dict[str, Callable[[], None]], repeat: int, device: torch.device, least: float
 ) -> dict[str, list[float]]:
-    """Seconds per call, `repeat` measurements of each contestant, A B B A A B ..., each of `least` seconds or more.
+    """Seconds per call, `repeat` measurements of each contestant of `least` seconds or more, after an untimed call.
 
-    Alternating, so that other load on the machine affects both. Every contestant has an untimed call first.
+    They alternate, A B B A A B ..., so that other load on the machine affects both.
     """
     times = {}
     for name, call in calls.items():
@@ -200,24 +179,20 @@ def in_turn(
             first = seconds(call, device)
         times[name] = max(1, math.ceil(least / first))
     results: dict[str, list[float]] = {name: [] for name in calls}
-    order = list(calls)
-    for _ in range(repeat):
-        for name in order:
+    for turn in range(repeat):
+        for name in list(calls)[:: -1 if turn % 2 else 1]:
             results[name].append(seconds(calls[name], device, times[name]))
-        order.reverse()
     return results
 
 
 def peak_memory(work: Work, contestant: str, device: torch.device, threads: int) -> int | None:
-    """Peak bytes of two calls above the level before them, measured in a process of its own.
+    """Peak bytes of two calls above the level before them, in a process of its own; None where it is not reported.
 
-    On a GPU the memory that PyTorch allocates there, else resident memory. None on systems that do not report it.
-    Raises ViewnetError where that process fails or is ended.
+    On a GPU the memory that PyTorch allocates there, else resident memory. ViewnetError where that process fails.
     """
     context = get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
-    arguments = (sender, work, contestant, str(device), threads)
-    process = context.Process(target=_send_peak_memory, args=arguments, daemon=True)
+    process = context.Process(target=_send_peak_memory, args=(sender, work, contestant, device, threads), daemon=True)
     process.start()
     sender.close()
     try:
@@ -234,10 +209,9 @@ def peak_memory(work: Work, contestant: str, device: torch.device, threads: int)
     return answer
 
 
-def _send_peak_memory(sender: Connection, work: Work, contestant: str, device_name: str, threads: int) -> None:
+def _send_peak_memory(sender: Connection, work: Work, contestant: str, device: torch.device, threads: int) -> None:
     """The body of the measuring process: sends bytes, None or the text of an error."""
     try:
-        device = torch.device(device_name)
         torch.set_num_threads(threads)
         volume_cpu.warm_up()
         call = prepare(work, contestant, device)
@@ -257,8 +231,6 @@ def _send_peak_memory(sender: Connection, work: Work, contestant: str, device_na
 
 def _reset_peak() -> int | None:
     """Resident bytes once freed memory is given back and the peak is reset; None where the system cannot."""
-    if sys.platform != "linux":
-        return None
     with contextlib.suppress(AttributeError, OSError):  # another C library gives back by itself, or never
         ctypes.CDLL(None).malloc_trim(0)
     try:
@@ -269,8 +241,7 @@ def _reset_peak() -> int | None:
 
 
 def _status(name: str) -> int | None:
-    """Bytes of an entry of /proc/self/status."""
-    if sys.platform != "linux":
-        return None
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next((1024 * int(line.split()[1]) for line in lines if line.startswith(f"{name}:")), None)
+    """Bytes of an entry of /proc/self/status; None where there is none."""
+    status = Path("/proc/self/status")
+    match = re.search(rf"^{name}:\s*(\d+)", status.read_text() if status.exists() else "", re.MULTILINE)
+    return 1024 * int(match[1]) if match else None

@@ -1,7 +1,6 @@
 """`viewnet bench`: renderer and training step against the textbook version of the same work, in one run.
 
-The two take turns on one machine, so that only their ratio is claimed; `benchmarks/README.md` says what is compared and
-how to read it.
+The two take turns on one machine, so that only their ratio is claimed; see `benchmarks/README.md`.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ import math
 import statistics
 import tempfile
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +31,8 @@ from viewnet.runtime.progress import bar
 from viewnet.tables.benchmark import CONTESTANTS
 
 SCHEMA = 1
-SIZES, QUICK_SIZES = (32, 64, 128), (8, 16)
-BATCH, BATCH_GPU, BATCH_QUICK = 16, 64, 4
-OCCUPANCIES = ("object", "initial")
-"""Of training steps, see Work."""
-GOALS = (("car", 80), ("car", 90), ("aeroplane", 80))
-"""Category of built-in models, and accuracy on validation views in per cent."""
+GOALS = {"car": (80, 90), "aeroplane": (80,)}
+"""Category of built-in models, and accuracies on validation views in per cent."""
 COLUMNS = (
     "work", "volume", "size", "device", "images",
     "textbook_s", "textbook_low", "textbook_high", "viewnet_s", "viewnet_low", "viewnet_high",
@@ -62,8 +58,8 @@ class Settings:
     accuracy    seeds from which the recipe `matting` is trained on built-in models, for the time to an accuracy
     """
 
-    sizes: tuple[int, ...] = SIZES
-    batch: int = BATCH
+    sizes: tuple[int, ...] = (32, 64, 128)
+    batch: int = 16
     repeat: int = 5
     quick: bool = False
     threads: int = 1
@@ -85,14 +81,11 @@ class Settings:
     @classmethod
     def default(cls, **given: Any) -> Settings:
         """With the machine's defaults for values that are None or not given."""
-        quick = given.get("quick", False)
-        defaults: dict[str, Any] = {
-            "sizes": QUICK_SIZES if quick else SIZES,
-            "batch": BATCH_QUICK if quick else BATCH_GPU if torch.cuda.is_available() else BATCH,
-            "repeat": 2 if quick else 5,
-            "threads": cores(),
-        }
-        return cls(**defaults | {name: value for name, value in given.items() if value is not None})
+        defaults: dict[str, Any] = {"batch": 64} if torch.cuda.is_available() else {}
+        if given.get("quick", False):
+            defaults = {"sizes": (8, 16), "batch": 4, "repeat": 2}
+        given = {name: value for name, value in given.items() if value is not None}
+        return cls(**{"threads": cores(), **defaults, **given})
 
     @property
     def volumes(self) -> int:
@@ -102,13 +95,13 @@ class Settings:
     def works(self) -> list[Work]:
         """In the order of the table."""
         works = []
-        for kinds, occupancy in (((FORWARD, BOTH), "object"), ((FORWARD, BOTH), "dense"), ((EXACT,), "object")):
-            for kind in kinds:
-                memory = kind == BOTH and occupancy == "object" and not self.quick
-                works += [Work(kind, occupancy, size, self.volumes, memory=memory) for size in self.sizes]
+        renderings = (FORWARD, "object"), (BOTH, "object"), (FORWARD, "dense"), (BOTH, "dense"), (EXACT, "object")
+        for kind, occupancy in renderings:
+            memory = kind == BOTH and occupancy == "object" and not self.quick
+            works += [Work(kind, occupancy, size, self.volumes, memory=memory) for size in self.sizes]
         for profile in ("smoke",) if self.quick else ("tiny", "paper"):
             size = contestants.step_config(profile).model.volume_size
-            works += [Work(STEP, kind, size, self.batch, profile, memory=kind == "object") for kind in OCCUPANCIES]
+            works += [Work(STEP, kind, size, self.batch, profile, kind == "object") for kind in ("object", "initial")]
         return works
 
 
@@ -177,8 +170,8 @@ def _row(work: Work, settings: Settings, rates: Rates, device: torch.device) -> 
             row[f"{name}_bytes"] = contestants.peak_memory(work, name, device, settings.threads)
         row["memory_ratio"] = _ratio(row["textbook_bytes"], row["viewnet_bytes"])
     floor = need(work, device).seconds(rates)
-    row |= {"images": work.images, "floor_s": floor}
-    return row | {f"{name}_over_floor": row[f"{name}_s"] / floor for name in CONTESTANTS}
+    row |= {f"{name}_over_floor": row[f"{name}_s"] / floor for name in CONTESTANTS}
+    return row | {"images": work.images, "floor_s": floor}
 
 
 def need(work: Work, device: torch.device) -> Need:
@@ -223,23 +216,19 @@ def time_to_accuracy(settings: Settings, device: torch.device, progress: bool) -
     The median over the seeds, where more than half of them reached the accuracy, and least and most of those that did.
     """
     profile = "smoke" if settings.quick else "tiny"
-    logs: dict[str, list[pd.DataFrame]] = {}
     rows = []
-    for category, level in GOALS:
-        row = _empty(f"time to {level} % of validation views", category, None, device.type)
-        rows.append(row)
-        configs = [
-            make_config("viewnet", category, profile, "matting", s, validate_every=1) for s in range(settings.accuracy)
-        ]
-        if not configs:
-            continue
-        if category not in logs:
-            logs[category] = [training_log(config, settings.threads, progress) for config in configs]
-        times = [seconds for log in logs[category] if (seconds := first_reached(log, level)) is not None]
-        row["size"] = configs[0].model.volume_size
-        if 2 * len(times) > len(configs):
-            middle = statistics.median_high(times + [math.inf] * (len(configs) - len(times)))
-            row |= {"viewnet_s": middle, "viewnet_low": min(times), "viewnet_high": max(times)}
+    for category, levels in GOALS.items():
+        make = partial(make_config, "viewnet", category, profile, "matting", validate_every=1)
+        configs = [make(seed=seed) for seed in range(settings.accuracy)]
+        logs = [training_log(config, settings.threads, progress) for config in configs]
+        for level in levels:
+            row = _empty(f"time to {level} % of validation views", category, None, device.type)
+            row["size"] = configs[0].model.volume_size if configs else None
+            times = [seconds for log in logs if (seconds := first_reached(log, level)) is not None]
+            if 2 * len(times) > len(logs):
+                middle = statistics.median_high(times + [math.inf] * (len(logs) - len(times)))
+                row |= {"viewnet_s": middle, "viewnet_low": min(times), "viewnet_high": max(times)}
+            rows.append(row)
     return rows
 
 

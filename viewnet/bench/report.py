@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -30,16 +29,8 @@ def as_text(result: dict[str, Any]) -> str:
     """One aligned table, and what it was measured on."""
     lines = [*HEADINGS, *(cells(row) for row in result["rows"])]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    out = io.StringIO()
-    for line in lines:
-        parts = [
-            cell.ljust(w) if i < 2 else cell.rjust(w) for i, (cell, w) in enumerate(zip(line, widths, strict=True))
-        ]
-        out.write("  ".join(parts).rstrip() + "\n")
-    return out.getvalue() + "\n" + "\n".join(notes(result)) + "\n"
-
-
-# ---- files
+    form = "  ".join(f"{{:{'<' if place < 2 else '>'}{width}}}" for place, width in enumerate(widths))
+    return "\n".join([*(form.format(*line).rstrip() for line in lines), "", *notes(result), ""])
 
 
 def write(result: dict[str, Any], folder: Path) -> list[Path]:
@@ -76,34 +67,25 @@ def as_latex(result: dict[str, Any]) -> str:
     return f"{{\\scriptsize\\setlength{{\\tabcolsep}}{{2.5pt}}\n{table}\n{latex.boxed(notes(result))}\n}}\n"
 
 
-# ---- figure
-
-
 def figure(result: dict[str, Any]) -> Figure:
     """Left: by how much the package is faster and smaller. Middle and right: time and memory over the volume's side."""
     rows = [row for row in result["rows"] if row["speedup"] is not None]
-    shown = [row for row in rows if row["memory_ratio"] is not None or row["size"] == _largest(rows, row)]
+    sides = sorted(((row["work"], row["volume"], row["size"]) for row in rows), key=lambda side: side[2])
+    largest = {(work, occupancy): size for work, occupancy, size in sides}
+    shown = [row for row in rows if row["memory_ratio"] or row["size"] == largest[row["work"], row["volume"]]]
     with matplotlib.rc_context(plots.STYLE):
         image = Figure(figsize=(2.4 * COLUMN, max(2.6, 0.33 * len(shown) + 0.7)), layout="constrained")
         left, middle, right = image.subplots(1, 3, width_ratios=(1.3, 1, 1))
         _bars(left, shown)
+        left.set_title("textbook / viewnet", fontsize=7)
         grown = [row for row in rows if row["work"] == BOTH and row["volume"] == "object"]
         _curves(middle, grown, "s", 1.0, "seconds")
         _curves(right, grown, "bytes", 2.0**-20, "MiB")
         middle.legend(frameon=False, fontsize=7, loc="upper left")
-        for axes, title in (
-            (left, "textbook / viewnet"),
-            (middle, "time: renderer,\nforward + backward, object"),
-            (right, "memory: renderer,\nforward + backward, object"),
-        ):
-            axes.set_title(title, fontsize=7)
-        for axes in (middle, right):
+        for axes, what in ((middle, "time"), (right, "memory")):
+            axes.set_title(f"{what}: renderer,\nforward + backward, object", fontsize=7)
             axes.set_xlabel("voxels along a side")
     return image
-
-
-def _largest(rows: list[Row], row: Row) -> int:
-    return max(other["size"] for other in rows if (other["work"], other["volume"]) == (row["work"], row["volume"]))
 
 
 def _bars(axes: Axes, rows: list[Row]) -> None:
@@ -111,8 +93,7 @@ def _bars(axes: Axes, rows: list[Row]) -> None:
     for place, row in enumerate(rows):
         ends = {"time": (row["speedup_low"], row["speedup_high"]), "memory": (row["memory_ratio"],) * 2}
         for (name, colour), shift in zip(RATIOS.items(), (-0.2, 0.2), strict=True):
-            value = row["speedup" if name == "time" else "memory_ratio"]
-            if value is None:
+            if (value := row["speedup" if name == "time" else "memory_ratio"]) is None:
                 continue
             axes.barh(place + shift, value - 1, 0.38, left=1, color=colour)
             axes.plot(ends[name], [place + shift] * 2, color="0.2", linewidth=0.8)
@@ -152,6 +133,5 @@ def _curves(axes: Axes, rows: list[Row], column: str, scale: float, label: str) 
         axes.plot(sizes, cubes, color="0.6", linewidth=0.8, linestyle=":", zorder=0,
                   label="third power" if name == CONTESTANTS[-1] else None)  # fmt: skip
     axes.set_xscale("log", base=2)
-    axes.set_yscale("log")
-    axes.set_ylabel(label)
+    axes.set(yscale="log", ylabel=label)
     axes.set_xticks(sizes, [str(size) for size in sizes])

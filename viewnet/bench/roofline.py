@@ -33,35 +33,32 @@ class Rates:
     def measure(cls, device: torch.device, quick: bool = False) -> Rates:
         """The best of several tries. bfloat16 is far slower than float32 on CPUs without it."""
         side = 256 if quick else 8192 if device.type == "cuda" else 2048
-        full, half = (_product(side, kind, device) for kind in (torch.float32, torch.bfloat16))
+
+        def best(call: Callable[..., Any], *tensors: Tensor) -> float:
+            call(*tensors)  # not timed
+            return min(seconds(lambda: call(*tensors), device) for _ in range(5))
+
         source = torch.ones((4 if quick else 64) * 2**20, device=device)
-        target = torch.empty_like(source)
-        copying = _best(lambda: target.copy_(source), device)
+        copying = best(torch.empty_like(source).copy_, source)
+        matrices = torch.randn(2, side, side, device=device)
+        full, half = (best(torch.mm, *matrices.to(kind)) for kind in (torch.float32, torch.bfloat16))
         return cls(side**3 / full, side**3 / half, 2 * source.nbytes / copying)
-
-
-def _product(side: int, kind: torch.dtype, device: torch.device) -> float:
-    a, b = (torch.randn(side, side, device=device).to(kind) for _ in range(2))
-    return _best(lambda: torch.mm(a, b), device)
-
-
-def _best(call: Callable[[], Any], device: torch.device, tries: int = 5) -> float:
-    """The least seconds of several calls, after one that is not timed."""
-    call()
-    times = []
-    for _ in range(tries):
-        synchronise(device)
-        start = time.perf_counter()
-        call()
-        synchronise(device)
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 def synchronise(device: torch.device) -> None:
     """Wait for a GPU to finish."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
+
+
+def seconds(call: Callable[[], Any], device: torch.device, times: int = 1) -> float:
+    """Seconds per call, the mean of `times` in a row."""
+    synchronise(device)
+    start = time.perf_counter()
+    for _ in range(times):
+        call()
+    synchronise(device)
+    return (time.perf_counter() - start) / times
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """ViewNet's training step as one would write it from the paper: the reference contestant of `viewnet bench`.
 
-Plain PyTorch in float32 and the default memory layout, nothing compiled by hand and nothing left out: every head's
-volume is resampled whole and rendered with gradients, and the loss takes the head that explains the target best. It
-computes what the package computes (tests/bench/test_textbook.py compares the two) with the same names of weights.
+Plain PyTorch in float32 and the default memory layout, nothing compiled by hand: every head's volume is resampled whole
+and rendered with gradients. It computes what the package computes (tests/bench/test_textbook.py compares the two) with
+the same names of weights.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from viewnet.config import ModelConfig, TrainConfig
-from viewnet.model.losses import PerceptualLoss
-
-Padding = Literal["zeros", "replicate"]
+from viewnet.geometry import look_at
+from viewnet.model.losses import PerceptualLoss, pixel_loss
 
 
 def rotate(volume: Tensor, world_from_camera: Tensor, focal: Tensor, size: int, steps: int) -> Tensor:
@@ -49,17 +48,17 @@ def render(volume: Tensor, world_from_camera: Tensor, focal: Tensor, size: int, 
     return torch.cat([colour, mask], 1)
 
 
-def encoder(channels: tuple[int, ...], outputs: int, size: int, padding: Padding) -> nn.Sequential:
+def encoder(
+    channels: tuple[int, ...], outputs: int, size: int, padding: Literal["zeros", "replicate"]
+) -> nn.Sequential:
     """The supplement's encoder: images (N, 3, size, size) -> (N, outputs)."""
     layers: list[nn.Module] = []
     before, side = 3, size
     while side > 1:
         width = channels[len(layers) // 3]
-        if side > 2:
-            layers.append(nn.Conv2d(before, width, 3, stride=2, padding=1, padding_mode=padding, bias=False))
-        else:
-            layers.append(nn.Conv2d(before, width, 2, bias=False))
-        layers += [nn.BatchNorm2d(width), nn.ReLU()]
+        shape: dict[str, Any] = {"kernel_size": 3, "stride": 2, "padding": 1} if side > 2 else {"kernel_size": 2}
+        convolution = nn.Conv2d(before, width, padding_mode=padding, bias=False, **shape)
+        layers += [convolution, nn.BatchNorm2d(width), nn.ReLU()]
         before, side = width, side // 2
     return nn.Sequential(*layers, nn.Conv2d(before, outputs, 1), nn.Flatten())
 
@@ -123,9 +122,9 @@ class TextbookViewNet(nn.Module):
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
         self.config = config
-        sizes = (config.input_size, config.encoder_padding)
-        self.viewpoint = nn.ModuleDict({"encoder": encoder(config.encoder_channels, 4 * config.heads, *sizes)})
-        self.appearance = encoder(config.encoder_channels, config.appearance_size, *sizes)
+        channels, size, padding = config.encoder_channels, config.input_size, config.encoder_padding
+        self.viewpoint = nn.ModuleDict({"encoder": encoder(channels, 4 * config.heads, size, padding)})
+        self.appearance = encoder(channels, config.appearance_size, size, padding)
         self.decoder = Generator(config)
         self.focal = nn.Parameter(torch.tensor(config.focal))
         axis = (torch.arange(config.volume_size) * 2 + 1) / config.volume_size - 1
@@ -163,26 +162,8 @@ class _Clamp(torch.autograd.Function):
         return grad * ~((x < 0) & (grad > 0) | (x > 1) & (grad < 0))
 
 
-def camera_frames(vectors: Tensor) -> Tensor:
-    """Section 3.1: world_from_camera (..., 3, 3), columns right, up, back, of view vectors (..., 3)."""
-    up = vectors.new_tensor([0.0, 0.0, 1.0]).expand_as(vectors)
-    right = F.normalize(torch.linalg.cross(up, vectors), dim=-1)
-    return torch.stack([right, torch.linalg.cross(vectors, right), vectors], -1)
-
-
-def pixel_loss(image: Tensor, target: Tensor) -> Tensor:
-    """L1 + MSE / 2 at the images' own and half their resolution, averaged."""
-    loss = image.new_zeros(())
-    for a, b in ((image, target), (F.avg_pool2d(image, 2), F.avg_pool2d(target, 2))):
-        loss = loss + F.l1_loss(a, b) + 0.5 * F.mse_loss(a, b)
-    return loss / 2
-
-
 def step_loss(
-    model: TextbookViewNet,
-    batch: tuple[Tensor, Tensor, Tensor],
-    config: TrainConfig,
-    perceptual: PerceptualLoss | None = None,
+    model: TextbookViewNet, batch: tuple[Tensor, ...], config: TrainConfig, perceptual: PerceptualLoss | None = None
 ) -> Tensor:
     """The loss of appearance views, targets and the viewpoint network's inputs, (N, 4, S, S) each, on black."""
     appearance, target, inputs = batch
@@ -190,7 +171,7 @@ def step_loss(
     volume = model.generate(appearance[:, :3])
     vectors, logits = model.viewpoints(inputs[:, :3])
     resized = target if target.shape[-1] == size else F.interpolate(target, (size, size), mode="area")
-    cameras = camera_frames(vectors).flatten(0, 1)  # (N M, 3, 3)
+    cameras = look_at(vectors).flatten(0, 1)  # (N M, 3, 3)
     rendered = render(volume, cameras, model.focal, size, size).unflatten(0, (-1, heads))  # (N, M, 4, size, size)
     errors = (rendered[:, :, :3] - resized[:, None, :3]).square().mean((2, 3, 4))  # equation 2
     best = errors.argmin(1)
