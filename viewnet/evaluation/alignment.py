@@ -24,12 +24,9 @@ from viewnet import geometry
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Floats
 
-MINIMUM = 4
-"""Calibration images that any fit needs: an affine map of view vectors has four unknowns per coordinate."""
-WEISZFELD_ROUNDS = 40
-"""Rounds of reweighting in a robust fit."""
-COLLAPSED = 1e-6
-"""Predictions count as constant where their correlation's second singular value is below this share of the first."""
+MINIMUM = 4  # calibration images that any fit needs: an affine map of view vectors has four unknowns per coordinate
+WEISZFELD_ROUNDS = 40  # of reweighting in a robust fit
+COLLAPSED = 1e-6  # share of the correlation's first singular value below which the second is 0: constant predictions
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ class Alignment(ABC):
         """Unit vectors (..., 3) of the predictor's frame as unit vectors (..., 3) of the annotated frame."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Kind and parameters as plain JSON types; matrices row by row."""
+        """Kind and parameters as plain JSON types, matrices row by row."""
         return {"kind": self.kind, **{f.name: np.asarray(getattr(self, f.name)).tolist() for f in fields(self)}}
 
 
@@ -87,7 +84,7 @@ class Procrustes(Alignment):
 
 @dataclass(frozen=True)
 class Robust(Procrustes):
-    """The rotation of the world with the least sum of distances, not of their squares (L1), see `fit_robust`.
+    """The rotation R of the world with the least sum of distances |R p - t|, not of their squares (L1).
 
     Where a share of the predictions is off by 180 degrees and viewpoints are one-sided, squares are least for a
     rotation that tilts the world as a compromise; distances are least for the rotation that most predictions agree on.
@@ -97,16 +94,30 @@ class Robust(Procrustes):
 
     @classmethod
     def fit(cls, predicted: Floats, truth: Floats) -> Self:
-        """`fit_robust` of (N, 3) and (N, 3)."""
-        return cls(fit_robust(predicted, truth))
+        """Weiszfeld's algorithm: `fit_rotation` with images weighted by the reciprocal of their distance, repeatedly.
+
+        It starts from the least-squares rotation and from rotations about the vertical, twelve each, since predictions
+        in two groups have several local minima; the least sum wins. Errors as in `fit_rotation`.
+        """
+        best = first = fit_rotation(predicted, truth)
+        least = np.inf
+        for angle in np.radians(np.arange(0, 360, 30)):
+            turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+            for rotation in (turn @ first, turn):
+                for _ in range(WEISZFELD_ROUNDS):
+                    distances = np.linalg.norm(predicted @ rotation.T - truth, axis=1)  # (N,)
+                    weights = 1 / np.maximum(distances, 0.01)  # bounded, or an exact fit would outweigh all others
+                    rotation = _rotation((truth * weights[:, None]).T @ predicted, weights.sum())  # (3, 3)
+                if (total := float(np.linalg.norm(predicted @ rotation.T - truth, axis=1).sum())) < least:
+                    best, least = rotation, total
+        return cls(best)
 
 
 @dataclass(frozen=True)
 class Linear(Alignment):
-    """The least-squares affine map of view vectors, its output normalised (the starred rows of Table 3).
+    """The least-squares affine map of the three coordinates of view vectors, normalised (the starred rows of Table 3).
 
-    The paper names neither dimension nor representation; here it maps three coordinates to three. Its weights may
-    shrink to zero and leave the mean viewpoint, which is what the paper warns of.
+    The paper names no representation. Weights may shrink to zero and leave the mean viewpoint, as the paper warns.
     """
 
     weights: Floats  # (3, 3)
@@ -115,7 +126,7 @@ class Linear(Alignment):
 
     @classmethod
     def fit(cls, predicted: Floats, truth: Floats) -> Self:
-        """Least squares from (N, 3) to (N, 3); of several equally good maps the one of the smallest norm."""
+        """Of several equally good maps the one of the smallest norm."""
         _check(predicted, truth)
         design = np.column_stack([predicted, np.ones(len(predicted))])  # (N, 4)
         solution = np.asarray(np.linalg.lstsq(design, truth, rcond=None)[0], dtype=np.float64)  # (4, 3)
@@ -144,14 +155,14 @@ class PerAngle(Alignment):
 
     @classmethod
     def fit(cls, predicted: Floats, truth: Floats) -> Self:
-        """Two simple regressions over (N, 3) and (N, 3); constant predictions get slope 0."""
+        """Two simple regressions; constant predictions get slope 0."""
         _check(predicted, truth)
-        (a, e), (true_a, true_e) = _angles(predicted), _angles(truth)
-        return cls(_line(a, true_a), _line(e, true_e))
+        azimuths, elevations = zip(_angles(predicted), _angles(truth), strict=True)
+        return cls(_line(*azimuths), _line(*elevations))
 
     def apply(self, vectors: Floats) -> Floats:
         """View vectors (..., 3) of the mapped angles."""
-        a, e = _angles(np.asarray(vectors, dtype=np.float64))
+        a, e = _angles(np.asarray(vectors, dtype=np.float64))  # (...) each
         a, e = self.azimuth[0] * a + self.azimuth[1], self.elevation[0] * e + self.elevation[1]
         return geometry.view_vector(torch.from_numpy(a), torch.from_numpy(np.clip(e, -90, 90))).numpy()
 
@@ -162,54 +173,25 @@ ALIGNMENTS: dict[str, type[Alignment]] = {cls.kind: cls for cls in (Procrustes, 
 def fit_rotation(predicted: Floats, truth: Floats) -> Floats:
     """The rotation R (3, 3) that minimises the sum of |R p - t|^2 over rows p of `predicted` and t of `truth`, (N, 3).
 
-    The singular value decomposition of sum t p^T gives the best orthogonal map U V^T; where that is a reflection, the
-    best rotation is U diag(1, 1, -1) V^T, the sign on the direction that matters least (Kabsch). Constant predictions
-    leave the rotation about their direction open: of the equally good rotations the smallest is taken. ViewnetError for
-    fewer than four images, and where predictions and truth have no direction in common.
-
-    >>> truth = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
-    >>> predicted = np.array([[0.0, 1, 0], [-1, 0, 0], [0, -1, 0], [1, 0, 0]])  # a quarter turn off
-    >>> fit_rotation(predicted, truth).round(3) + 0.0
-    array([[ 0.,  1.,  0.],
-           [-1.,  0.,  0.],
-           [ 0.,  0.,  1.]])
+    Kabsch: U V^T of the singular value decomposition of sum t p^T, or U diag(1, 1, -1) V^T where that is a reflection.
+    Constant predictions leave the rotation about their direction open: the smallest is taken. ViewnetError for fewer
+    than four images, and where predictions and truth have no direction in common.
     """
     _check(predicted, truth)
-    return _rotation(truth.T @ predicted, len(truth))
-
-
-def fit_robust(predicted: Floats, truth: Floats) -> Floats:
-    """The rotation R (3, 3) that minimises the sum of |R p - t| over rows p of `predicted` and t of `truth`, (N, 3).
-
-    Weiszfeld's algorithm: `fit_rotation` with each image weighted by the reciprocal of its distance, repeatedly. It
-    starts from the least-squares rotation and from rotations about the vertical, twelve each, since predictions that
-    fall into two groups have several local minima; the least sum wins. Errors as in `fit_rotation`.
-    """
-    first = fit_rotation(predicted, truth)
-    best, least = first, np.inf
-    for angle in np.radians(np.arange(0, 360, 30)):
-        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-        for rotation in (turn @ first, turn):
-            for _ in range(WEISZFELD_ROUNDS):
-                distances = np.linalg.norm(predicted @ rotation.T - truth, axis=1)
-                weights = 1 / np.maximum(distances, 0.01)  # bounded, or an exact fit would outweigh all others
-                rotation = _rotation((truth * weights[:, None]).T @ predicted, weights.sum())
-            if (total := float(np.linalg.norm(predicted @ rotation.T - truth, axis=1).sum())) < least:
-                best, least = rotation, total
-    return best
+    return _rotation(truth.T @ predicted, len(truth))  # (3, 3)
 
 
 def draw_calibration(objects: NDArray[Any], count: int | None = None, seed: int = 0) -> NDArray[np.intp]:
     """Positions of `count` calibration images (None: all) of these objects (N,), object by object in a random order.
 
-    Objects and not images are drawn, and not simply the first, so that the result does not depend on the order of the
-    listing. The released code used 128 images. Raises ViewnetError where there are fewer than `count`.
+    Random, so that it does not depend on the listing's order. The released code used 128 images. ViewnetError where
+    there are fewer than `count`.
     """
     if count is None:
         return np.arange(len(objects))
     if not MINIMUM <= count <= len(objects):
         raise ViewnetError(f"calibration: {count} images requested, expected {MINIMUM} to {len(objects)}")
-    names, owner = np.unique(objects.astype(str), return_inverse=True)
+    names, owner = np.unique(objects.astype(str), return_inverse=True)  # (K,), (N,)
     rank = np.random.default_rng(seed).permutation(len(names))[owner]  # (N,)
     return np.sort(np.argsort(rank, kind="stable")[:count])
 
@@ -229,8 +211,7 @@ def _rotation(correlation: Floats, count: float) -> Floats:
     if s[0] < 1e-9 * count:
         raise ViewnetError("alignment: the calibration images determine no rotation: use more of them")
     if s[1] < COLLAPSED * s[0]:
-        # The signs of u and v are each arbitrary, but their product has the sign of the correlation.
-        return _smallest_rotation(vt[0], u[:, 0])
+        return _smallest_rotation(vt[0], u[:, 0])  # each of arbitrary sign, both together of the correlation's
     return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
 
 
@@ -250,12 +231,11 @@ def _angles(vectors: Floats) -> tuple[Floats, Floats]:
     """Azimuths in (-180, 180] and elevations of view vectors (..., 3), in degrees."""
     azimuth, elevation = geometry.azimuth_elevation(torch.from_numpy(np.array(vectors)))
     a = azimuth.numpy()
-    return np.where(a > 180, a - 360, a), elevation.numpy()
+    return np.where(a > 180, a - 360, a), elevation.numpy()  # (...) each
 
 
 def _line(x: Floats, y: Floats) -> tuple[float, float]:
     """Slope and intercept of the regression of y on x."""
     dx = x - x.mean()
-    spread = float(dx @ dx)
-    slope = float(dx @ (y - y.mean())) / spread if spread > 1e-9 else 0.0
+    slope = float(dx @ (y - y.mean())) / spread if (spread := float(dx @ dx)) > 1e-9 else 0.0
     return slope, float(y.mean() - slope * x.mean())

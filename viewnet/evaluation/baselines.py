@@ -20,8 +20,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.alignment import draw_calibration
 from viewnet.evaluation.predictions import Floats, Predictions, object_names, true_vectors
 
-RIDGE = 1e3
-"""Weight of squared coefficients in the view regression. Chosen on real cars with SqueezeNet's features."""
+RIDGE = 1e3  # of the view regression, chosen on real cars with SqueezeNet's features
 SPLITS = ("val", "test")
 
 
@@ -30,15 +29,13 @@ def constant(
 ) -> Predictions:
     """The mean viewpoint of the split `source`, for every image (the rows "Constant").
 
-    The supplement takes the mean over training data, the main text over validation data. There are two means, `mean`:
+    The supplement takes the mean over training data, the main text over validation data. There are two means, `mean`,
+    which agree where viewpoints lie close together; of cameras all around an object, whose azimuths cancel out,
 
-    vector    the mean view vector, normalised. Where cameras stand all around an object their azimuths cancel, and only
-              the height remains: it points to the sky, where no camera was.
-    rotation  the level camera frame with the least sum of squared distances (Frobenius) to the frames of `source`.
-              Where azimuths cancel, the mean elevation remains, since a level frame's right axis is always horizontal.
+    vector    the mean view vector, normalised, points to the sky, where no camera was
+    rotation  the level camera frame closest to those of `source` (Frobenius) has their mean elevation
 
-    Both agree where viewpoints lie close together. Raises ViewnetError for a missing split, an unknown mean, and where
-    view vectors cancel out altogether.
+    Raises ViewnetError for a missing split, an unknown mean, and where view vectors cancel out altogether.
     """
     mean_of = MEANS[known(mean, MEANS, "mean")]
     return _same_for_all(index, splits, mean_of(true_vectors(_rows(index, (source,)))))
@@ -59,12 +56,11 @@ def mean_level_view(truth: Floats) -> Floats:
     products of entries with M. At a given azimuth that sum is a + b cos(e) + c sin(e) of the elevation e, largest at
     e = atan2(c, b): only the azimuth is searched, to 0.01 degrees.
     """
-    right, up, back = geometry.look_at(torch.from_numpy(np.array(truth))).numpy().mean(axis=0).T
+    right, up, back = geometry.look_at(torch.from_numpy(np.array(truth))).numpy().mean(axis=0).T  # (3,) each
     angles = np.deg2rad(np.arange(0, 360, 0.01))
-    c, s = np.cos(angles), np.sin(angles)
-    level = up[2] + c * back[0] + s * back[1]
+    c, s = np.cos(angles), np.sin(angles)  # (36000,)
+    level = (up[2] + c * back[0] + s * back[1]).clip(min=0)  # or the frame would be upside down: 90 degrees is best
     height = back[2] - c * up[0] - s * up[1]
-    level = level.clip(min=0)  # beyond 90 degrees a frame would be upside down: the best is then at 90
     best = int(np.argmax(c * right[1] - s * right[0] + np.hypot(level, height)))
     elevation = np.arctan2(height[best], level[best])
     return np.array([np.cos(elevation) * c[best], np.cos(elevation) * s[best], np.sin(elevation)])
@@ -80,13 +76,11 @@ def view_regression(
     splits: tuple[str, ...] = SPLITS,
     source: str = "val",
 ) -> Predictions:
-    """Linear regression from features (N, D) to view vectors, fitted on the split `source` (the row "VGG view").
+    """Ridge regression from features (N, D), in the order of `index`, to view vectors (the row "VGG view").
 
     Fitted on "val" it is SSV's setup: no more labels than the alignment of unsupervised predictions uses (see
-    `calibrating`), and predictions for "val" are for images it was fitted on. `features` are in the order of `index`
-    (viewnet.evaluation.features); `ridge` is the weight of the squared coefficients against the sum of squared errors,
-    with features and view vectors centred. It is solved in the space of the images, which are far fewer than features.
-    Raises ViewnetError for features that do not fit the index and a `ridge` not above 0.
+    `calibrating`). `ridge` is the weight of squared coefficients against the sum of squared errors, with features and
+    view vectors centred. Raises ViewnetError for features that do not fit the index and a `ridge` not above 0.
     """
     if features.ndim != 2 or len(features) != len(index):
         raise ViewnetError(f"view regression: features are {features.shape} for {len(index)} images")
@@ -94,8 +88,9 @@ def view_regression(
         raise ViewnetError(f"ridge {ridge}: expected more than 0: features outnumber the images to fit on")
     ids, fit = _rows(index, splits), (index["split"] == source).to_numpy()
     x, y = features[fit].astype(np.float64), true_vectors(_rows(index, (source,)))  # (n, D), (n, 3)
-    x_mean, y_mean = x.mean(axis=0), y.mean(axis=0)
+    x_mean, y_mean = x.mean(axis=0), y.mean(axis=0)  # (D,), (3,)
     x -= x_mean
+    # Solved in the space of the images, which are far fewer than features.
     dual = np.linalg.solve(x @ x.T + ridge * np.eye(len(x)), y - y_mean)  # (n, 3)
     vectors = (features[index["split"].isin(splits).to_numpy()] - x_mean) @ (x.T @ dual) + y_mean
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -107,8 +102,7 @@ def view_regression(
 def calibrating(index: pd.DataFrame, count: int | None = None, seed: int = 0) -> NDArray[np.bool_]:
     """A mask (N,) of an index without the images of "val" that are not among `count` calibration images (None: all).
 
-    They are those that predictions are aligned on (alignment.draw_calibration), so that a fitted baseline uses the same
-    labels as an alignment does. Raises ViewnetError as that does.
+    A baseline fitted on them uses the labels that an alignment does. ViewnetError as of `alignment.draw_calibration`.
     """
     mask = (index["split"] != "val").to_numpy(copy=True)
     val = np.flatnonzero(~mask)
@@ -121,16 +115,12 @@ def best_constant(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS) -> Pred
 
     The strongest constant: the mean of viewpoints all around an object points to the sky, where no camera was.
     """
-    truth = geometry.look_at(torch.from_numpy(true_vectors(_rows(index, ("train",)))))
-    azimuth, elevation = torch.meshgrid(
-        torch.arange(0.0, 360.0, 2.0, dtype=torch.float64),
-        torch.arange(-88.0, 90.0, 2.0, dtype=torch.float64),
-        indexing="ij",
-    )
-    grid = geometry.view_vector(azimuth.reshape(-1), elevation.reshape(-1))  # (G, 3)
+    truth = geometry.look_at(torch.from_numpy(true_vectors(_rows(index, ("train",)))))  # (N, 3, 3)
+    azimuths, elevations = (torch.arange(start, end, 2, dtype=torch.float64) for start, end in ((0, 360), (-88, 90)))
+    grid = geometry.view_vector(*torch.cartesian_prod(azimuths, elevations).unbind(1))  # (G, 3)
     # The angle of A^T B is below t where its trace, the sum of products of entries, exceeds 1 + 2 cos t.
     bound = 1 + 2 * np.cos(np.deg2rad(30))
-    frames, flat = geometry.look_at(grid).reshape(-1, 9), truth.reshape(-1, 9).T
+    frames, flat = geometry.look_at(grid).reshape(-1, 9), truth.reshape(-1, 9).T  # (G, 9), (9, N)
     hits = torch.cat([(part @ flat > bound).double().mean(1) for part in frames.split(500)])  # (G,)
     return _same_for_all(index, splits, grid[hits.argmax()].numpy())
 
@@ -138,22 +128,20 @@ def best_constant(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS) -> Pred
 def random(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS, seed: int = 0) -> Predictions:
     """One viewpoint per image, uniform in azimuth and in elevation from -20 to 40 degrees, from `seed`."""
     ids, rng = _rows(index, splits), np.random.default_rng(seed)
-    azimuth = torch.from_numpy(rng.uniform(0, 360, (len(ids), 1)))
-    elevation = torch.from_numpy(rng.uniform(-20, 40, (len(ids), 1)))
+    azimuth, elevation = (torch.from_numpy(rng.uniform(*bounds, (len(ids), 1))) for bounds in ((0, 360), (-20, 40)))
     return Predictions(ids, geometry.view_vector(azimuth, elevation).numpy(), rng.standard_normal((len(ids), 1)))
 
 
 def oracle(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS, rotation: Floats | None = None) -> Predictions:
     """The true viewpoints, in a frame rotated by `rotation` (3, 3): what alignment must undo."""
     ids = _rows(index, splits)
-    vectors = true_vectors(ids) if rotation is None else true_vectors(ids) @ np.asarray(rotation).T
+    vectors = true_vectors(ids) if rotation is None else true_vectors(ids) @ np.asarray(rotation).T  # (N, 3)
     return Predictions(ids, vectors[:, None], np.zeros((len(ids), 1)))
 
 
 def _rows(index: pd.DataFrame, splits: tuple[str, ...]) -> pd.DataFrame:
-    for split in splits:
-        if not (index["split"] == split).any():
-            raise ViewnetError(f"view store: no views of split {split!r}")
+    if missing := [split for split in splits if not (index["split"] == split).any()]:
+        raise ViewnetError(f"view store: no views of split {missing[0]!r}")
     return index[index["split"].isin(splits)]
 
 

@@ -26,19 +26,13 @@ from viewnet.evaluation.predictions import Floats, Predictions
 
 @dataclass(frozen=True)
 class Aligned:
-    """Test predictions in the annotated frame.
+    """Test predictions in the annotated frame."""
 
-    predictions  the test rows, in the predictor's frame
-    alignment    the map, fitted on the predictions `calibration`
-    hypotheses   (N, M, 3) mapped view vectors
-    errors       (N, M) geodesic error of each hypothesis, degrees
-    """
-
-    predictions: Predictions
-    calibration: Predictions
+    predictions: Predictions  # the test rows, in the predictor's frame
+    calibration: Predictions  # what the alignment was fitted on
     alignment: Alignment
-    hypotheses: Floats
-    errors: Floats
+    hypotheses: Floats  # (N, M, 3) mapped view vectors
+    errors: Floats  # (N, M) geodesic error of each hypothesis, degrees
 
     @property
     def selected(self) -> Floats:
@@ -67,13 +61,12 @@ def align(
         raise ViewnetError(f"evaluation: {sorted(both)[0]} is in the validation split and in the test split")
     rows = val.take(draw_calibration(val.objects, calibration, seed))
     fitted = fit(rows.selected, rows.truth)
-    hypotheses = fitted.apply(test.hypotheses)
+    hypotheses = fitted.apply(test.hypotheses)  # (N, M, 3)
     # Rotations of the world apply to up vectors too; other maps of view vectors do not determine the tilt.
     rigid = isinstance(fitted, Procrustes | Identity)
     ups = fitted.apply(test.ups) if rigid and test.ups is not None else None
-    truth = np.repeat(test.truth[:, None], test.heads, axis=1)
-    errors = metrics.geodesic_error(hypotheses, truth, ups)
-    return Aligned(test, rows, fitted, hypotheses, errors)
+    truth = np.repeat(test.truth[:, None], test.heads, axis=1)  # (N, M, 3)
+    return Aligned(test, rows, fitted, hypotheses, metrics.geodesic_error(hypotheses, truth, ups))
 
 
 def evaluate(
@@ -97,18 +90,13 @@ def evaluate(
     """
     aligned = align(predictions, alignment, calibration, seed)
     test, errors = aligned.predictions, aligned.selected_errors
-    rng = np.random.default_rng(seed)
-    azimuths = test.ids["azimuth"].to_numpy()
-    intervals = metrics.bootstrap_intervals(
-        [errors], [test.objects], rng, draws, ("acc30", "median", "dva"), azimuths=[azimuths]
-    )
-    best = aligned.errors.argmin(axis=1)
-    level = metrics.geodesic_error(aligned.selected, test.truth)
-    audit = {
-        "vector": metrics.vector_error(aligned.selected, test.truth),
-        "folded": metrics.folded(level),
-        "scaled": metrics.scaled(level),
-    }
+    rng, azimuths = np.random.default_rng(seed), test.ids["azimuth"].to_numpy()
+    statistics = ("acc30", "median", "dva")
+    intervals = metrics.bootstrap_intervals([errors], [test.objects], rng, draws, statistics, azimuths=[azimuths])
+    best = aligned.errors.argmin(axis=1)  # (N,)
+    level = metrics.geodesic_error(aligned.selected, test.truth)  # (N,), without in-plane rotation
+    audit = {"vector": metrics.vector_error(aligned.selected, test.truth)}
+    audit |= {name: metrics.DEFINITIONS[name](level) for name in ("folded", "scaled")}
     return {
         "images": len(test),
         "objects": len(set(test.objects)),
@@ -126,12 +114,8 @@ def evaluate(
             for m in range(test.heads)
         ],
         "audit": {name: _headline(values) for name, values in audit.items()},
-        "alignment": {
-            **aligned.alignment.to_dict(),
-            "images": len(aligned.calibration),
-            "objects": len(set(aligned.calibration.objects)),
-            "seed": seed,
-        },
+        "alignment": aligned.alignment.to_dict()
+        | {"images": len(aligned.calibration), "objects": len(set(aligned.calibration.objects)), "seed": seed},
     }
 
 

@@ -22,12 +22,10 @@ from viewnet.runtime import provenance, torchvision_weights
 from viewnet.runtime.files import load_array, replacing
 
 AUTO = ("vgg16", "squeezenet1_1", "pixels")
-SIZE = 128
-"""Image side in pixels: VGG16's last convolutions, pooled, are then 4x4x512."""
+SIZE = 128  # image side in pixels: VGG16's last convolutions, pooled, are then 4x4x512
 BATCH = 64
 GREY, CELLS, DIRECTIONS = 16, 8, 8
-PIXELS_SCALE = 64.0
-"""Of "pixels": the power of two at which ridge 1000 has the least leave-one-out error on 300 photographs of cars."""
+PIXELS_SCALE = 64.0  # the power of two at which ridge 1000 has the least leave-one-out error on 300 photographs of cars
 ALTERNATIVE = "use backbone=pixels, which needs no weights"
 
 Features = NDArray[np.float32]
@@ -49,10 +47,10 @@ def describe(backbone: str, size: int = SIZE) -> str:
 
 
 def extract(store: ViewStore, backbone: str = "auto", size: int = SIZE) -> Features:
-    """Features (N, D) of every view of a store, in its order, composited over black.
+    """Features (N, D) of every view of a store, in its order, resized to `size` pixels a side and over black.
 
-    Images are resized to `size` pixels a side and, for networks, normalised as ImageNet's; the last convolutional map
-    is flattened, which keeps the positions. Cached in `<paths.data()>/features`. Raises ViewnetError as `choose` does.
+    Of a network the last convolutional map, flattened, which keeps the positions. Cached in `<paths.data()>/features`.
+    Raises ViewnetError as `choose` does.
     """
     backbone = choose(backbone)
     weights = b"" if backbone == "pixels" else torchvision_weights.weights_file(backbone).read_bytes()
@@ -79,17 +77,15 @@ def images(store: ViewStore, rows: NDArray[np.intp], size: int) -> Tensor:
     rgb = rgba[:, :3] * rgba[:, 3:]
     if rgb.shape[-1] == size:
         return rgb
-    return F.interpolate(rgb, (size, size), mode="bilinear", antialias=True).clamp_(0, 1)
+    return F.interpolate(rgb, (size, size), mode="bilinear", antialias=True).clamp_(0, 1)  # (n, 3, size, size)
 
 
 def _network_features(backbone: str) -> Callable[[Tensor], Features]:
     """A function from images (n, 3, S, S) to flattened convolutional features (n, D)."""
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     layers = torchvision_weights.convolutions(backbone, otherwise=ALTERNATIVE).to(device)
-    mean, std = (
-        torch.tensor(values, device=device).view(1, 3, 1, 1)
-        for values in (torchvision_weights.IMAGENET_MEAN, torchvision_weights.IMAGENET_STD)
-    )
+    imagenet = torch.tensor([torchvision_weights.IMAGENET_MEAN, torchvision_weights.IMAGENET_STD], device=device)
+    mean, std = imagenet.view(2, 1, 3, 1, 1)
 
     @torch.no_grad()
     def compute(rgb: Tensor) -> Features:
@@ -99,19 +95,15 @@ def _network_features(backbone: str) -> Callable[[Tensor], Features]:
 
 
 def pixel_features(rgb: Tensor) -> Features:
-    """Of images (n, 3, S, S): grey levels at 16x16, and the strength of edges of 8 directions in each of 8x8 cells.
-
-    Both are normalised per image, so that neither brightness nor contrast counts.
-    """
+    """Of images (n, 3, S, S): grey levels at 16x16, and the strength of edges of 8 directions in each of 8x8 cells."""
     grey = rgb.mean(dim=1, keepdim=True)  # (n, 1, S, S)
     small = F.adaptive_avg_pool2d(grey, GREY).flatten(1)  # (n, 256)
-    small = F.normalize(small - small.mean(dim=1, keepdim=True), dim=1)
-    x = F.pad(grey[..., 2:] - grey[..., :-2], (1, 1))
+    small = F.normalize(small - small.mean(dim=1, keepdim=True), dim=1)  # neither brightness nor contrast counts
+    x = F.pad(grey[..., 2:] - grey[..., :-2], (1, 1))  # (n, 1, S, S)
     y = F.pad(grey[..., 2:, :] - grey[..., :-2, :], (0, 0, 1, 1))
     strength, direction = torch.hypot(x, y), torch.atan2(y, x) % torch.pi * (DIRECTIONS / torch.pi)
     # A direction between two bins counts for both, by its distance to each.
-    bins = torch.arange(DIRECTIONS, device=rgb.device).view(1, -1, 1, 1)
-    away = (direction - bins).abs()
+    away = (direction - torch.arange(DIRECTIONS, device=rgb.device).view(1, -1, 1, 1)).abs()  # (n, 8, S, S)
     share = (1 - torch.minimum(away, DIRECTIONS - away)).clamp_(min=0)  # (n, 8, S, S)
     edges = F.normalize(F.adaptive_avg_pool2d(share * strength, CELLS).flatten(1).sqrt(), dim=1)  # (n, 512)
     return (PIXELS_SCALE * torch.cat([small, edges], dim=1)).numpy()

@@ -1,7 +1,6 @@
 """Errors of viewpoints in degrees, statistics of them, and bootstrap intervals.
 
-The error is the geodesic angle between camera frames. Two other definitions appear in the literature around this paper;
-they are here for the audit of reported numbers only.
+The error is the geodesic angle between camera frames. Other definitions are for the audit of reported numbers only.
 """
 
 from __future__ import annotations
@@ -18,9 +17,10 @@ from viewnet import geometry
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Floats
 
-THRESHOLDS = (10, 15, 30)
-FLIP = 150.0
-"""Errors above this many degrees are flips: the object seen from the opposite side."""
+THRESHOLDS = (10, 15, 30)  # degrees
+FLIP = 150.0  # degrees above which an error is a flip: the object seen from the opposite side
+AZIMUTH_BINS = 12  # of 30 degrees, the first from 0 (supplement, Discretized Viewpoint Accuracy)
+CONFIDENT = 10  # bins with more images than this count for the confidence index
 
 
 def geodesic_error(predicted: Floats, truth: Floats, ups: Floats | None = None) -> Floats:
@@ -48,9 +48,6 @@ def folded(errors: Floats) -> Floats:
     """Geodesic errors e (...) as the arcsine of the relative rotation's antisymmetric part gives them: min(e, 180 - e).
 
     Counts a prediction from the opposite side as right.
-
-    >>> folded(np.array([10.0, 170.0]))
-    array([10., 10.])
     """
     return np.minimum(errors, 180 - errors)
 
@@ -61,8 +58,7 @@ def scaled(errors: Floats) -> Floats:
 
 
 DEFINITIONS: dict[str, Callable[[Floats], Floats]] = {"geodesic": np.asarray, "folded": folded, "scaled": scaled}
-"""Definitions of the error in the literature, as functions of geodesic errors (...). Only the first is an angle between
-camera frames."""
+"""Definitions in the literature, as functions of geodesic errors (...); only the first is an angle between frames."""
 
 
 def accuracy(errors: Floats, threshold: float) -> float:
@@ -75,18 +71,8 @@ def accuracy(errors: Floats, threshold: float) -> float:
 
 
 def median(errors: Floats) -> float:
-    """The median error in degrees; of an even number the mean of the middle two.
-
-    >>> median(np.array([1.0, 2.0, 4.0, 90.0]))
-    3.0
-    """
+    """The median error in degrees; of an even number the mean of the middle two."""
     return float(np.median(errors))
-
-
-AZIMUTH_BINS = 12
-"""Bins of 30 degrees, the first from 0 (supplement, Discretized Viewpoint Accuracy)."""
-CONFIDENT = 10
-"""Bins with more images than this count for the confidence index."""
 
 
 def azimuth_bins(azimuths: Floats) -> NDArray[np.intp]:
@@ -124,15 +110,10 @@ def confidence_index(azimuths: Floats) -> float:
     return float(np.mean(np.bincount(azimuth_bins(azimuths), minlength=AZIMUTH_BINS) > CONFIDENT))
 
 
-def flips(errors: Floats) -> float:
-    """Per cent of errors over FLIP degrees."""
-    return 100 * float(np.mean(np.asarray(errors) > FLIP))
-
-
 STATISTICS: dict[str, Callable[[Floats], float]] = {
     **{f"acc{threshold}": partial(accuracy, threshold=threshold) for threshold in THRESHOLDS},
     "median": median,
-    "flips": flips,
+    "flips": lambda errors: 100 * float(np.mean(np.asarray(errors) > FLIP)),
 }
 """Statistics of errors (N,) by name: acc10, acc15, acc30 and flips in per cent, median in degrees."""
 
@@ -146,9 +127,6 @@ def summary(errors: Floats) -> dict[str, float]:
     return {name: statistic(errors) for name, statistic in STATISTICS.items()}
 
 
-LEVEL = 0.95
-
-
 def bootstrap_intervals(
     errors: Sequence[Floats],
     objects: Sequence[NDArray[Any]],
@@ -160,9 +138,8 @@ def bootstrap_intervals(
     """95 % percentile intervals of statistics by resampling objects, since errors of one object's views are correlated.
 
     `errors` and `objects` hold one array (N,) for each run (seed); the statistic is the mean over runs, and a draw
-    takes the same objects in every run. None where there are fewer than two objects. The statistic "dva" needs the true
-    `azimuths` (N,) of each run, degrees; bins that a draw leaves empty do not count, as in `dva`. Raises ViewnetError
-    for "dva" without azimuths of every run.
+    takes the same objects in every run. None where there are fewer than two objects. ViewnetError for the statistic
+    "dva" without the true `azimuths` (N,), degrees, of every run; bins that a draw leaves empty do not count.
 
     >>> errors, objects = np.array([5.0, 6.0, 7.0, 90.0]), np.array(["a", "b", "c", "d"])
     >>> bootstrap_intervals([errors], [objects], np.random.default_rng(0), statistics=["acc30"])
@@ -174,23 +151,22 @@ def bootstrap_intervals(
     if len(names) < 2:
         return dict.fromkeys(statistics)
     # Sorted once: repeating sorted errors keeps them sorted, and medians of sorted arrays are fast.
-    order = [np.argsort(e, kind="stable") for e in errors]
+    order = [np.argsort(e, kind="stable") for e in errors]  # (N,) each
     runs = [(np.asarray(e)[o], owner[o]) for e, owner, o in zip(errors, owners, order, strict=True)]
     binned = [(azimuth_bins(a), np.asarray(e) < 30, w) for a, e, w in zip(azimuths, errors, owners, strict=False)]
     values: dict[str, list[float]] = {name: [] for name in statistics}
     for times in _resamples(len(names), rng, draws):
         samples = [np.repeat(e, times[owner]) for e, owner in runs]
-        if all(len(sample) for sample in samples):
-            for name in statistics:
-                per_run = (
-                    [_weighted_dva(*each, times) for each in binned]
-                    if name == "dva"
-                    else [STATISTICS[name](sample) for sample in samples]
-                )
-                values[name].append(float(np.mean(per_run)))
-    tail = 100 * (1 - LEVEL) / 2
-    bounds = {name: np.percentile(v, [tail, 100 - tail]) for name, v in values.items()}
-    return {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
+        if not all(map(len, samples)):
+            continue  # a run without any of the drawn objects has no statistic
+        for name, drawn in values.items():
+            if name == "dva":
+                drawn.append(float(np.mean([_weighted_dva(*each, times) for each in binned])))
+            else:
+                drawn.append(float(np.mean([STATISTICS[name](sample) for sample in samples])))
+    tail = 100 * (1 - 0.95) / 2
+    bounds = {name: np.percentile(v, [tail, 100 - tail]).tolist() for name, v in values.items()}
+    return {name: (low, high) for name, (low, high) in bounds.items()}
 
 
 def mean_interval(
@@ -203,10 +179,10 @@ def mean_interval(
     names, owners = _owners(objects)
     if len(names) < 2 or any(np.isnan(v).any() for v in values):
         return None
-    times = np.stack(list(_resamples(len(names), np.random.default_rng(seed), draws))).astype(np.float64)
+    times = np.stack(list(_resamples(len(names), np.random.default_rng(seed), draws))).astype(np.float64)  # (draws, K)
     means = []
     for value, owner in zip(values, owners, strict=True):
-        total, count = (np.bincount(owner, weights, len(names)) for weights in (value, np.ones(len(value))))
+        total, count = (np.bincount(owner, weights, len(names)) for weights in (value, np.ones(len(value))))  # (K,)
         means.append((times @ total) / np.maximum(times @ count, 1))  # (draws,)
     low, high = np.percentile(np.mean(means, axis=0), [2.5, 97.5])
     return float(low), float(high)
@@ -228,8 +204,8 @@ def _weighted_dva(
     bins: NDArray[np.intp], correct: NDArray[np.bool_], owner: NDArray[np.intp], times: NDArray[np.intp]
 ) -> float:
     """`dva` of images (N,), each counted as often as its object was drawn."""
-    weights = times[owner].astype(np.float64)
-    total, hits = (np.bincount(bins, w, AZIMUTH_BINS) for w in (weights, weights * correct))
+    weights = times[owner].astype(np.float64)  # (N,)
+    total, hits = (np.bincount(bins, w, AZIMUTH_BINS) for w in (weights, weights * correct))  # (12,) each
     return 100 * float((hits[total > 0] / total[total > 0]).mean())
 
 

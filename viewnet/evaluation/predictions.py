@@ -25,12 +25,6 @@ UNIT_TOLERANCE = 1e-3  # of a view vector's length: float16 and bfloat16 outputs
 class Predictions:
     """N images with M viewpoint hypotheses each.
 
-    ids         a row for each image: model_id, category, split (text), view (integer), and the true azimuth and
-                elevation in degrees
-    hypotheses  (N, M, 3) unit view vectors in the predictor's own frame, which alignment maps to the annotated one
-    logits      (N, M) selection logits: the hypothesis of the largest is the prediction
-    ups         (N, M, 3) unit up vectors of a predictor of in-plane rotation; None where the camera is level
-
     Raises ViewnetError for missing columns, no rows, wrong shapes, values that are not finite and vectors whose length
     is not 1.
 
@@ -40,26 +34,27 @@ class Predictions:
     (array([1]), array([[0., 1., 0.]]), array([[0., 1., 0.]]))
     """
 
-    ids: pd.DataFrame
-    hypotheses: Floats
-    logits: Floats
-    ups: Floats | None = None
+    ids: pd.DataFrame  # a row for each image: `ID_COLUMNS`, text, an integer (view), and the true angles in degrees
+    hypotheses: Floats  # (N, M, 3) unit view vectors in the predictor's own frame, which alignment maps to the true one
+    logits: Floats  # (N, M) selection logits: the hypothesis of the largest is the prediction
+    ups: Floats | None = None  # (N, M, 3) unit up vectors of a predictor of in-plane rotation; None: a level camera
 
     def __post_init__(self) -> None:
         ids = _checked_ids(self.ids)
-        hypotheses, logits = _floats(self.hypotheses, "hypotheses"), _floats(self.logits, "logits")
-        ups = None if self.ups is None else _floats(self.ups, "ups")
-        shape = hypotheses.shape
+        vectors = ("hypotheses",) if self.ups is None else ("hypotheses", "ups")
+        arrays = {name: _floats(getattr(self, name), name) for name in (*vectors, "logits")}
+        shape = arrays["hypotheses"].shape
         if len(shape) != 3 or shape[0] != len(ids) or shape[1] < 1 or shape[2] != 3:
             raise ViewnetError(f"predictions: hypotheses are {shape}, expected ({len(ids)}, M, 3) with M of 1 or more")
-        if logits.shape != shape[:2]:
-            raise ViewnetError(f"predictions: logits are {logits.shape}, expected {shape[:2]}")
-        if ups is not None and ups.shape != shape:
-            raise ViewnetError(f"predictions: ups are {ups.shape}, expected {shape}")
-        _check_unit(hypotheses, "hypotheses")
-        if ups is not None:
-            _check_unit(ups, "ups")
-        for name, value in (("ids", ids), ("hypotheses", hypotheses), ("logits", logits), ("ups", ups)):
+        for name, array in arrays.items():
+            if array.shape != (expected := shape[:2] if name == "logits" else shape):
+                raise ViewnetError(f"predictions: {name} are {array.shape}, expected {expected}")
+        for name in vectors:
+            lengths = np.linalg.norm(arrays[name], axis=-1)  # (N, M)
+            worst = np.unravel_index(np.abs(lengths - 1).argmax(), lengths.shape)
+            if abs(lengths[worst] - 1) > UNIT_TOLERANCE:
+                raise ViewnetError(f"predictions: {name} of row {worst[0]} have length {lengths[worst]:g}, expected 1")
+        for name, value in {"ids": ids, **arrays}.items():
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
@@ -106,14 +101,13 @@ class Predictions:
 
     def to_parquet(self, path: Path) -> None:
         """A column for each number: the ids, then h0_x h0_y h0_z logit_0 (up0_x up0_y up0_z), h1_x and so on."""
-        columns: dict[str, Floats] = {}
-        for m in range(self.heads):
-            columns |= {f"h{m}_{axis}": self.hypotheses[:, m, i] for i, axis in enumerate("xyz")}
-            columns[f"logit_{m}"] = self.logits[:, m]
-            if self.ups is not None:
-                columns |= {f"up{m}_{axis}": self.ups[:, m, i] for i, axis in enumerate("xyz")}
+        ups = [] if self.ups is None else [self.ups]
+        values = np.concatenate([self.hypotheses, self.logits[:, :, None], *ups], axis=2)  # (N, M, 4 or 7)
+        names = ("h{}_x", "h{}_y", "h{}_z", "logit_{}", "up{}_x", "up{}_y", "up{}_z")[: values.shape[2]]
+        columns = [name.format(m) for m in range(self.heads) for name in names]
+        numbers = pd.DataFrame(values.reshape(len(self), -1), columns=columns)  # (N, 4 M or 7 M)
         with replacing(path) as temporary:
-            pd.concat([self.ids, pd.DataFrame(columns)], axis=1).to_parquet(temporary, index=False)
+            pd.concat([self.ids, numbers], axis=1).to_parquet(temporary, index=False)
 
     @classmethod
     def from_parquet(cls, path: Path) -> Predictions:
@@ -124,17 +118,15 @@ class Predictions:
             raise ViewnetError(f"{path}: no such file") from error
         except Exception as error:  # The parquet reader raises its own types on damaged files.
             raise ViewnetError(f"{path}: not a readable parquet file: delete it and make it again") from error
-        heads = sum(name.startswith("logit_") for name in frame.columns)
-        vectors = [f"h{m}_{axis}" for m in range(heads) for axis in "xyz"]
-        ups = [f"up{m}_{axis}" for m in range(heads) for axis in "xyz"]
+        heads = max(1, sum(name.startswith("logit_") for name in frame.columns))
+        vectors, ups = ([f"{part}{m}_{axis}" for m in range(heads) for axis in "xyz"] for part in ("h", "up"))
         logits = [f"logit_{m}" for m in range(heads)]
-        expected = [*ID_COLUMNS, *(vectors or ["h0_x"]), *(logits or ["logit_0"])]
-        if missing := [name for name in expected if name not in frame.columns]:
+        if missing := [name for name in (*ID_COLUMNS, *vectors, *logits) if name not in frame.columns]:
             raise ViewnetError(f"{path}: column {missing[0]!r} is missing: delete the file and make it again")
         try:
             return cls(
                 frame[list(ID_COLUMNS)],
-                frame[vectors].to_numpy().reshape(-1, heads, 3),
+                frame[vectors].to_numpy().reshape(-1, heads, 3),  # (N, M, 3)
                 frame[logits].to_numpy(),
                 frame[ups].to_numpy().reshape(-1, heads, 3) if set(ups) <= set(frame.columns) else None,
             )
@@ -163,6 +155,11 @@ def object_names(ids: pd.DataFrame) -> NDArray[np.object_]:
     return (ids["category"] + "/" + ids["model_id"]).to_numpy(dtype=object)
 
 
+def is_text(column: pd.Series) -> NDArray[np.bool_]:
+    """Which values (N,) of a column are text."""
+    return column.map(lambda value: isinstance(value, str)).to_numpy(dtype=bool)
+
+
 def true_vectors(ids: pd.DataFrame) -> Floats:
     """(N, 3) unit view vectors of the columns azimuth and elevation, in degrees."""
     angles = torch.from_numpy(ids[["azimuth", "elevation"]].to_numpy(dtype=np.float64, copy=True))
@@ -177,13 +174,11 @@ def _checked_ids(ids: pd.DataFrame) -> pd.DataFrame:
     ids = ids[list(ID_COLUMNS)].reset_index(drop=True)
     if empty := [name for name in ID_COLUMNS if ids[name].isna().any()]:
         raise ViewnetError(f"predictions: column {empty[0]!r} has empty values")
-    for name in ("model_id", "category", "split"):
-        # A number here is an id that has lost its leading zeros.
-        if not ids[name].map(lambda value: isinstance(value, str)).all():
-            raise ViewnetError(f"predictions: column {name!r} holds values that are not text")
-    for name in ("view", "azimuth", "elevation"):
-        if not pd.api.types.is_numeric_dtype(ids[name]):
-            raise ViewnetError(f"predictions: column {name!r} holds values that are not numbers")
+    for name in ID_COLUMNS:
+        # A number in place of text is an id that has lost its leading zeros.
+        kind = "text" if name in ("model_id", "category", "split") else "numbers"
+        if not (is_text(ids[name]).all() if kind == "text" else pd.api.types.is_numeric_dtype(ids[name])):
+            raise ViewnetError(f"predictions: column {name!r} holds values that are not {kind}")
     views = ids["view"].to_numpy(dtype=np.float64)
     if not (np.abs(views) < 2**53).all() or (views % 1).any():
         raise ViewnetError("predictions: column 'view' holds values that are not whole numbers")
@@ -209,10 +204,3 @@ def _floats(values: ArrayLike, name: str) -> Floats:
         raise ViewnetError(f"predictions: {name} of row {rows[0]} are not finite ({len(set(rows.tolist()))} such rows)")
     array.flags.writeable = False
     return array
-
-
-def _check_unit(vectors: Floats, name: str) -> None:
-    lengths = np.linalg.norm(vectors, axis=-1)
-    worst = np.unravel_index(np.abs(lengths - 1).argmax(), lengths.shape)
-    if abs(lengths[worst] - 1) > UNIT_TOLERANCE:
-        raise ViewnetError(f"predictions: {name} of row {worst[0]} have length {lengths[worst]:g}, expected 1")

@@ -1,10 +1,4 @@
-"""A finished run on disk: its configuration, result, predictions and log. Needs nothing that trains.
-
->>> from viewnet.recipes import make_config
->>> run = Run(make_config("viewnet_cycle", "chair", seed=1), Path("runs/viewnet_cycle/0123456789ab"))
->>> run.name, run.key, run.alignment
-('viewnet_cycle chair seed 1 (tiny, matting)', '0123456789ab', 'procrustes')
-"""
+"""A finished run on disk: its configuration, result, predictions and log. Needs nothing that trains."""
 
 from __future__ import annotations
 
@@ -21,15 +15,13 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.runtime.files import read_csv, read_json
 
 NOT_SCORED = "its own views have no annotated val and test split"
-LEARNED_ALIGNMENTS = ("procrustes", "linear")
-"""How predictions learned without pose labels are aligned: the tables' rows first, then the paper's starred rows."""
-LOG_COLUMNS = ("epoch", "loss", "seconds", "step", "val_accuracy")
-"""The columns that every training log has."""
+LEARNED_ALIGNMENTS = ("procrustes", "linear")  # without pose labels: the tables' rows, then the paper's starred rows
+LOG_COLUMNS = ("epoch", "loss", "seconds", "step", "val_accuracy")  # of every training log
 
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run: a configuration and the folder that training filled."""
+    """A configuration and the folder that training filled."""
 
     config: RunConfig
     folder: Path
@@ -66,10 +58,7 @@ class Run:
 
     @property
     def scored(self) -> bool:
-        """Whether its own views could be scored: there are predictions, and metrics in `result`.
-
-        ViewnetError for a run that is not finished.
-        """
+        """Whether its own views could be scored, so that there are predictions. ViewnetError for an unfinished run."""
         result = self.result
         if "metrics" not in result:
             raise ViewnetError(f"{self.folder / 'result.json'}: no metrics: the run is not finished, train it again")
@@ -103,10 +92,7 @@ def read_result(path: Path) -> dict[str, Any]:
 
 
 def read_log(path: Path) -> pd.DataFrame:
-    """A training log: a row for each validation, all columns numeric, `LOG_COLUMNS` among them; or no rows.
-
-    Raises ViewnetError for anything else.
-    """
+    """A training log: a row for each validation, or none yet. ViewnetError unless it has `LOG_COLUMNS`, all numeric."""
     log = read_csv(path)
     if log.empty:  # nothing has been validated yet
         return log

@@ -23,6 +23,7 @@ array([[1., 0., 0.],
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,11 +31,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.predictions import UNIT_TOLERANCE, Floats, Predictions
+from viewnet.evaluation.predictions import UNIT_TOLERANCE, Floats, Predictions, is_text
 
 IMAGE = ["category", "model_id", "view"]
-ANGLE_TOLERANCE = 0.01
-"""Degrees by which a file's angles may differ from the store's: it may have rounded them."""
+ANGLE_TOLERANCE = 0.01  # degrees by which a file's angles may differ from the store's: it may have rounded them
 
 
 def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
@@ -49,14 +49,13 @@ def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
         if name not in frame.columns:
             raise ViewnetError(f"{path}: column {name!r} is missing: expected {', '.join(IMAGE)}, h0_x, h0_y, h0_z")
     for name in ("category", "model_id"):
-        text = frame[name].map(lambda value: isinstance(value, str)).to_numpy(dtype=bool)
-        if (row := _first(frame, ~text)) is not None:
+        if (row := _first(frame, ~is_text(frame[name]))) is not None:
             raise ViewnetError(f"{path}: row {row}: {name} {frame.at[row, name]} is no text: write ids as text")
     category = ids["category"].iloc[0]
     frame = frame[frame["category"] == category]
     if frame.empty:
         raise ViewnetError(f"{path}: no row of category {category}")
-    rows = _matched(path, frame, ids)
+    rows = _matched(path, frame, ids)  # (N,)
     _check_truth(path, frame, ids.iloc[rows])
     heads = sum(name.startswith("h") and name.endswith("_x") and name[1:-2].isdigit() for name in frame.columns)
     hypotheses = _vectors(path, frame, "h", heads)
@@ -68,18 +67,14 @@ def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
     return Predictions(ids, hypotheses[order], logits[order], None if ups is None else ups[order])
 
 
-_READERS = {
-    ".parquet": pd.read_parquet,
-    ".csv": lambda path: pd.read_csv(path, dtype=str, keep_default_na=False),  # as text, or ids lose leading zeros
-}
-
-
 def _frame(path: Path) -> pd.DataFrame:
     """The file's rows, numbered from 1."""
-    if path.suffix not in _READERS:
-        raise ViewnetError(f"{path}: expected a file of predictions, {' or '.join(_READERS)}")
+    # CSV as text, or ids lose leading zeros.
+    readers = {".parquet": pd.read_parquet, ".csv": partial(pd.read_csv, dtype=str, keep_default_na=False)}
+    if path.suffix not in readers:
+        raise ViewnetError(f"{path}: expected a file of predictions, {' or '.join(readers)}")
     try:
-        frame = _READERS[path.suffix](path)
+        frame = readers[path.suffix](path)
     except FileNotFoundError:
         raise ViewnetError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:  # the readers' own errors are ValueErrors
@@ -107,12 +102,11 @@ def _vectors(path: Path, frame: pd.DataFrame, prefix: str, count: int) -> Floats
     vectors = []
     for name in [f"{prefix}{m}" for m in range(count)]:
         vector = np.stack([_numbers(path, frame, f"{name}_{axis}") for axis in "xyz"], axis=1)  # (N, 3)
-        lengths = np.linalg.norm(vector, axis=1)
-        wrong = np.abs(lengths - 1) > UNIT_TOLERANCE
+        wrong = np.abs((lengths := np.linalg.norm(vector, axis=1)) - 1) > UNIT_TOLERANCE  # (N,)
         if (row := _first(frame, wrong)) is not None:
             raise ViewnetError(f"{path}: row {row}: {name} has length {lengths[wrong][0]:g}: expected a unit vector")
         vectors.append(vector)
-    return np.stack(vectors, axis=1)
+    return np.stack(vectors, axis=1)  # (N, M, 3)
 
 
 def _matched(path: Path, frame: pd.DataFrame, ids: pd.DataFrame) -> NDArray[np.intp]:
@@ -120,20 +114,16 @@ def _matched(path: Path, frame: pd.DataFrame, ids: pd.DataFrame) -> NDArray[np.i
     views, category = _numbers(path, frame, "view"), ids["category"].iloc[0]
     expected = pd.MultiIndex.from_frame(ids[["model_id", "view"]])
     submitted = pd.MultiIndex.from_arrays([frame["model_id"], views])
-    rows = expected.get_indexer(submitted)
-    for wrong, problem in (
-        (rows < 0, "is not among the images to calibrate on and to score"),
-        (submitted.duplicated(), "appears twice"),
-    ):
+    rows = expected.get_indexer(submitted)  # (N,), -1 where there is no such image
+    unknown, twice = "is not among the images to calibrate on and to score", "appears twice"
+    for wrong, problem in ((rows < 0, unknown), (submitted.duplicated(), twice)):
         if (row := _first(frame, wrong)) is not None:
             image = f"view {views[wrong][0]:g} of {category} {frame.at[row, 'model_id']}"
             raise ViewnetError(f"{path}: row {row}: {image} {problem}")
     if len(rows) < len(ids):
         missing = np.setdiff1d(np.arange(len(ids)), rows)
-        model, view = expected[missing[0]]
-        raise ViewnetError(
-            f"{path}: no row for view {view} of {category} {model} ({len(missing)} of {len(ids)} are missing)"
-        )
+        (model, view), count = expected[missing[0]], f"{len(missing)} of {len(ids)}"
+        raise ViewnetError(f"{path}: no row for view {view} of {category} {model} ({count} are missing)")
     return rows
 
 
@@ -146,7 +136,5 @@ def _check_truth(path: Path, frame: pd.DataFrame, ids: pd.DataFrame) -> None:
             away = np.abs(_numbers(path, frame, name) - ids[name].to_numpy())
             wrong = (np.minimum(away, 360 - away) if name == "azimuth" else away) > ANGLE_TOLERANCE
         if (row := _first(frame, wrong)) is not None:
-            raise ViewnetError(
-                f"{path}: row {row}: {name} is {frame.at[row, name]}, but that image's is"
-                f" {ids[name].to_numpy()[wrong][0]}: the file was made for other images"
-            )
+            known = f"but that image's is {ids[name].to_numpy()[wrong][0]}: the file was made for other images"
+            raise ViewnetError(f"{path}: row {row}: {name} is {frame.at[row, name]}, {known}")
