@@ -64,7 +64,7 @@ def start(options: Options) -> Any:
             share=options.share == "yes",
             inbrowser=options.open,
             theme=app.theme(),
-            css=app.STYLE,
+            css_paths=app.STYLE,
             **LAUNCH,
         )
     except ValueError:  # gradio could not reach its own page

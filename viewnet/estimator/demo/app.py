@@ -23,6 +23,7 @@ from viewnet.estimator.demo import analysis, compass_svg
 from viewnet.estimator.demo.analysis import Analysis
 from viewnet.estimator.demo.box_picker import BoxPicker, format_box, parse_box, read
 from viewnet.estimator.demo.examples import Example
+from viewnet.estimator.templating import rendered
 from viewnet.model.reconstruction import Encoded
 
 LIFETIME = 3600
@@ -31,22 +32,7 @@ QUEUE = "network"
 """Events that use the network wait for each other: compiled kernels are not for several threads at once."""
 HINT = "Click two opposite corners of the object in the image, or type its edges in pixels."
 WAITING = "<p>Choose an image, say where its object is, and press <b>Find the viewpoint</b>.</p>"
-STYLE = """
-.gradio-container { max-width: 1180px !important; margin: auto; }
-.dials { display: flex; gap: 8px; flex-wrap: wrap; justify-content: center; }
-.dials figure { flex: 1 1 145px; max-width: 300px; margin: 0; text-align: center; }
-.dials svg { width: 100%; height: auto; }
-.headline { font-size: 1.25em; margin: 0.2em 0; }
-.notes { margin: 0.4em 0 0 1.2em; list-style: disc; }
-#hypotheses table { width: 100%; border-collapse: collapse; margin: 0; }
-#hypotheses :is(table, tr, th, td) { border: 0 !important; text-align: left; font-weight: normal; }
-#hypotheses :is(th, td) { padding: 3px 8px 3px 0; }
-#hypotheses thead th { opacity: 0.75; font-size: 0.85em; }
-#hypotheses td.bars { width: 34%; }
-#examples .grid-container { grid-template-columns: repeat(4, minmax(0, 1fr)); }
-#examples .gallery-item, #examples button { min-width: 0; width: 100%; height: auto; aspect-ratio: 1; }
-#hypotheses .bar { display: block; height: 12px; min-width: 1px; border-radius: 3px; }
-"""
+STYLE = Path(__file__).parents[1] / "templates" / "demo.css"
 
 
 def theme() -> gr.themes.Base:
@@ -228,17 +214,9 @@ def _file_of(sent: dict[str, Any] | None) -> tuple[Path, str] | None:
 def answer(result: Analysis, notes: Sequence[str]) -> str:
     """HTML: the viewpoint in numbers, in words if it is in the annotated frame, and on two compasses."""
     one = result.viewpoint
-    words = f": it shows {compass_svg.words(one.azimuth, one.elevation)}" if one.aligned else ""
-    frame = "" if one.aligned else "<p>In the model's own frame: azimuth 0 and up are arbitrary.</p>"
-    items = "".join(f"<li>{escape(note)}</li>" for note in notes)
-    return (
-        f'<p class="headline">azimuth <b>{one.azimuth:.1f}°</b>, elevation <b>{one.elevation:.1f}°</b>{words}</p>'
-        f"<p>confidence <b>{100 * one.confidence:.1f} %</b>: the probability that this hypothesis is the best one, as "
-        f"the network estimates it</p>{frame}"
-        f'<div class="dials"><figure>{compass_svg.from_above(one)}<figcaption>from above</figcaption></figure>'
-        f"<figure>{compass_svg.from_the_side(one)}<figcaption>from the side</figcaption></figure></div>"
-        + (f'<ul class="notes">{items}</ul>' if notes else "")
-    )
+    above, side = compass_svg.from_above(one), compass_svg.from_the_side(one)
+    words = compass_svg.words(one.azimuth, one.elevation)
+    return rendered("answer.html", one=one, words=words, above=above, side=side, notes=notes)
 
 
 def _enlarged(pixels: np.ndarray) -> Image.Image:
