@@ -51,15 +51,15 @@ def test_facts_about_the_model():
     network = untrained(**PHOTOS).network
     scores = {"images": 40, "acc30": 81.25, "median": 12.5}
     scored = ViewpointEstimator(network, config, np.eye(3), {"key": "0123456789ab", "metrics": {"procrustes": scores}})
-    told = " ".join(analysis.model_facts(scored))
+    told = analysis.model_facts(scored)
     for part in ("car", "`photos`", "0123456789ab", "81.2 %", "12.5 degrees", "90 its left side"):
         assert part in told
-    own = " ".join(analysis.model_facts(ViewpointEstimator(network, config)))
+    own = analysis.model_facts(ViewpointEstimator(network, config))
     assert "not aligned" in own
     assert "left side" not in own
     assert "not scored" in own
-    assert "recipe `photos`: " not in " ".join(analysis.model_facts(untrained(**SQUARE)))
-    assert "rendering camera" in " ".join(analysis.model_facts(untrained()))
+    assert "recipe `photos`: " not in analysis.model_facts(untrained(**SQUARE))
+    assert "rendering camera" in analysis.model_facts(untrained())
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def start(options: Options) -> Any:
     from viewnet.estimator.demo import app, examples
 
     estimator = ViewpointEstimator.from_pretrained(options.model, device=options.device)
-    page = app.build(estimator, examples.rendered(estimator))
+    page = app.Page(estimator, examples.rendered(estimator)).blocks
     try:
         page.launch(
             server_name=options.host,

@@ -15,8 +15,7 @@ def download(name: str, files: Sequence[str], **options: Any) -> Path:
 
     ViewnetError without huggingface_hub, and where the hub has no such model or cannot be reached.
     """
-    library = _library(name)
-    return Path(_request(name, lambda: library.snapshot_download(name, allow_patterns=list(files), **options)))
+    return Path(_request(name, lambda hub: hub.snapshot_download(name, allow_patterns=list(files), **options)))
 
 
 def push(
@@ -31,10 +30,9 @@ def push(
     create_pr: bool | None = None,
 ) -> str:
     """Upload these files of a folder and return the address of the commit. ViewnetError where that does not work."""
-    library = _library(repo_id)
 
-    def upload() -> str:
-        api = library.HfApi(token=token)
+    def upload(hub: Any) -> str:
+        api = hub.HfApi(token=token)
         name = api.create_repo(repo_id=repo_id, private=private, exist_ok=True).repo_id
         commit = {"commit_message": commit_message, "revision": branch, "create_pr": create_pr}
         return str(api.upload_folder(repo_id=name, folder_path=folder, allow_patterns=list(files), **commit))
@@ -42,19 +40,15 @@ def push(
     return _request(repo_id, upload, "takes no model")
 
 
-def _library(name: str) -> Any:
+def _request(name: str, request: Callable[[Any], str], refusal: str = "gives no such model") -> str:
+    """What a request to the library returns."""
     try:
         import huggingface_hub
     except ImportError:
-        raise ViewnetError(
-            f'{name}: no such folder, and for the Hugging Face hub: pip install "viewnet[hub]"'
-        ) from None
-    return huggingface_hub
-
-
-def _request(name: str, request: Callable[[], str], refusal: str = "gives no such model") -> str:
+        problem = 'no such folder, and for the Hugging Face hub: pip install "viewnet[hub]"'
+        raise ViewnetError(f"{name}: {problem}") from None
     try:
-        return request()
+        return request(huggingface_hub)
     except Exception as error:  # its own errors, and those of whichever HTTP library it uses
         problem = f"{type(error).__name__}: {first_line(error)}"
         raise ViewnetError(f"{name}: the Hugging Face hub {refusal} ({problem})") from error

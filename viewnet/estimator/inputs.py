@@ -17,6 +17,7 @@ from viewnet.data.crop import Box, bounds, coverage, inside
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
+ARRAYS, FILES = (np.ndarray, Tensor), (Image.Image, str, os.PathLike)
 ImageLike = Image.Image | str | os.PathLike | np.ndarray | Tensor
 """One image: a PIL image, a path, an array (H, W), (H, W, 3) or (H, W, 4), or a tensor (1, 3 or 4, H, W)."""
 ImagesLike = ImageLike | Sequence[ImageLike]
@@ -39,17 +40,13 @@ class InputImage:
 
 def as_list(images: ImagesLike) -> list[ImageLike]:
     """One or several images as a list. ViewnetError if there are none, or they are of another type."""
-    if isinstance(images, (np.ndarray, Tensor)):
-        listed: list[Any] = list(images) if images.ndim == 4 else [images]
-    elif isinstance(images, (Image.Image, str, os.PathLike)):
-        listed = [images]
-    else:
-        try:
-            listed = list(images)
-        except TypeError:
-            raise ViewnetError(
-                f"images: got {type(images).__name__}: expected an image, a path, an array or a list of such"
-            ) from None
+    if isinstance(images, FILES) or (isinstance(images, ARRAYS) and images.ndim != 4):
+        return [images]
+    try:
+        listed: list[Any] = list(images)
+    except TypeError:
+        expected = "expected an image, a path, an array or a list of such"
+        raise ViewnetError(f"images: got {type(images).__name__}: {expected}") from None
     if not listed:
         raise ViewnetError("images: none were given")
     return listed
@@ -59,9 +56,7 @@ def masks_of(masks: Any, count: int) -> list[Any]:
     """A mask, or None, for each of `count` images. ViewnetError for another number of masks."""
     if masks is None:
         return [None] * count
-    single = isinstance(masks, (Image.Image, str, os.PathLike)) or (
-        isinstance(masks, (np.ndarray, Tensor)) and masks.ndim == 2
-    )
+    single = masks.ndim == 2 if isinstance(masks, ARRAYS) else isinstance(masks, FILES)
     return _as_many([masks] if single else list(masks), count, "masks")
 
 
@@ -69,7 +64,7 @@ def boxes_of(boxes: Any, count: int) -> list[Box | None]:
     """A box (x0, y0, x1, y1), or None, for each of `count` images. ViewnetError for anything else."""
     if boxes is None:
         return [None] * count
-    listed = [value.tolist() if isinstance(value, (np.ndarray, Tensor)) else value for value in list(boxes)]
+    listed = [value.tolist() if isinstance(value, ARRAYS) else value for value in list(boxes)]
     if listed and all(isinstance(value, (int, float, np.number)) for value in listed):
         listed = [listed]
     return [None if box is None else _box(box) for box in _as_many(listed, count, "boxes")]
@@ -110,17 +105,22 @@ def read_image(image: ImageLike, mask: Any = None, box: Box | None = None) -> In
     if alpha is None:
         return InputImage(decoded, None, box)
     alpha = alpha if box is None else inside(alpha, box)
-    place = bounds(alpha)
+    place = bounds(alpha)  # of an empty mask a ViewnetError
     return InputImage(decoded, alpha, None if mask is None and box is None else place)
 
 
+def read_file(path: Path, name: str = "image") -> Image.Image:
+    """An image file, decoded and upright. ViewnetError, which calls it `name`, if it cannot be read."""
+    with image_files.opened(path, name) as file:
+        file.load()
+        return ImageOps.exif_transpose(file)
+
+
 def _decode(image: ImageLike) -> Image.Image:
-    if isinstance(image, (np.ndarray, Tensor)):
+    if isinstance(image, ARRAYS):
         return Image.fromarray(_pixels(image))
     if isinstance(image, (str, os.PathLike)):
-        with image_files.opened(Path(image)) as file:
-            file.load()
-            return ImageOps.exif_transpose(file)
+        return read_file(Path(image))
     if isinstance(image, Image.Image):
         try:
             return ImageOps.exif_transpose(image)

@@ -19,7 +19,7 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
     # Whatever comes with the project may be passed on.
     ours = not (data.root or data.extra or (data.video and data.video.root)) and data.backgrounds in (None, "drawn")
     licence = license or ("mit" if ours else "other")
-    front = {"license": licence, "library_name": "viewnet", "tags": [*TAGS, config.category]}
+    front: dict[str, Any] = {"license": licence, "library_name": "viewnet", "tags": [*TAGS, config.category]}
     if scores := (about.get("metrics") or {}).get("procrustes"):
         task = {"type": "viewpoint-estimation", "name": "Viewpoint estimation"}
         metrics = [{"type": key, "name": name, "value": scores[key]} for key, name in METRICS.items()]

@@ -4,7 +4,6 @@
 
 >>> from viewnet.model.viewnet import ViewNet
 >>> from viewnet.recipes import make_config
->>> from viewnet.model.viewnet import ViewNet
 >>> config = make_config(profile="smoke", recipe="photos", backgrounds=None)
 >>> estimator = ViewpointEstimator(ViewNet(config.model).eval(), config)
 >>> photograph = np.full((300, 400, 3), 128, np.uint8)
@@ -132,7 +131,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         """
         if self.hologan:
             raise ViewnetError("volume: the HoloGAN decoder has no volume of colours: take another variant")
-        return self._encode(self._one(image, mask, box)).volume[0].cpu()
+        return self.encode(self._one(image, mask, box)).volume[0].cpu()
 
     def mesh(
         self, image: ImageLike | Prepared, mask: Any = None, box: Any = None, level: float = 0.5
@@ -154,7 +153,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         """
         rendered = []
         for prepared in self._prepared(images, masks, boxes):
-            views = self.render(self._encode(prepared), self._predicted_poses(prepared), size)
+            views = self.render(self.encode(prepared), self._predicted_poses(prepared), size)
             cut = self.framing.crop != "none" and not prepared.cutout.any()
             rendered.append(self.displayed(tight_crop(views, views.shape[-1], margin=0.0) if cut else views))
         return np.concatenate(rendered)
@@ -182,7 +181,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         poses, rendered = self.in_own_frame(look_at(view_vector(*angles))), []
         for prepared in self._prepared(images, masks, boxes):
             batch, poses = poses[: len(prepared)], poses[len(prepared) :]
-            rendered.append(self.displayed(self.render(self._encode(prepared), batch, size)))
+            rendered.append(self.displayed(self.render(self.encode(prepared), batch, size)))
         return np.concatenate(rendered)
 
     def turntable(
@@ -208,7 +207,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         prepared = self._one(image, mask, box)
         pose, vector = self._predicted_poses(prepared)[0], self.predict(prepared).vector[0]
         pixels = rendering.to_uint8(prepared.images)[0]
-        frames = turntable.animate(self, pixels, self._encode(prepared), pose, vector, steps, hold, size)
+        frames = turntable.animate(self, pixels, self.encode(prepared), pose, vector, steps, hold, size)
         if path is not None:
             turntable.save(frames, Path(path), rate)
         return frames
@@ -264,7 +263,8 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         return hypotheses.world_from_camera[torch.arange(len(prepared)), hypotheses.logits.argmax(1).cpu()].cpu()
 
     @torch.no_grad()
-    def _encode(self, prepared: Prepared) -> Encoded:
+    def encode(self, prepared: Prepared) -> Encoded:
+        """The objects of prepared images, for `render`."""
         return Encoded(*self.network.encode(prepared.appearance, background=prepared.background))
 
     def _viewpoints(self, batches: Iterable[Hypotheses]) -> Viewpoints:

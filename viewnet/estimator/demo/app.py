@@ -18,10 +18,10 @@ from gradio.processing_utils import save_bytes_to_cache
 from PIL import Image
 
 from viewnet.errors import ViewnetError
-from viewnet.estimator import ViewpointEstimator, volume_mesh
+from viewnet.estimator import ViewpointEstimator, inputs, volume_mesh
 from viewnet.estimator.demo import analysis, compass_svg
 from viewnet.estimator.demo.analysis import Analysis
-from viewnet.estimator.demo.box_picker import BoxPicker, format_box, parse_box, read
+from viewnet.estimator.demo.box_picker import BoxPicker, format_box, parse_box
 from viewnet.estimator.demo.examples import Example
 from viewnet.estimator.templating import rendered
 from viewnet.model.reconstruction import Encoded
@@ -30,7 +30,6 @@ LIFETIME = 3600
 """Seconds after which files that visitors sent, and what was made of them, are deleted."""
 QUEUE = "network"
 """Events that use the network wait for each other: compiled kernels are not for several threads at once."""
-HINT = "Click two opposite corners of the object in the image, or type its edges in pixels."
 WAITING = "<p>Choose an image, say where its object is, and press <b>Find the viewpoint</b>.</p>"
 STYLE = Path(__file__).parents[1] / "templates" / "demo.css"
 
@@ -41,15 +40,13 @@ def theme() -> gr.themes.Base:
     return gr.themes.Default(primary_hue="blue", **fonts)
 
 
-def build(estimator: ViewpointEstimator, examples: Sequence[Example] = ()) -> gr.Blocks:
-    """The page of a network, with images to try it on."""
-    return Page(estimator, examples).blocks
-
-
 class Page:
-    """Components and event handlers. The state of visitors goes from event to event and is never kept here."""
+    """The page of a network, with images to try it on: components (`blocks`) and event handlers.
 
-    def __init__(self, estimator: ViewpointEstimator, examples: Sequence[Example]):
+    The state of visitors goes from event to event and is never kept here.
+    """
+
+    def __init__(self, estimator: ViewpointEstimator, examples: Sequence[Example] = ()):
         self.estimator, self.examples = estimator, list(examples)
         self.folder = tempfile.TemporaryDirectory(prefix="viewnet-demo-")  # of the examples' files, as long as the page
         title = f"From where is this {estimator.config.category} seen?"
@@ -68,14 +65,13 @@ class Page:
                     label, white = "As a 3-D model: drag to turn it", (1, 1, 1, 1)
                     self.mesh = gr.Model3D(label=label, clear_color=white, height=440, elem_id="mesh")
             with gr.Accordion("What this model is", open=True):
-                facts = analysis.model_facts(estimator)
-                gr.Markdown("\n".join(f"- {line}" for line in facts), elem_id="about")
+                gr.Markdown(analysis.model_facts(estimator), elem_id="about")
             self._connect()
 
     def _lay_out_question(self) -> None:
         sources: Any = ["upload", "webcam", "clipboard"]
         self.image = gr.Image(label="Image: drop, paste or take one", sources=sources, height=320, elem_id="image")
-        gr.Markdown(HINT)
+        gr.Markdown("Click two opposite corners of the object in the image, or type its edges in pixels.")
         self.box = gr.Textbox(label="Box: left, top, right, bottom", placeholder="40 60 380 250", elem_id="box")
         with gr.Row():
             self.unbox = gr.Button("No box", min_width=100, elem_id="unbox")
@@ -102,9 +98,8 @@ class Page:
         self.table = gr.HTML(elem_id="hypotheses")
 
     def _lay_out_views(self) -> None:
-        self.view = gr.Image(
-            label="From elsewhere", interactive=False, format="png", height=300, buttons=["download"], elem_id="view"
-        )
+        still: dict[str, Any] = {"interactive": False, "format": "png", "buttons": ["download"]}
+        self.view = gr.Image(label="From elsewhere", height=300, elem_id="view", **still)
         self.azimuth = gr.Slider(0, 360, value=0, step=1, label="azimuth, degrees", elem_id="azimuth")
         self.elevation = gr.Slider(-90, 90, value=0, step=1, label="elevation, degrees", elem_id="elevation")
 
@@ -124,8 +119,8 @@ class Page:
         self.unbox.click(self.forget_box, self.picker, question, **quiet)
         self.find.click(*predicting, **raw)
         for slider in (self.azimuth, self.elevation):
-            inputs = [self.encoded, self.azimuth, self.elevation]
-            slider.input(self.turn, inputs, self.view, trigger_mode="always_last", show_progress="hidden", **queued)
+            angles = [self.encoded, self.azimuth, self.elevation]
+            slider.input(self.turn, angles, self.view, trigger_mode="always_last", show_progress="hidden", **queued)
         if self.examples:
             chosen = self.samples.select(self.try_example, None, [*question, self.mask], **quiet)
             chosen.success(*predicting, **raw)
@@ -174,7 +169,7 @@ class Page:
             if picker is None:
                 raise ViewnetError("no image: drop, paste or take one, or choose an example")
             file = _file_of(mask)
-            alpha = None if file is None else read(file[0], f"mask {file[1]}")
+            alpha = None if file is None else inputs.read_file(file[0], f"mask {file[1]}")
             result = analysis.analyse(self.estimator, picker.image(), alpha, parse_box(box))
         except ViewnetError as error:
             raise _toast(error) from None

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw, ImageOps
 
 from viewnet.data.crop import Box, rgb
 from viewnet.errors import ViewnetError
-from viewnet.runtime.image_files import opened
+from viewnet.estimator.inputs import read_file
 
 SHOWN = 1024
 """Pixels along the longer side of an image as it is shown. Browsers then only scale it down: gradio reports clicks
@@ -19,25 +19,18 @@ EDGE = (213, 94, 0)
 
 @dataclass(frozen=True, eq=False)
 class BoxPicker:
-    """An upright image that a visitor sent, and the box that was begun in it.
-
-    path     its file
-    name     the file's name on the visitor's machine
-    size     width and height in pixels
-    display  the image as it is shown, on white: SHOWN pixels along its longer side
-    corner   the first corner of a box, in the image's pixels; None: no box was begun
-    """
+    """An upright image that a visitor sent, and the box that was begun in it."""
 
     path: Path
-    name: str
-    size: tuple[int, int]
-    display: Image.Image
-    corner: tuple[float, float] | None = None
+    name: str  # the file's name on the visitor's machine
+    size: tuple[int, int]  # width and height in pixels
+    display: Image.Image  # the image as it is shown, on white: SHOWN pixels along its longer side
+    corner: tuple[float, float] | None = None  # the first corner of a box, in the image's pixels, once it is begun
 
     @classmethod
     def of(cls, path: Path, name: str) -> BoxPicker:
         """Read a file. ViewnetError, which calls it `name`, if it is not an image that can be read."""
-        image = read(path, f"image {name}")
+        image = read_file(path, f"image {name}")
         display = image.convert("RGBA") if image.has_transparency_data else rgb(image)
         display = ImageOps.contain(display, (SHOWN, SHOWN))
         if display.mode == "RGBA":
@@ -46,12 +39,12 @@ class BoxPicker:
 
     def image(self) -> Image.Image:
         """The image in full resolution. ViewnetError if the file is gone."""
-        return read(self.path, f"image {self.name}")
+        return read_file(self.path, f"image {self.name}")
 
     def click(self, x: float, y: float) -> tuple[BoxPicker, Box | None]:
         """The state after a click at a point of `shown`, and the box if the click completes one."""
         scale = max(self.size) / max(self.display.size)
-        point = (round(x * scale, 1), round(y * scale, 1))
+        point = round(x * scale, 1), round(y * scale, 1)
         if self.corner is None:
             return replace(self, corner=point), None
         (x0, x1), (y0, y1) = (sorted(pair) for pair in zip(self.corner, point, strict=True))
@@ -75,13 +68,6 @@ class BoxPicker:
                 pen.rectangle((x0, y0, x1, y1), outline="white", width=2 * width)
                 pen.rectangle((x0, y0, x1, y1), outline=EDGE, width=width)
         return image
-
-
-def read(path: Path, name: str) -> Image.Image:
-    """An image file, decoded and upright. ViewnetError, which calls it `name`, if it cannot be read."""
-    with opened(path, name) as file:
-        file.load()
-        return ImageOps.exif_transpose(file)
 
 
 def parse_box(text: str) -> Box | None:
