@@ -130,7 +130,6 @@ def test_test_sets_by_name():
         "imagenet val": [0],
         "pascal val": [1, 2],
         "pascal val, easy": [2],
-        "all val": [],
         "both val": [0, 1, 2],
     }
 

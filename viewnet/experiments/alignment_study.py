@@ -24,7 +24,7 @@ from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.photos import PhotoExperiment
-from viewnet.runtime.files import write_text
+from viewnet.experiments.reported_constants import write_frames
 from viewnet.tables.columns import HEADLINE
 from viewnet.tables.layouts import LAYOUTS
 
@@ -50,8 +50,8 @@ FITTED = ("constant", "constant_rotation", "view_regression")
 class Predictor:
     """A row of Table 3 for one category.
 
-    `predict` gives predictions, for predictors that are `fitted` after fitting on calibration photographs: their number
-    (None: all) and the seed they are sampled from. Those predict in the annotated frame and are scored unaligned, too.
+    `predict` takes the number of calibration photographs (None: all) and the seed they are sampled from. Those that are
+    `fitted` on them predict in the annotated frame and are scored unaligned, too.
     """
 
     label: str
@@ -59,11 +59,6 @@ class Predictor:
     seed: int
     predict: Callable[[int | None, int], Predictions]
     fitted: bool
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """The alignments to score it by."""
-        return ("none", *KINDS) if self.fitted else KINDS
 
     @property
     def row(self) -> dict[str, Any]:
@@ -91,8 +86,7 @@ class Study:
     def by_count(self, metric: str = "acc30") -> pd.DataFrame:
         """Median over draws and seeds, with the lowest and the highest, by number of calibration photographs."""
         groups = self.scores.groupby(["category", "predictor", "alignment", "images"], sort=False)[metric]
-        lines = [f"{g.median():.1f} [{g.min():.1f}, {g.max():.1f}]" for _, g in groups]
-        wide = pd.Series(lines, index=groups.median().index).unstack("images")
+        wide = groups.agg(lambda g: f"{g.median():.1f} [{g.min():.1f}, {g.max():.1f}]").unstack("images")
         order = self.scores[["category", "predictor", "alignment"]].drop_duplicates()
         return wide.loc[pd.MultiIndex.from_frame(order), sorted(wide.columns)].fillna("")
 
@@ -120,17 +114,12 @@ class Study:
         acc30_gain     expected above 0: the more one-sided, the more accuracy it adds to a rotation
         dva_gain       the same with equal weight for every side
         """
-        parts = self.collapsed().reset_index()
-        lines: dict[tuple[str, str], dict[str, Any]] = {}
-        for (category, predictor), rows in parts.groupby(["category", "predictor"], sort=False):
-            ranks = rows[["side", *EXPECTED]].rank()
-            lines[category, predictor] = {
-                "parts": len(rows),
-                **{name: _correlation(ranks["side"], ranks[name]) for name in EXPECTED},
-            }
-        frame = pd.DataFrame.from_dict(lines, orient="index").round(2)
-        frame.index = pd.MultiIndex.from_tuples(frame.index, names=["category", "predictor"])
-        return frame
+        groups = self.collapsed().groupby(["category", "predictor"], sort=False)
+        # NaN where there are fewer than three subsets, or one side does not change.
+        ranks = groups[["side", *EXPECTED]].corr(method="spearman", min_periods=3)
+        correlations = ranks.xs("side", level=-1)[list(EXPECTED)].round(2)
+        correlations.insert(0, "parts", groups.size())
+        return correlations
 
     def checks(self) -> dict[str, bool]:
         """What must hold whatever was trained."""
@@ -150,11 +139,8 @@ class Study:
 
     def write(self, folder: Path) -> list[Path]:
         """`alignment_study_scores.csv` and `alignment_study_collapse.csv`."""
-        files = []
-        for name, frame in (("scores", self.scores), ("collapse", self.collapse)):
-            files.append(folder / f"alignment_study_{name}.csv")
-            write_text(files[-1], frame.round(4).to_csv(index=False, lineterminator="\n"))
-        return files
+        frames = {"alignment_study_scores": self.scores, "alignment_study_collapse": self.collapse}
+        return write_frames(folder, frames, digits=4)
 
 
 def study_alignment(experiment: PhotoExperiment, runs: Sequence[Run]) -> Study:
@@ -169,18 +155,17 @@ def predictors(experiment: PhotoExperiment, runs: Sequence[Run]) -> Iterator[Pre
     """The runs, then what needs no training, category by category."""
     stores = experiment.stores()
 
-    def fixed(predictions: Predictions, count: int | None, seed: int) -> Predictions:
-        return predictions
+    def fixed(label: str, category: str, seed: int, predictions: Predictions) -> Predictor:
+        return Predictor(label, category, seed, lambda count, seed: predictions, fitted=False)
 
     def fitted(variant: str, category: str, count: int | None, seed: int) -> Predictions:
         return experiment.fitted(variant, stores[category], count, seed)[0]
 
     for entry in experiment.entries(runs, stores, TABLE):
         if entry.alignment == "procrustes":
-            yield Predictor(entry.row, entry.category, entry.seed, partial(fixed, entry.predictions), fitted=False)
+            yield fixed(entry.row, entry.category, entry.seed, entry.predictions)
     for category, store in stores.items():
-        random = baselines.random(store.index, seed=RANDOM_SEED)
-        yield Predictor(RANDOM, category, 0, partial(fixed, random), fitted=False)
+        yield fixed(RANDOM, category, 0, baselines.random(store.index, seed=RANDOM_SEED))
         for row in LAYOUTS[TABLE].rows:
             if row.variant in FITTED:
                 yield Predictor(row.label, category, 0, partial(fitted, row.variant, category), fitted=True)
@@ -192,7 +177,7 @@ def score_rows(predictor: Predictor, counts: Sequence[int] = COUNTS, draws: int 
     tries = [(count, draw) for count in counts if count < total for draw in range(draws)]
     for count, draw in [*tries, (total, 0)]:
         predictions = predictor.predict(count, draw)
-        for kind in predictor.kinds:
+        for kind in ("none", *KINDS) if predictor.fitted else KINDS:
             # A fitted predictor's calibration photographs are those it was fitted on.
             aligned = align(predictions, kind, min(count, len(predictions.subset("val"))), draw)
             yield {**predictor.row, "alignment": kind, "images": count, "draw": draw, **_scores(aligned)}
@@ -208,16 +193,9 @@ def collapse_rows(predictor: Predictor, concentrations: Sequence[float] = CONCEN
         val, test = subset.subset("val"), subset.subset("test")
         azimuths = test.ids["azimuth"].to_numpy()
         linear = Linear.fit(val.selected, val.truth)
-        row = {
-            **predictor.row,
-            "concentration": concentration,
-            "calibrating": len(val),
-            "scored": len(test),
-            "side": side(azimuths),
-            "confidence_index": metrics.confidence_index(azimuths),
-            "weights": float(np.linalg.norm(linear.weights)),
-            "bias": float(np.linalg.norm(linear.bias)),
-        }
+        row = {**predictor.row, "concentration": concentration, "calibrating": len(val), "scored": len(test)}
+        row |= {"side": side(azimuths), "confidence_index": metrics.confidence_index(azimuths)}
+        row |= {name: float(np.linalg.norm(getattr(linear, name))) for name in ("weights", "bias")}
         constant = baselines.constant(subset.ids, source="val")
         kinds = (("rigid", subset, "procrustes"), ("linear", subset, "linear"), ("constant", constant, "none"))
         for name, predicted, kind in kinds:
@@ -256,18 +234,10 @@ def one_sided(predictions: Predictions, concentration: float, seed: int = 0) -> 
     # Sampled in the order of names, so that every predictor keeps the same images whatever their order.
     rank = predictions.ids.sort_values(["model_id", "view"]).index.argsort()
     stays = np.random.default_rng(seed).random(len(azimuths))[rank] < probability
-    if min(np.sum(stays & calibrating), np.sum(stays & ~calibrating)) < FEWEST:
-        return None
-    return predictions.take(stays)
+    fewest = min(np.sum(stays & calibrating), np.sum(stays & ~calibrating))
+    return None if fewest < FEWEST else predictions.take(stays)
 
 
 def _scores(aligned: Aligned) -> dict[str, float]:
     errors, azimuths = aligned.selected_errors, aligned.predictions.ids["azimuth"].to_numpy()
     return {**{m: metrics.STATISTICS[m](errors) for m in HEADLINE}, "dva": metrics.dva(errors, azimuths)}
-
-
-def _correlation(one: pd.Series, other: pd.Series) -> float:
-    """Of ranks; NaN where there are fewer than three subsets, or one side does not change."""
-    if len(one) < 3 or one.nunique() < 2 or other.nunique() < 2:
-        return float("nan")
-    return float(np.corrcoef(one, other)[0, 1])

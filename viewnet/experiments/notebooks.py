@@ -21,23 +21,11 @@ START_TIMEOUT = 600
 """Seconds to wait for a kernel: on a busy machine the usual minute is not enough."""
 ORDER = (
     # Nothing is trained for these.
-    "architecture",
-    "audit_metrics",
+    *("architecture", "audit_metrics", "table1_shapenet"),
     # The runs of Table 2 serve the figures after it, those of Table 3 what scores photographs.
-    "table1_shapenet",
-    "table2_ablation",
-    "figure3_azimuth",
-    "failures",
-    "learned_volumes",
-    "training_curves",
-    "novel_views",
-    "table3_pascal3d",
-    "table5_dva",
-    "alignment_study",
-    "reconstructions",
-    "table4_freiburg",
-    "objectron",
-    "your_method",
+    *("table2_ablation", "figure3_azimuth", "failures", "learned_volumes", "training_curves", "novel_views"),
+    *("table3_pascal3d", "table5_dva", "alignment_study", "reconstructions"),
+    *("table4_freiburg", "objectron", "your_method"),
 )
 """Notebooks that share runs follow each other: the first trains them, the others take no time."""
 
@@ -87,8 +75,7 @@ def check(path: Path, values: Values) -> tuple[dict[str, Any], Request]:
 
 
 def _typed(name: str, text: str, kind: str) -> Any:
-    kinds = {part.strip() for part in kind.split("|")}
-    if "int" in kinds:
+    if "int" in (kinds := {part.strip() for part in kind.split("|")}):
         try:
             return int(text)
         except ValueError:
@@ -159,14 +146,6 @@ def _raise_in_one_line(error: Exception, path: Path) -> NoReturn:
 
 
 @dataclass(frozen=True)
-class Planned:
-    """A notebook and the parameters to run it with."""
-
-    name: str
-    values: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True)
 class Outcome:
     """The executed copy of a notebook, or its error in one line."""
 
@@ -183,30 +162,28 @@ class Outcome:
         return asdict(self) | {"copy": None if self.copy is None else str(self.copy), "seconds": round(self.seconds, 1)}
 
 
-def plan(only: Sequence[str] | None = None, profile: str | None = None, seeds: str | None = None) -> list[Planned]:
-    """The notebooks to run, all or `only` these, in the order of ORDER, with checked parameters.
+def plan(only: Sequence[str] | None = None, profile: str | None = None, seeds: str | None = None) -> dict[str, Values]:
+    """The notebooks to run, all or `only` these, in the order of ORDER -> their checked parameters.
 
     `profile` is given to those that train, `seeds` to those that take several. Raises ViewnetError for an unknown
     notebook and for values that a notebook would refuse, before any is run.
     """
     names = {known(name.removesuffix(".ipynb"), ORDER, "notebook") for name in only or ORDER}
-    planned = []
+    planned: dict[str, Values] = {}
     for name in (name for name in ORDER if name in names):
-        path = find(name)
-        declared = parameters(path)
+        declared = parameters(path := find(name))
         given = {"profile": profile if DESIGNS[name].variants else None, "seeds": seeds}
-        values = tuple((key, value) for key, value in given.items() if value is not None and key in declared)
-        check(path, values)
-        planned.append(Planned(name, values))
+        planned[name] = [(key, value) for key, value in given.items() if value is not None and key in declared]
+        check(path, planned[name])
     return planned
 
 
-def run_all(planned: Sequence[Planned]) -> Iterator[Outcome]:
+def run_all(planned: dict[str, Values]) -> Iterator[Outcome]:
     """Run notebooks one after the other; each outcome as soon as it is known. Failures do not stop it."""
-    for notebook in planned:
+    for name, values in planned.items():
         start, copy, error = time.monotonic(), None, None
         try:
-            copy = run(notebook.name, notebook.values)
+            copy = run(name, values)
         except ViewnetError as problem:
             error = str(problem)
-        yield Outcome(notebook.name, time.monotonic() - start, copy, error)
+        yield Outcome(name, time.monotonic() - start, copy, error)

@@ -33,8 +33,9 @@ from viewnet.evaluation.alignment import ALIGNMENTS
 from viewnet.evaluation.predictions import ID_COLUMNS, UNIT_TOLERANCE, Floats, Predictions, joined, true_vectors
 from viewnet.evaluation.run import Run
 from viewnet.experiments.cad import Experiment, Rows
+from viewnet.experiments.parameters import PARAMETERS
 from viewnet.experiments.photos import PhotoExperiment, content_key
-from viewnet.experiments.request import DESIGNS
+from viewnet.experiments.request import DESIGNS, accepted
 from viewnet.runtime import provenance
 from viewnet.tables.layouts import ADDED, LAYOUTS
 from viewnet.tables.table import Entry, Table
@@ -46,12 +47,15 @@ Images = NDArray[np.uint8]
 
 
 class Method(Protocol):
-    """Estimates viewpoints.
+    """Estimates viewpoints. May have a method `fit(images, view_vectors)`.
 
     Images are (N, S, S, 3) uint8, RGB. Photographs are cropped to the object's box at 128 pixels a side, as the view
     regression gets them; the profile's networks get the same at their own size. Views of CAD models have the size they
     are rendered at (32 pixels at the profile smoke, else 64) and a black background, which is what ViewNet's viewpoint
     network gets, except for the crop to the object in the recipe `paper`.
+
+    `fit` is given the images that predictions are aligned on and their true view vectors (N, 3), before `predict`, once
+    for each category: nothing learned from another category may remain.
     """
 
     def predict(self, images: Images) -> ArrayLike:
@@ -61,18 +65,6 @@ class Method(Protocol):
         affine map ("linear"), or in the annotated frame itself ("none"). Called several times, each with at most BATCH
         images in random order.
         """
-        ...
-
-
-class Supervised(Method, Protocol):
-    """A method that learns from calibration images, as SSV's regression does."""
-
-    def fit(self, images: Images, view_vectors: Floats) -> None:
-        """Learn from the images that predictions are aligned on, and their true view vectors (N, 3).
-
-        Called before `predict`, once for each category: nothing learned from another category may remain.
-        """
-        ...
 
 
 @dataclass(frozen=True)
@@ -114,10 +106,9 @@ class Submission:
         """The method of a category. Raises ViewnetError where there is none."""
         if not isinstance(self.method, Mapping):
             return self.method
-        if category not in self.method:
-            names = ", ".join(self.method)
-            raise ViewnetError(f"method {self.label!r}: there is none for {category}, only for {names}")
-        return self.method[category]
+        if category in self.method:
+            return self.method[category]
+        raise ViewnetError(f"method {self.label!r}: there is none for {category}, only for {', '.join(self.method)}")
 
     @property
     def remark(self) -> str:
@@ -160,17 +151,16 @@ class OwnMethodExperiment(Experiment):
     @functools.cached_property
     def tables(self) -> dict[str, Experiment]:
         """Table -> the experiment that makes it."""
-        shared: dict[str, Any] = {name: getattr(self, name) for name in ("profile", "categories", "seeds")}
-        shared["workers"] = self.workers or 0
-        cad, photographs = self.cad_root or "", self.data_root or ""
-        photo_settings: dict[str, Any] = {"data_root": photographs, "cad_root": cad, "backgrounds": self.backgrounds}
-        photo_settings["calibration"] = self.calibration or 0
-        return {
-            table: PhotoExperiment.check(table, **shared, **photo_settings)
-            if DESIGNS[table].kind == "photos"
-            else Experiment.check(table, **shared, data_root=cad)
-            for table in DESIGNS[self.name].tables
-        }
+        # As plain values: "" and 0 for None.
+        own = {name: getattr(self, name) or PARAMETERS[name].default for name in accepted(self.name) - {"output"}}
+        tables: dict[str, Experiment] = {}
+        for table in DESIGNS[self.name].tables:
+            if DESIGNS[table].kind == "photos":
+                tables[table] = PhotoExperiment.check(table, **own)
+            else:
+                names = ("profile", "categories", "seeds", "workers")
+                tables[table] = Experiment.check(table, data_root=own["cad_root"], **{n: own[n] for n in names})
+        return tables
 
     @property
     def configs(self) -> list[RunConfig]:
@@ -252,8 +242,7 @@ def _predict(submission: Submission, images: HeldOut, category: str, calibration
     rng = np.random.default_rng(0)
     parts = []
     for split, (_, mine) in images.stores.items():
-        vectors = np.empty((len(mine), 3))
-        order = rng.permutation(len(mine))
+        vectors, order = np.empty((len(mine), 3)), rng.permutation(len(mine))
         for start in range(0, len(mine), BATCH):
             rows = order[start : start + BATCH]
             vectors[rows] = _unit_vectors(method.predict(images.images(split, rows)), len(rows), who)
@@ -266,8 +255,7 @@ def _unit_vectors(values: Any, count: int, who: str) -> Floats:
     try:
         vectors = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError, RuntimeError) as error:
-        problem = str(error).splitlines()[0]
-        raise ViewnetError(f"{who}: predict returned no array of numbers ({problem})") from error
+        raise ViewnetError(f"{who}: predict returned no array of numbers ({str(error).splitlines()[0]})") from error
     if vectors.shape != (count, 3):
         raise ViewnetError(f"{who}: predict returned {vectors.shape} for {count} images: expected ({count}, 3)")
     wrong = ~(np.abs(np.linalg.norm(vectors, axis=1) - 1) <= UNIT_TOLERANCE)  # NaN is wrong as well
@@ -282,22 +270,15 @@ def _unit_vectors(values: Any, count: int, who: str) -> Floats:
 
 
 def _entry(submission: Submission, images: HeldOut, category: str, calibration: int | None) -> Entry:
-    said = _predict(submission, images, category, calibration)
-    method = None if submission.file is not None else submission.of(category)
-    origin: dict[str, Any] = {
-        "variant": ADDED,
-        "label": submission.label,
-        "category": category,
-        "alignment": submission.alignment,
-        "calibration": calibration,
-        "images": images.identity,
-        "source": submission.file.name if submission.file is not None else type(method).__qualname__,
-        "fitted": hasattr(method, "fit"),
-        "predictions": digest(said),
-    }
+    predicted = _predict(submission, images, category, calibration)
+    method, alignment = submission.of(category), submission.alignment
+    origin: dict[str, Any] = {"variant": ADDED, "label": submission.label, "category": category}
+    origin |= {"alignment": alignment, "calibration": calibration, "images": images.identity}
+    origin["source"] = submission.file.name if submission.file else type(method).__qualname__
+    origin |= {"fitted": hasattr(method, "fit"), "predictions": digest(predicted)}
     key = content_key(ADDED, origin)
     origin["git"] = provenance.commit()
-    return Entry(submission.label, category, 0, submission.alignment, key, said, origin, calibration)
+    return Entry(submission.label, category, 0, alignment, key, predicted, origin, calibration)
 
 
 def digest(predictions: Predictions) -> str:

@@ -87,17 +87,21 @@ class ConstantAudit:
 
     def verdict_counts(self) -> pd.DataFrame:
         """How often each verdict was given, by table and definition."""
-        return (
-            self.constants.groupby(["table", "definition"], sort=False)["verdict"].value_counts().unstack(fill_value=0)
-        )
+        cells = self.constants.groupby(["table", "definition"], sort=False)
+        return cells["verdict"].value_counts().unstack(fill_value=0)
 
     def write(self, folder: Path) -> list[Path]:
         """`audit_constants.csv` and `audit_confidence.csv` (`stand_in_...` for a stand-in): all numbers compared."""
         stem = "stand_in" if self.stand_in else "audit"
-        files = [folder / f"{stem}_constants.csv", folder / f"{stem}_confidence.csv"]
-        for path, frame in zip(files, (self.constants, self.confidence), strict=True):
-            write_text(path, frame.round(3).to_csv(index=False, lineterminator="\n"))
-        return files
+        frames = {f"{stem}_constants": self.constants, f"{stem}_confidence": self.confidence}
+        return write_frames(folder, frames, digits=3)
+
+
+def write_frames(folder: Path, frames: dict[str, pd.DataFrame], digits: int) -> list[Path]:
+    """Write each frame, rounded, to `<name>.csv` in `folder`."""
+    for name, frame in frames.items():
+        write_text(folder / f"{name}.csv", frame.round(digits).to_csv(index=False, lineterminator="\n"))
+    return [folder / f"{name}.csv" for name in frames]
 
 
 def audit_file(path: Path | None = None) -> ConstantAudit:
@@ -114,7 +118,7 @@ def audit_viewpoints(viewpoints: pd.DataFrame, left_out: dict[str, int] | None =
     distributed (section 4.2), so an even lattice stands for it, whatever the list holds. Raises ViewnetError where the
     list has no row of a split "val" or "test" at all.
     """
-    if not any(len(rows) for _, rows in test_sets(viewpoints)):
+    if not dict(test_sets(viewpoints)):
         splits = ", ".join(sorted(viewpoints["split"].unique()))
         raise ViewnetError(f"audit: the list has viewpoints of the splits {splits} only: val is what was tested on")
     even = lattice()
@@ -122,18 +126,18 @@ def audit_viewpoints(viewpoints: pd.DataFrame, left_out: dict[str, int] | None =
     for category in dict.fromkeys(viewpoints["category"]):
         mine = viewpoints[viewpoints["category"] == category]
         for test_set, rows in test_sets(mine):
-            if len(rows):
-                cells += examine(test_set, category, rows, dict(_sources(mine)), ("table3_pascal3d", "table4_dva"))
+            cells += examine(test_set, category, rows, dict(_sources(mine)), ("table3_pascal3d", "table4_dva"))
     cells.sort(key=lambda cell: list(TABLES).index(cell["table"]))
     return ConstantAudit(pd.DataFrame(cells), confidence_indices(viewpoints), left_out or {})
 
 
 def test_sets(viewpoints: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """The sets that PASCAL3D+ results are reported on, by name; empty where the list has nothing of one."""
+    """The sets that PASCAL3D+ results are reported on, by name, as far as the list has some of them."""
     held_out = viewpoints[viewpoints["split"].isin(("val", "test"))]
     for subset in ("imagenet", "pascal", "all"):
         rows = held_out[held_out["subset"] == subset]
-        yield f"{subset} val", rows
+        if len(rows):
+            yield f"{subset} val", rows
         if rows["easy"].any():
             yield f"{subset} val, easy", rows[rows["easy"]]
     if held_out["subset"].nunique() > 1:
@@ -218,17 +222,16 @@ def _judge(
         for name, score in candidates.items()
     }
     closest = min(distance, key=distance.__getitem__)
-    if any(_beyond(name, value, bound[name]) for name, value in report.items()):
+    if any(
+        value + ROUNDING[name] < bound[name] if name == "median" else value - ROUNDING[name] > bound[name]
+        for name, value in report.items()
+    ):
         return "excluded", closest
     if distance[closest] <= 1:
         return "reproduced", closest
     if len(report) > 1 and not _some_constant(errors, report):
         return "no one constant", closest
     return "possible", closest
-
-
-def _beyond(name: str, value: float, bound: float) -> bool:
-    return value - ROUNDING[name] > bound if name != "median" else value + ROUNDING[name] < bound
 
 
 def _some_constant(errors: Floats, report: dict[str, float]) -> bool:
@@ -251,18 +254,16 @@ def _sources(viewpoints: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
 def confidence_indices(viewpoints: pd.DataFrame) -> pd.DataFrame:
     """ConstantAudit.confidence of a list."""
     report = reported_scores("table4_dva", "Confidence index", ("confidence_index",))
-    cells = []
-    for category in dict.fromkeys(viewpoints["category"]):
-        value = report[category]["confidence_index"]
-        for test_set, rows in test_sets(viewpoints[viewpoints["category"] == category]):
-            if len(rows):
-                index = metrics.confidence_index(rows["azimuth"].to_numpy())
-                equal = abs(index - value) <= ROUNDING["confidence_index"] + 1e-9
-                cells.append(
-                    {"category": category, "test_set": test_set, "images": len(rows), "printed": value}
-                    | {"confidence_index": index, "equal": equal}
-                )
-    return pd.DataFrame(cells)
+    cells = [
+        {"category": category, "test_set": test_set, "images": len(rows)}
+        | {"printed": report[category]["confidence_index"]}
+        | {"confidence_index": metrics.confidence_index(rows["azimuth"].to_numpy())}
+        for category in dict.fromkeys(viewpoints["category"])
+        for test_set, rows in test_sets(viewpoints[viewpoints["category"] == category])
+    ]
+    frame = pd.DataFrame(cells)
+    difference = (frame["confidence_index"] - frame["printed"]).abs()
+    return frame.assign(equal=difference <= ROUNDING["confidence_index"] + 1e-9)
 
 
 def reported_scores(table: str, row: str = "Constant", names: Sequence[str] = ()) -> dict[str, dict[str, float]]:

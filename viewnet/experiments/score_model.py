@@ -80,15 +80,12 @@ def scores(
     kinds = LEARNED if run.trained else run.alignments
     alignments = {kind: evaluate(predictions, kind, calibration) for kind in kinds}
     if is_photographs and result["metrics"] is not None:
-        rotation = np.array(result["metrics"]["procrustes"]["alignment"]["rotation"])
-        alignments = {OWN: evaluate(_rotated(predictions, rotation), "none", calibration), **alignments}
-    return {
-        "model": where,
-        "name": run.name,
-        "key": result.get("key"),
-        "on": description,
-        "alignments": alignments,
-    }
+        back = np.array(result["metrics"]["procrustes"]["alignment"]["rotation"]).T
+        ups = None if predictions.ups is None else predictions.ups @ back
+        rotated = replace(predictions, hypotheses=predictions.hypotheses @ back, ups=ups)
+        alignments = {OWN: evaluate(rotated, "none", calibration), **alignments}
+    about = {"model": where, "name": run.name, "key": result.get("key"), "on": description}
+    return about | {"alignments": alignments}
 
 
 def as_text(scores: dict[str, Any]) -> str:
@@ -130,12 +127,6 @@ def _moved(config: RunConfig, cad_root: str | None) -> RunConfig:
     if cad_root is None:
         return config
     return replace(config, data=replace(config.data, root=folder_named(cad_root, "cad_root")))
-
-
-def _rotated(predictions: Predictions, rotation: np.ndarray) -> Predictions:
-    """Predictions mapped by `rotation` (3, 3)."""
-    ups = None if predictions.ups is None else predictions.ups @ rotation.T
-    return replace(predictions, hypotheses=predictions.hypotheses @ rotation.T, ups=ups)
 
 
 def _predictions(run: Run, data: ScoredData, steps: Steps) -> tuple[str, Predictions, bool]:
