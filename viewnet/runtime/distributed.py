@@ -1,7 +1,7 @@
 """Data-parallel training over the processes of a torchrun, on one machine or several.
 
-The configured batch is that of all processes: each takes its share of the objects, and batch averages, batch statistics
-and gradients are averaged over all. A single process (`size()` 1) runs the same code without any communication.
+The configured batch is that of all processes: each takes its share of the objects; batch averages, batch statistics and
+gradients are averaged over all. A single process (`size()` 1) runs the same code without any communication.
 """
 
 from __future__ import annotations
@@ -49,14 +49,12 @@ def stop() -> None:
     if _joined():
         dist.all_reduce(torch.zeros(1))  # wait until no process needs another any more
         dist.destroy_process_group()
-        # Gloo's threads may abort the process during the interpreter's shutdown: leave before that.
-        atexit.register(_leave)
 
-
-def _leave() -> None:
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
-    os._exit(0)
+        @atexit.register
+        def leave() -> None:  # Gloo's threads may abort the process during the interpreter's shutdown
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(0)
 
 
 def size() -> int:
@@ -128,8 +126,7 @@ def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
     """Replace gradients by their mean over all processes.
 
     DistributedDataParallel wraps a module's `forward`, but a step calls several methods of parts of the model. One sum
-    of all gradients after the backward pass does not overlap with it, but gives the optimisers the same numbers in
-    every process, to the bit, so that all keep the same weights.
+    of all gradients gives every process's optimisers the same numbers, to the bit, so that all keep the same weights.
     """
     if size() == 1:
         return
@@ -143,11 +140,10 @@ def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
 
 def together(model: nn.Module) -> None:
     """Prepare a model: weights of process 0 in every process, and batch normalisation over the whole batch."""
-    if size() == 1:
-        return
-    # The same seed gives slightly different weights on different CPUs.
-    model.load_state_dict(first(lambda: {name: value.cpu() for name, value in model.state_dict().items()}))
-    share_normalisation(model)
+    if size() > 1:
+        # The same seed gives slightly different weights on different CPUs.
+        model.load_state_dict(first(lambda: {name: value.cpu() for name, value in model.state_dict().items()}))
+        share_normalisation(model)
 
 
 def share_normalisation(model: nn.Module) -> None:
@@ -159,10 +155,7 @@ def share_normalisation(model: nn.Module) -> None:
 
 
 class BatchNorm(_BatchNorm):
-    """Batch normalisation over the rows of all processes, of which each has as many.
-
-    torch.nn.SyncBatchNorm does the same on GPUs only.
-    """
+    """Batch normalisation over the rows of all processes, of which each has as many; SyncBatchNorm needs GPUs."""
 
     @classmethod
     def of(cls, other: _BatchNorm) -> BatchNorm:
@@ -185,10 +178,10 @@ class BatchNorm(_BatchNorm):
         mean, variance = means.mean(0), variances.mean(0) + means.var(0, correction=0)
         with torch.no_grad():
             count = x.numel() // x.shape[1] * size()
-            assert self.momentum is not None and self.running_mean is not None and self.running_var is not None
+            assert self.momentum is not None and self.running_mean is not None
+            assert self.running_var is not None and self.num_batches_tracked is not None
             self.running_mean.lerp_(mean, self.momentum)
             self.running_var.lerp_(variance * (count / max(1, count - 1)), self.momentum)
-            assert self.num_batches_tracked is not None
             self.num_batches_tracked += 1
         scale = self.weight * (variance + self.eps).rsqrt()
         shape = (-1, *[1] * (x.dim() - 2))

@@ -29,25 +29,6 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _CLOSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
 
 
-@contextlib.contextmanager
-def writing(place: Path) -> Iterator[None]:
-    """Turn errors of a full disk or a read-only folder in the block into a ViewnetError that names `place`."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno not in _FULL + _CLOSED or _concerns_other(error, place):
-            raise
-        raise _refused(place, error) from error
-
-
-def _concerns_other(error: OSError, place: Path) -> bool:
-    """Whether an error names a file that has nothing to do with `place`."""
-    if not isinstance(error.filename, str | os.PathLike):
-        return False
-    file, place = Path(error.filename).absolute(), place.absolute()
-    return not (file.is_relative_to(place.parent) or place.is_relative_to(file))
-
-
 def _refused(place: Path, error: OSError) -> ViewnetError:
     full = error.errno in _FULL
     advice = "make room and give the same command again" if full else "make it writable or choose another folder"
@@ -57,17 +38,12 @@ def _refused(place: Path, error: OSError) -> ViewnetError:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path; the file written there replaces `path` when the block succeeds, and is removed when it fails.
-
-    Raises ViewnetError as `scratch` does.
-    """
+    """A temporary path; the file written there replaces `path` when the block succeeds; see `scratch`."""
     path = Path(path)
     with scratch(path) as folder:
         temporary = folder / path.name
         try:
             yield temporary
-        except ViewnetError:
-            raise
         except Exception as error:
             if cause := _cause(error, temporary):
                 raise _refused(path, cause) from error
@@ -90,14 +66,21 @@ def scratch(place: Path) -> Iterator[Path]:
     """A temporary folder beside `place`, private to this process, removed after the block.
 
     A folder, since some libraries write temporary files of their own beside the one they are given. Those that killed
-    processes left for the same place are removed. Raises ViewnetError where the parent folder cannot be made or
-    written to, and where the disk is full.
+    processes left for the same place are removed. Raises ViewnetError, which names `place`, where the parent folder
+    cannot be made or written to, and where the disk is full.
     """
     place = Path(place)
     temporary, claim = _claimed(place)
     try:
-        with writing(place):
-            yield temporary
+        yield temporary
+    except OSError as error:
+        other = False  # whether the error names a file that has nothing to do with `place`
+        if isinstance(error.filename, str | os.PathLike):
+            file = Path(error.filename).absolute()
+            other = not (file.is_relative_to(place.absolute().parent) or place.absolute().is_relative_to(file))
+        if other or error.errno not in _FULL + _CLOSED:
+            raise
+        raise _refused(place, error) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         os.close(claim)
@@ -136,8 +119,8 @@ def _sweep(place: Path) -> None:
 def _cause(error: Exception, file: Path) -> OSError | None:
     """The operating system's error behind a library's own one, where `file` could not be written."""
     code = None
-    if isinstance(error, OSError) and error.errno:
-        return None  # `writing` handles it
+    if isinstance(error, ViewnetError) or (isinstance(error, OSError) and error.errno):
+        return None  # `scratch` handles it
     if named := re.search(r"\(os error (\d+)\)", str(error)):
         code = int(named[1])
     elif shutil.disk_usage(file.parent).free < 2**16:

@@ -38,8 +38,7 @@ def pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     A script must start its work under `if __name__ == "__main__":`, or processes die (BrokenProcessPool).
     """
     with environment(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1"):
-        # Spawned, not forked: forking a process with threads (torch, BLAS) can hang, and other systems have nothing
-        # else.
+        # Spawned, not forked: forking a process with threads (torch, BLAS) can hang.
         context = multiprocessing.get_context("spawn")
         executor = ProcessPoolExecutor(workers, mp_context=context, initializer=follow_parent)
         try:
@@ -50,10 +49,9 @@ def pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 def follow_parent() -> None:
     """Make this process end with the one that started it: a killed notebook leaves nothing running."""
-    parent = multiprocessing.parent_process()
 
     def follow() -> None:
-        if parent is not None:
+        if parent := multiprocessing.parent_process():
             parent.join()
             os._exit(1)
 
@@ -83,13 +81,11 @@ def as_done(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, wh
 @contextmanager
 def environment(**values: str) -> Iterator[None]:
     """Set environment variables for a block; processes started in it inherit them."""
-    before = {name: os.environ.get(name) for name in values}
+    before = {name: os.environ[name] for name in values if name in os.environ}
     os.environ.update(values)
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in values:
+            os.environ.pop(name, None)
+        os.environ.update(before)

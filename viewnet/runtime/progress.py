@@ -8,8 +8,6 @@ from tqdm import tqdm
 
 
 def bar(show: bool, **settings: Any) -> tqdm:
-    """A tqdm bar, silent if not `show`.
-
-    `disable` is not passed otherwise: tqdm reads TQDM_DISABLE only then, and None would silence notebooks.
-    """
+    """A tqdm bar, silent if not `show`."""
+    # tqdm reads TQDM_DISABLE only without `disable`, and None would silence notebooks.
     return tqdm(**settings) if show else tqdm(**settings, disable=True)

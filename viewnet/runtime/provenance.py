@@ -9,11 +9,12 @@ import hashlib
 import importlib.metadata
 import io
 import platform
+import re
 import subprocess
 import tokenize
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 from viewnet.runtime.parallel import cores
 
@@ -41,19 +42,16 @@ def statements(source: str) -> list[str]:
             lines[row - 1] = lines[row - 1][:column]
     tree = ast.parse(source)
     for node in ast.walk(tree):
-        if isinstance(node, (ast.Import, ast.ImportFrom)) or _is_text(node):
-            lines[node.lineno - 1 : node.end_lineno] = [""] * ((node.end_lineno or node.lineno) - node.lineno + 1)
+        match node:
+            case ast.Import() | ast.ImportFrom() | ast.Expr(value=ast.Constant(value=str())):
+                for row in range(node.lineno - 1, node.end_lineno or node.lineno):
+                    lines[row] = ""
     texts = []
     for node in tree.body:
         first = min([node.lineno, *(decorator.lineno for decorator in getattr(node, "decorator_list", []))])
         text = "\n".join(line.rstrip() for line in lines[first - 1 : node.end_lineno] if line.strip())
         texts += [text] if text else []
     return texts
-
-
-def _is_text(node: ast.AST) -> TypeGuard[ast.Expr]:
-    """Whether a statement is nothing but a string: a docstring of a module, class, function or attribute."""
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
 def commit() -> dict[str, Any]:
@@ -76,23 +74,21 @@ def hardware(threads: int | None = None) -> dict[str, Any]:
     """CPU model, usable cores, threads in use and the GPU that torch would train on (None without)."""
     import torch
 
-    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else None
     return {
         "system": f"{platform.system()} {platform.machine()}",
         "processor": _cpu(),
         "cores": cores(),
         "threads": threads or torch.get_num_threads(),
-        "gpu": gpu,
+        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
     }
 
 
 def _cpu() -> str:
     info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text(errors="replace").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
+    match = re.search(
+        r"^model name[^:\n]*:(.*)", info.read_text(errors="replace") if info.exists() else "", re.MULTILINE
+    )
+    return match[1].strip() if match else platform.processor() or platform.machine()
 
 
 def versions(libraries: Sequence[str] = LIBRARIES) -> dict[str, str]:

@@ -5,9 +5,9 @@ Every process draws for the whole batch from the same generator and takes its ow
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -30,29 +30,24 @@ RandomSource = torch.Generator | RankGenerator
 """Where random numbers come from: a generator for all rows, or for this process's rows."""
 
 
-def rand(*shape: int, generator: RandomSource, dim: int = 0) -> Tensor:
-    """Uniform in [0, 1). The shape is this process's; `dim` is the dimension of the batch's rows."""
-    return _sample(torch.rand, shape, generator, dim)
+def _sample(draw: Callable[..., Tensor], *shape: int, generator: RandomSource, dim: int = 0) -> Tensor:
+    if isinstance(generator, torch.Generator):
+        return draw(shape, generator=generator)
+    rows = shape[dim] * generator.size
+    batch = draw((*shape[:dim], rows, *shape[dim + 1 :]), generator=generator.generator)
+    parts = batch.unflatten(dim, (generator.repeats, generator.size, -1))  # (..., repeats, processes, rows of one, ...)
+    return parts.select(dim + 1, generator.rank).flatten(dim, dim + 1)
 
 
-def randn(*shape: int, generator: RandomSource, dim: int = 0) -> Tensor:
-    """Standard normal, as `rand`."""
-    return _sample(torch.randn, shape, generator, dim)
+rand, randn = partial(_sample, torch.rand), partial(_sample, torch.randn)
+"""Uniform in [0, 1), and standard normal. The shape is this process's; `dim` is the dimension of the batch's rows."""
 
 
 def randint(high: int, *shape: int, generator: RandomSource, dim: int = 0) -> Tensor:
     """Whole numbers from 0 to `high` - 1, as `rand`."""
-    return _sample(functools.partial(torch.randint, high), shape, generator, dim)
+    return _sample(partial(torch.randint, high), *shape, generator=generator, dim=dim)
 
 
 def repeated(generator: RandomSource, times: int) -> RandomSource:
     """The same source for a batch whose rows are repeated `times` times, one copy of the batch after the other."""
     return generator if isinstance(generator, torch.Generator) else replace(generator, repeats=times)
-
-
-def _sample(draw: Callable[..., Tensor], shape: tuple[int, ...], source: RandomSource, dim: int) -> Tensor:
-    if isinstance(source, torch.Generator):
-        return draw(shape, generator=source)
-    batch = draw((*shape[:dim], shape[dim] * source.size, *shape[dim + 1 :]), generator=source.generator)
-    # Rows of the batch are (repeats, size, rows of a process).
-    return batch.unflatten(dim, (source.repeats, source.size, -1)).select(dim + 1, source.rank).flatten(dim, dim + 1)

@@ -1,7 +1,6 @@
-"""Convolutions of torchvision's ImageNet classifiers, their weights from a file, never a download.
+"""Convolutions of torchvision's ImageNet classifiers, never downloaded.
 
-Weights are expected in the file that `VIEWNET_<NAME>_WEIGHTS` names, else in torchvision's own cache
-(`$TORCH_HOME/hub/checkpoints`).
+Weights are in the file that `VIEWNET_<NAME>_WEIGHTS` names or in torchvision's cache (`$TORCH_HOME/hub/checkpoints`).
 """
 
 from __future__ import annotations
@@ -57,7 +56,14 @@ def convolutions(network: str, weights: Path | None = None, otherwise: str = "ch
     from torchvision import models
 
     with torch.device("meta"):  # initialising VGG16 at random would take a while
-        layers = _trunk(models.get_model(_full(network), weights=None), network)
+        model = models.get_model(ALIASES.get(network, network), weights=None)
+    children, layers = dict(model.named_children()), getattr(model, "features", None)  # VGG, SqueezeNet, AlexNet ...
+    if {"layer4", "avgpool", "fc"} <= children.keys():  # ResNet and its kin
+        children = {name: layer for name, layer in children.items() if name not in ("avgpool", "fc")}
+        layers = nn.Sequential(OrderedDict(children))
+    if not isinstance(layers, nn.Sequential):
+        advice = "choose vgg16, squeezenet1_1 or resnet18"
+        raise ViewnetError(f"network {network!r} has no plain convolution layers: {advice}")
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         state = {name.removeprefix("features."): value for name, value in state.items()}
@@ -68,27 +74,12 @@ def convolutions(network: str, weights: Path | None = None, otherwise: str = "ch
     return layers.eval()
 
 
-def _full(network: str) -> str:
-    return ALIASES.get(network, network)
-
-
 def _url(network: str) -> str:
     from torchvision import models
 
     try:
-        weights = models.get_model_weights(_full(network))
+        weights = models.get_model_weights(ALIASES.get(network, network))
     except ValueError:
         names = ", ".join(models.list_models(module=models))
         raise ViewnetError(f"unknown network {network!r}: choose one of {names}") from None
     return str(next(iter(weights)).url)
-
-
-def _trunk(model: nn.Module, network: str) -> nn.Sequential:
-    """`features` (VGG, SqueezeNet, AlexNet ...), or what comes before the pooling (ResNet and its kin)."""
-    features = getattr(model, "features", None)
-    if isinstance(features, nn.Sequential):
-        return features
-    children = dict(model.named_children())
-    if {"layer4", "avgpool", "fc"} <= set(children):
-        return nn.Sequential(OrderedDict((n, layer) for n, layer in children.items() if n not in ("avgpool", "fc")))
-    raise ViewnetError(f"network {network!r} has no plain convolution layers: choose vgg16, squeezenet1_1 or resnet18")
