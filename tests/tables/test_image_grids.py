@@ -3,11 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.boxes import box_store
+from helpers.fake_steps import views
 from helpers.figures import images, inside
 from helpers.photo_data import make_photos
 from helpers.untrained_models import untrained_renderer, untrained_run
 
 from viewnet.errors import ViewnetError
+from viewnet.evaluation.evaluate import align
 from viewnet.model import rendering
 from viewnet.tables import image_grids, plots, run_renderer
 
@@ -85,3 +87,34 @@ def test_untrained_renderer_is_that_of_a_run(store, tmp_path):
     """The two ways in which tests get a renderer agree."""
     one, other = run_renderer.RunRenderer.of(untrained_run(tmp_path / "run").folder, store), untrained_renderer(store)
     assert np.allclose(rendering.to_uint8(one.reconstruct([0])), rendering.to_uint8(other.reconstruct([0])), atol=2)
+
+
+def synthetic(run):
+    return views(run.config.data, progress=False)
+
+
+def two_heads(folder, store, rows):
+    """Two heads in the order (1, 0), uniform images of 10 and 20."""
+    n = len(rows)
+    images = np.stack([np.full((n, 8, 8, 3), 10, np.uint8), np.full((n, 8, 8, 3), 20, np.uint8)], axis=1)
+    heads = np.tile([1, 0], (n, 1))
+    return np.full((n, 8, 8, 3), 200, np.uint8), images, np.tile([0.1, 0.2], (n, 1)), heads
+
+
+def test_candidates_show_each_head_with_its_error_and_angle(smoke_runs):
+    figure = image_grids.candidate_figure(smoke_runs[:2], synthetic, two_heads, count=2)
+    assert len(figure.axes) == 4 * 3
+    aligned = align(smoke_runs[0].predictions)
+    n = len(aligned.predictions)
+    row = np.linspace(0, n - 1, 4).round().astype(int)[1]
+    labels = [axes.get_xlabel() for axes in figure.axes[:3]]
+    assert labels == ["", f"0.100 / {aligned.errors[row, 1]:.0f}°", f"0.200 / {aligned.errors[row, 0]:.0f}°"]
+    assert figure.axes[0].get_ylabel() == "car"
+    assert figure.axes[-3].get_ylabel() == "chair"
+
+
+def test_no_runs_and_untrained_runs_are_refused(smoke_runs):
+    with pytest.raises(ViewnetError, match="no runs to show"):
+        image_grids.candidate_figure([])
+    with pytest.raises(ViewnetError, match="constant renders nothing"):
+        image_grids.candidate_figure(smoke_runs[2:], synthetic, two_heads)

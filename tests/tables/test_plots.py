@@ -11,8 +11,7 @@ from viewnet.tables import plots
 
 def test_azimuths_are_those_of_the_aligned_selection(smoke_runs):
     aligned = align(smoke_runs[0].predictions)
-    true, predicted = plots.azimuths(aligned)
-    assert len(true) == len(aligned.predictions)
+    true, (predicted, _) = aligned.predictions.ids["azimuth"], plots.angles(aligned.selected)
     right = aligned.selected_errors < 10
     assert right.any()
     assert (np.abs((true - predicted + 180) % 360 - 180)[right] < 15).all()

@@ -31,7 +31,7 @@ from viewnet.evaluation.predict import predict
 from viewnet.model.checkpoint import load_model
 from viewnet.model.precision import autocast
 from viewnet.recipes import make_config
-from viewnet.tables.candidates import ranked_reconstructions
+from viewnet.tables.image_grids import ranked_reconstructions
 from viewnet.training import train as training
 from viewnet.training.train import train
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from matplotlib.figure import Figure
 
-from viewnet import geometry
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.evaluate import Aligned
 from viewnet.evaluation.predictions import Floats
 from viewnet.evaluation.run import Run
 from viewnet.tables.image_grids import image_grid
+from viewnet.tables.plots import angles
 from viewnet.tables.run_renderer import Stores, own_views, renderers
 
 THRESHOLD = 30.0
@@ -28,7 +28,7 @@ def causes(predicted: Floats, truth: Floats) -> np.ndarray:
     The cause is what explains the predicted azimuth to within 30 degrees: the true azimuth a (then the elevation is
     wrong), a + 180 (half a turn), or 180 - a (front and back mirrored), the first of these that does.
     """
-    (azimuth, _), (estimate, _) = _angles(truth), _angles(predicted)
+    azimuth, estimate = angles(truth)[0], angles(predicted)[0]
     # Differences of azimuths in degrees, the short way round.
     near = [np.abs((estimate - a + 180) % 360 - 180) < THRESHOLD for a in (azimuth, azimuth + 180, 180 - azimuth)]
     cause = np.select(near, [CAUSES[2], CAUSES[0], CAUSES[1]], default=CAUSES[3])
@@ -37,11 +37,11 @@ def causes(predicted: Floats, truth: Floats) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Failures:
-    """The failures of one cause: rows of test views, the worst first; `views` is the number of all test views."""
+    """The failures of one cause."""
 
     cause: str
-    rows: list[int]
-    views: int
+    rows: list[int]  # of test views, the worst first
+    views: int  # the number of all test views
 
 
 def by_cause(aligned: Aligned) -> list[Failures]:
@@ -62,25 +62,13 @@ def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
     groups = by_cause(renderer.aligned)
     if not groups:
         raise ViewnetError(f"{run.name}: no error of {THRESHOLD:g} degrees or more: there is nothing to show")
-    angles = {"true": _angles(renderer.aligned.predictions.truth), "predicted": _angles(renderer.aligned.selected)}
+    kinds = {"true": angles(renderer.aligned.predictions.truth), "predicted": angles(renderer.aligned.selected)}
     lines, captions, labels = [], [], []
     for group in groups:
-        rows = group.rows[:count]
+        rows, empty = group.rows[:count], 2 * max(0, count - len(group.rows))
         pairs = zip(renderer.test_images(rows), renderer.displayed(renderer.reconstruct(rows)), strict=True)
-        line: list[np.ndarray | None] = [image for pair in pairs for image in pair]
-        caption = [
-            f"{kind}\n{round(azimuth[row]) % 360}°, {round(elevation[row])}°"
-            for row in rows
-            for kind, (azimuth, elevation) in angles.items()
-        ]
-        empty = 2 * (count - len(rows))
-        lines.append(line + [None] * empty)
-        captions.append(caption + [""] * empty)
+        texts = (f"{kind}\n{round(a[row]) % 360}°, {round(e[row])}°" for row in rows for kind, (a, e) in kinds.items())
+        lines.append([*itertools.chain.from_iterable(pairs), *[None] * empty])
+        captions.append([*texts, *[""] * empty])
         labels.append(f"{group.cause}\n{len(group.rows)} of {group.views}")
     return image_grid(lines, labels, captions=captions, gaps=range(2, 2 * count, 2))
-
-
-def _angles(vectors: Floats) -> tuple[Floats, Floats]:
-    """Azimuths and elevations (N,), degrees."""
-    azimuth, elevation = geometry.azimuth_elevation(torch.from_numpy(np.array(vectors)))
-    return azimuth.numpy(), elevation.numpy()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 
 from viewnet import geometry
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.evaluate import Aligned, align
+from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Floats
 from viewnet.evaluation.run import Run
 from viewnet.runtime.files import replacing
@@ -34,38 +34,38 @@ INK = "#1f4e79"
 STYLES = {"none": "-", "procrustes": "-", "robust": "-.", "linear": "--", "per_angle": ":"}
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Distinct for colour-blind readers too (Okabe and Ito 2008)."""
-DASHES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
+DASHES = ("-", "--", ":", "-.")
 LOGGED = ("epoch", "step", "seconds", "loss", "val_reconstruction", "val_accuracy")
 """Columns of a run's log that are no term of its loss."""
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
 LEGEND: Any = {"loc": "outside right upper", "frameon": False, "fontsize": 7}
 
 
-def azimuth_scatter(runs: Sequence[Run]) -> Figure:
-    """Figure 3 (a)-(c): predicted azimuth after alignment over the true one, a panel for each run (category).
+def angles(vectors: Floats) -> tuple[Floats, Floats]:
+    """Azimuths in [0, 360) and elevations (N,) of view vectors (N, 3), degrees."""
+    azimuth, elevation = geometry.azimuth_elevation(torch.from_numpy(np.array(vectors)))
+    return azimuth.numpy(), elevation.numpy()
 
-    ViewnetError without runs.
-    """
+
+@matplotlib.rc_context(STYLE)
+def azimuth_scatter(runs: Sequence[Run]) -> Figure:
+    """Figure 3 (a)-(c): predicted azimuth after alignment over the true one, a panel a run. ViewnetError for no runs."""
     if not runs:
         raise ViewnetError("figure 3: no runs to show: train some first")
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(2.2 * len(runs), 2.5), layout="constrained")
-        ticks = [0, 90, 180, 270, 360]
-        for axes, run in zip(np.atleast_1d(figure.subplots(1, len(runs), sharey=True)), runs, strict=True):
-            axes.plot([0, 360], [0, 360], color="0.8", linewidth=0.6, zorder=0)
-            axes.scatter(*azimuths(align(run.predictions, run.alignment)), s=2, linewidths=0, alpha=0.5, color=INK)
-            axes.set(title=run.config.category, xlabel="true azimuth (degrees)")
-            axes.set(xlim=(0, 360), ylim=(0, 360), xticks=ticks, yticks=ticks, aspect="equal")
-        figure.axes[0].set_ylabel("predicted azimuth (degrees)")
+    figure = Figure(figsize=(2.2 * len(runs), 2.5), layout="constrained")
+    ticks = [0, 90, 180, 270, 360]
+    for axes, run in zip(figure.subplots(1, len(runs), sharey=True, squeeze=False)[0], runs, strict=True):
+        aligned = align(run.predictions, run.alignment)
+        true, predicted = aligned.predictions.ids["azimuth"], angles(aligned.selected)[0]
+        axes.plot([0, 360], [0, 360], color="0.8", linewidth=0.6, zorder=0)
+        axes.scatter(true, predicted, s=2, linewidths=0, alpha=0.5, color=INK)
+        axes.set(title=run.config.category, xlabel="true azimuth (degrees)")
+        axes.set(xlim=(0, 360), ylim=(0, 360), xticks=ticks, yticks=ticks, aspect="equal")
+    figure.axes[0].set_ylabel("predicted azimuth (degrees)")
     return figure
 
 
-def azimuths(aligned: Aligned) -> tuple[Floats, Floats]:
-    """True and predicted azimuths (N,), in [0, 360)."""
-    predicted, _ = geometry.azimuth_elevation(torch.from_numpy(np.array(aligned.selected)))
-    return aligned.predictions.ids["azimuth"].to_numpy(), predicted.numpy()
-
-
+@matplotlib.rc_context(STYLE)
 def training_curves(runs: Sequence[Run]) -> Figure:
     """Validation accuracy and error, the loss and each of its terms over epochs: a colour a variant, a dash a category.
 
@@ -74,44 +74,39 @@ def training_curves(runs: Sequence[Run]) -> Figure:
     """
     if not runs:
         raise ViewnetError("training curves: no runs to show: train some first")
-    logs = [run.log for run in runs]
-    for run, log in zip(runs, logs, strict=True):
+    logs = [(run, run.log) for run in runs]
+    for run, log in logs:
         if log.empty:
             raise ViewnetError(f"{run.name}: its log is empty: wait for the first validation")
-    titles = {
-        "val_accuracy": "validation accuracy (%)",
-        "val_reconstruction": "validation error",
-        "loss": "training loss",
-        **{term: f"loss: {term}" for log in logs for term in log.columns if term not in LOGGED},
-    }
-    variants = list(dict.fromkeys(run.config.variant for run in runs))
-    categories = list(dict.fromkeys(run.config.category for run in runs))
-    colours = {variant: COLOURS[i % len(COLOURS)] for i, variant in enumerate(variants)}
-    dashes = {category: DASHES[i % len(DASHES)] for i, category in enumerate(categories)}
+    titles = {"val_accuracy": "validation accuracy (%)", "val_reconstruction": "validation error"}
+    titles["loss"] = "training loss"
+    titles |= {term: f"loss: {term}" for _, log in logs for term in log.columns if term not in LOGGED}
+    colours = dict(zip(dict.fromkeys(run.config.variant for run in runs), itertools.cycle(COLOURS), strict=False))
+    dashes = dict(zip(dict.fromkeys(run.config.category for run in runs), itertools.cycle(DASHES), strict=False))
     across = min(4, len(titles))
     down = -(-len(titles) // across)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(1.75 * across + 1.4, 1.5 * down + 0.2), layout="constrained")
-        grid = figure.subplots(down, across, squeeze=False).ravel()
-        for axes, (column, title) in zip(grid, titles.items(), strict=False):
-            for run, log in zip(runs, logs, strict=True):
-                if column in log:
-                    style: Any = {"color": colours[run.config.variant], "linestyle": dashes[run.config.category]}
-                    axes.plot(log["epoch"], log[column], linewidth=1, marker="o", markersize=2, **style)
-            axes.set_title(title, fontsize=8)
-            axes.set_ylim(0, 100 if column == "val_accuracy" else None)
-            axes.set_xlim(left=0)
-        for axes in grid[len(titles) :]:
-            axes.remove()
-        for axes in grid[max(0, len(titles) - across) : len(titles)]:
-            axes.set_xlabel("epoch")
-        handles = [Line2D([], [], color=colours[v], linewidth=1, label=LABELS.get(v, v)) for v in variants]
-        if len(categories) > 1:
-            handles += [Line2D([], [], color="0.3", linestyle=dashes[c], linewidth=1, label=c) for c in categories]
-        figure.legend(handles=handles, **LEGEND)
+    figure = Figure(figsize=(1.75 * across + 1.4, 1.5 * down + 0.2), layout="constrained")
+    grid = figure.subplots(down, across, squeeze=False).ravel()
+    for axes, (column, title) in zip(grid, titles.items(), strict=False):
+        for run, log in logs:
+            if column in log:
+                style: Any = {"color": colours[run.config.variant], "linestyle": dashes[run.config.category]}
+                axes.plot(log["epoch"], log[column], linewidth=1, marker="o", markersize=2, **style)
+        axes.set_title(title, fontsize=8)
+        axes.set_ylim(0, 100 if column == "val_accuracy" else None)
+        axes.set_xlim(left=0)
+    for axes in grid[len(titles) :]:
+        axes.remove()
+    for axes in grid[max(0, len(titles) - across) : len(titles)]:
+        axes.set_xlabel("epoch")
+    handles = [Line2D([], [], color=c, linewidth=1, label=LABELS.get(name, name)) for name, c in colours.items()]
+    if len(dashes) > 1:
+        handles += [Line2D([], [], color="0.3", linestyle=d, linewidth=1, label=name) for name, d in dashes.items()]
+    figure.legend(handles=handles, **LEGEND)
     return figure
 
 
+@matplotlib.rc_context(STYLE)
 def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = tuple(AXES)) -> Figure:
     """Scores over the number of calibration photographs, a row a metric and a column a category.
 
@@ -122,61 +117,62 @@ def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = tuple(AXES
     categories = list(dict.fromkeys(scores["category"]))
     fitted = set(scores.loc[scores["alignment"] == "none", "predictor"])
     colours = {predictor: f"C{i}" for i, predictor in enumerate(dict.fromkeys(scores["predictor"]))}
-    with matplotlib.rc_context(STYLE):
-        size = (2.3 * len(categories) + 1.6, 1.7 * len(metrics))
-        figure = Figure(figsize=size, layout="constrained")
-        grid = figure.subplots(len(metrics), len(categories), squeeze=False, sharex=True, sharey="row")
-        for (predictor, kind), rows in scores.groupby(["predictor", "alignment"], sort=False):
-            if (predictor in fitted) != (kind == "none"):
-                continue
-            colour, label = colours[predictor], predictor if kind == "none" else f"{predictor}, {kind}"
-            style: Any = {"color": colour, "linestyle": STYLES[kind], "label": label}
-            for (i, metric), (j, category) in itertools.product(enumerate(metrics), enumerate(categories)):
-                shown = rows[rows["category"] == category].groupby("images")[metric].agg(["median", "min", "max"])
-                images, axes = shown.index.to_numpy(dtype=float), grid[i, j]
-                axes.plot(images, shown["median"], linewidth=1, markersize=2, marker="o", **style)
-                axes.fill_between(images, shown["min"], shown["max"], color=colour, alpha=0.1, linewidth=0)
-        for j, category in enumerate(categories):
-            grid[0, j].set_title(category)
-            grid[0, j].set_xscale("log", base=2)
-            grid[-1, j].xaxis.set_major_formatter("{x:.0f}")
-            grid[-1, j].set_xlabel("calibration photographs")
-        for i, metric in enumerate(metrics):
-            grid[i, 0].set_ylabel(AXES[metric])
-            grid[i, 0].set_ylim(bottom=0)
-        figure.legend(*grid[0, 0].get_legend_handles_labels(), **LEGEND)
+    figure = Figure(figsize=(2.3 * len(categories) + 1.6, 1.7 * len(metrics)), layout="constrained")
+    grid = figure.subplots(len(metrics), len(categories), squeeze=False, sharex=True, sharey="row")
+    for (predictor, kind), rows in scores.groupby(["predictor", "alignment"], sort=False):
+        if (predictor in fitted) != (kind == "none"):
+            continue
+        colour, label = colours[predictor], predictor if kind == "none" else f"{predictor}, {kind}"
+        style: Any = {"color": colour, "linestyle": STYLES[kind], "label": label}
+        for (i, metric), (j, category) in itertools.product(enumerate(metrics), enumerate(categories)):
+            shown = rows[rows["category"] == category].groupby("images")[metric].agg(["median", "min", "max"])
+            images, axes = shown.index.to_numpy(dtype=float), grid[i, j]
+            axes.plot(images, shown["median"], linewidth=1, markersize=2, marker="o", **style)
+            axes.fill_between(images, shown["min"], shown["max"], color=colour, alpha=0.1, linewidth=0)
+    for j, category in enumerate(categories):
+        grid[0, j].set_title(category)
+        grid[0, j].set_xscale("log", base=2)
+        grid[-1, j].xaxis.set_major_formatter("{x:.0f}")
+        grid[-1, j].set_xlabel("calibration photographs")
+    for i, metric in enumerate(metrics):
+        grid[i, 0].set_ylabel(AXES[metric])
+        grid[i, 0].set_ylim(bottom=0)
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), **LEGEND)
     return figure
 
 
+@matplotlib.rc_context(STYLE)
 def collapse_curves(collapse: pd.DataFrame) -> Figure:
     """Linear alignment over the one-sidedness of photographs, a colour a category and a style a predictor.
 
     `collapse` is `collapse` of viewnet.experiments.alignment_study.Study. Left: the spread of aligned predictions, as a
     share of the true viewpoints' spread. Middle and right: the accuracy and the DVA added to rigid alignment, points.
     """
-    styles = dict(zip(dict.fromkeys(collapse["predictor"]), itertools.cycle(["-", "--", ":", "-."]), strict=False))
+    styles = dict(zip(dict.fromkeys(collapse["predictor"]), itertools.cycle(DASHES), strict=False))
     colours = {category: f"C{i}" for i, category in enumerate(dict.fromkeys(collapse["category"]))}
     gains = {metric: collapse[f"{metric}_linear"] - collapse[f"{metric}_rigid"] for metric in ("acc30", "dva")}
     titles = {"spread_linear": "spread left", "acc30": "accuracy added, points", "dva": "DVA added, points"}
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(8.2, 2.5), layout="constrained")
-        for axes, (column, title) in zip(figure.subplots(1, 3), titles.items(), strict=True):
-            axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)
-            for (category, predictor), rows in collapse.assign(**gains).groupby(["category", "predictor"], sort=False):
-                means = rows.groupby("concentration")[["side", column]].mean()
-                style: Any = {"color": colours[category], "linestyle": styles[predictor]}
-                label = f"{category}, {predictor}"
-                axes.plot(means["side"], means[column], linewidth=1, markersize=2.5, marker="o", label=label, **style)
-            axes.set(title=title, xlabel="share of the commonest 30 degrees")
-        figure.legend(*figure.axes[0].get_legend_handles_labels(), **LEGEND)
+    figure = Figure(figsize=(8.2, 2.5), layout="constrained")
+    for axes, (column, title) in zip(figure.subplots(1, 3), titles.items(), strict=True):
+        axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)
+        for (category, predictor), rows in collapse.assign(**gains).groupby(["category", "predictor"], sort=False):
+            means = rows.groupby("concentration")[["side", column]].mean()
+            style: Any = {"color": colours[category], "linestyle": styles[predictor]}
+            label = f"{category}, {predictor}"
+            axes.plot(means["side"], means[column], linewidth=1, markersize=2.5, marker="o", label=label, **style)
+        axes.set(title=title, xlabel="share of the commonest 30 degrees")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), **LEGEND)
     return figure
 
 
+@matplotlib.rc_context(STYLE)
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     """`<name>.png` and `<name>.pdf`, the same bytes each time."""
-    files = [folder / f"{name}.png", folder / f"{name}.pdf"]
-    with matplotlib.rc_context(STYLE):
-        for path, metadata in zip(files, ({"Software": None}, {"CreationDate": None, "ModDate": None}), strict=True):
-            with replacing(path) as temporary:
-                figure.savefig(temporary, dpi=200, metadata=metadata)
-    return files
+    files = {
+        folder / f"{name}.png": {"Software": None},
+        folder / f"{name}.pdf": {"CreationDate": None, "ModDate": None},
+    }
+    for path, metadata in files.items():
+        with replacing(path) as temporary:
+            figure.savefig(temporary, dpi=200, metadata=metadata)
+    return list(files)
