@@ -26,16 +26,11 @@ ImagesLike = ImageLike | Sequence[ImageLike]
 
 @dataclass(frozen=True)
 class InputImage:
-    """An upright image and what is known of the object in it.
-
-    image    the image
-    mask     (H, W) uint8, the object's mask; None: unknown
-    box      the object's box; None: the image is framed already, and a mask is its alpha
-    """
+    """An upright image and what is known of the object in it."""
 
     image: Image.Image
-    mask: np.ndarray | None = None
-    box: Box | None = None
+    mask: np.ndarray | None = None  # (H, W) uint8, the object's mask, if it is known
+    box: Box | None = None  # the object's box; None: the image is framed already, and a mask is its alpha
 
 
 def as_list(images: ImagesLike) -> list[ImageLike]:

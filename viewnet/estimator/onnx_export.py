@@ -14,7 +14,6 @@ from viewnet.estimator.pretrained import Pretrained
 from viewnet.model.viewnet import ViewpointNetwork
 from viewnet.runtime.files import replacing
 
-INPUT = "pictures"
 OUTPUTS = ("vectors", "logits", "ups")
 """The last only of networks with in-plane rotation."""
 
@@ -28,7 +27,7 @@ class _TensorOutputs(nn.Module):
 
     def forward(self, images: Tensor) -> tuple[Tensor, ...]:
         hypotheses = self.network(images)
-        return (hypotheses.vectors, hypotheses.logits, *(() if hypotheses.ups is None else (hypotheses.ups,)))
+        return tuple(each for each in (hypotheses.vectors, hypotheses.logits, hypotheses.ups) if each is not None)
 
 
 def export(model: Pretrained, path: Path) -> Path:
@@ -56,7 +55,7 @@ def export(model: Pretrained, path: Path) -> Path:
         program = torch.onnx.export(
             _TensorOutputs(network.viewpoint).eval(),
             (example,),
-            input_names=[INPUT],
+            input_names=["pictures"],
             output_names=list(OUTPUTS if network.config.in_plane else OUTPUTS[:2]),
             dynamic_shapes={"images": {0: torch.export.Dim("batch")}},
             dynamo=True,

@@ -23,9 +23,7 @@ from viewnet.runtime.parallel import cores
 
 log = logging.getLogger(__name__)
 
-DTYPES = (np.uint8, np.float16, np.float32, np.float64)
-"""Types of arrays that PyTorch takes without conversion."""
-
+DTYPES = (np.uint8, np.float16, np.float32, np.float64)  # that PyTorch takes without conversion
 MARGIN = 0.2
 """Margin around an object that is cut out as the rendering camera frames objects, as a share of its longer side: a
 built-in car's longer side is 0.71 of its view's on average."""
@@ -39,24 +37,17 @@ BRIGHT = 0.1
 class Framing:
     """How the networks of a configuration are shown images.
 
-    size        pixels along a side of their input
-    crop        ModelConfig.crop: whether the viewpoint network sees the object alone, enlarged
-    cutout      whether they were trained on cut-out objects over `backdrop`: then they see nothing outside of a mask.
-                Networks trained over backgrounds, or on videos without masks, see an image as it is, and a mask only
-                says where the object is
-    backdrop    grey level behind a cut-out object, 0 to 1
-    rendered    whether they see whole views as a rendering camera frames them
-    view        how an object is cut out: about as large in the image as in training
-    whole       how an image that is not cut out is cut to the object's box, as scored photographs are
+    Networks trained on cut-out objects see nothing outside of a mask. Those trained over backgrounds, or on videos
+    without masks, see an image as it is, and a mask only says where the object is.
     """
 
-    size: int
-    crop: str
-    cutout: bool
-    backdrop: float
-    rendered: bool
-    view: Crop
-    whole: Crop
+    size: int  # pixels along a side of their input
+    crop: str  # ModelConfig.crop: whether the viewpoint network sees the object alone, enlarged
+    cutout: bool  # whether they were trained on cut-out objects
+    backdrop: float  # grey level around a cut-out object, 0 to 1
+    rendered: bool  # whether they see whole views as a rendering camera frames them
+    view: Crop  # how an object is cut out: about as large in the image as in training
+    whole: Crop  # how an image that is not cut out is cut to the object's box, as scored photographs are
 
     @classmethod
     def of(cls, config: RunConfig) -> Framing:
@@ -74,34 +65,22 @@ class Framing:
 
 @dataclass(frozen=True)
 class CroppedImage:
-    """An image cut to its object.
+    """An image cut to its object."""
 
-    pixels    (S, S, 4) uint8, straight alpha
-    cutout    whether the object is cut out: alpha is then its mask
-    mask      (S, S) uint8, the object's mask where it is known and the object is not cut out
-    """
-
-    pixels: np.ndarray
-    cutout: bool
-    mask: np.ndarray | None = None
+    pixels: np.ndarray  # (S, S, 4) uint8, straight alpha
+    cutout: bool  # whether the object is cut out: alpha is then its mask
+    mask: np.ndarray | None = None  # (S, S) uint8, the object's mask where it is known and the object is not cut out
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """N images as the networks are shown them, in [0, 1].
+    """N images as the networks are shown them, in [0, 1]."""
 
-    viewpoint     (N, 4, S, S) RGB times alpha and alpha, for the viewpoint network
-    appearance    (N, 4, S, S) the same of the object alone, for the appearance network
-    background    (N, 3, S, S) what the appearance network sees behind the object
-    cutout        (N,) bool: whether the object is cut out
-    masked        (N,) bool: whether the object's mask is known
-    """
-
-    viewpoint: Tensor
-    appearance: Tensor
-    background: Tensor
-    cutout: np.ndarray
-    masked: np.ndarray
+    viewpoint: Tensor  # (N, 4, S, S) RGB times alpha and alpha, for the viewpoint network
+    appearance: Tensor  # (N, 4, S, S) the same of the object alone, for the appearance network
+    background: Tensor  # (N, 3, S, S) the background that the appearance network sees
+    cutout: np.ndarray  # (N,) bool: whether the object is cut out
+    masked: np.ndarray  # (N,) bool: whether the object's mask is known
 
     def __len__(self) -> int:
         return len(self.cutout)
@@ -171,10 +150,8 @@ def batches(
     listed, warned = as_list(images), False
     masks, boxes = masks_of(masks, len(listed)), boxes_of(boxes, len(listed))
     if framing.rendered and any(value is not None for value in (*masks, *boxes)):
-        log.warning(
-            "the network was trained on whole views as a rendering camera frames them: its predictions for images that "
-            "are cut are unreliable: train one with the recipe photos"
-        )
+        views = "the network was trained on whole views as a rendering camera frames them: its predictions for images"
+        log.warning("%s that are cut are unreliable: train one with the recipe photos", views)
 
     def crop(row: int) -> CroppedImage:
         try:
@@ -204,11 +181,8 @@ def ready_images(images: Any, framing: Framing) -> Tensor | None:
 
 
 def ready_batches(images: Tensor, framing: Framing, device: torch.device, batch_size: int) -> Iterator[Tensor]:
-    """Images of `ready_images` in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does.
-
-    A batch is overwritten by the next one: allocating takes several times as long as filling.
-    """
-    buffer = None
+    """Images of `ready_images` in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does."""
+    buffer = None  # A batch is overwritten by the next one: allocating takes several times as long as filling.
     for start in range(0, len(images), _positive(batch_size)):
         part = images[start : start + batch_size].to(device)
         if part.dtype == torch.uint8:

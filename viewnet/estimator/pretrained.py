@@ -10,6 +10,7 @@ pickled file is ever read. Three such folders come with the package (`SHIPPED`),
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.metadata
 import json
@@ -23,7 +24,6 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors.torch import save_file
-from torch import Tensor
 
 from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
@@ -37,25 +37,18 @@ FILES = WEIGHTS, CONFIG, CARD = ("model.safetensors", "config.json", "README.md"
 FIELDS = ("format", "viewnet", "config", "alignment", "about")
 RESULT = ("key", "variant", "category", "profile", "recipe", "seed", "views", "metrics", "git")
 """The fields of a run's result that a saved model keeps."""
-SHIPPED = Path(__file__).parent / "models"
-"""Folders that come with the package, named by their category."""
+SHIPPED = Path(__file__).parent / "models"  # folders that come with the package, named by their category
 HUB_ID = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Pretrained:
-    """A trained network and what is known of it.
+    """A trained network and what is known of it."""
 
-    network                the network, ready to predict
-    config                 the configuration of its run
-    annotated_from_model   (3, 3) rotation from the network's own frame to the annotated one; None: not aligned
-    about                  where the network comes from, as plain JSON types: the run's key, metrics and so on
-    """
-
-    network: ViewNet
-    config: RunConfig
-    annotated_from_model: np.ndarray | None = None
-    about: dict[str, Any] = field(default_factory=dict)
+    network: ViewNet  # ready to predict
+    config: RunConfig  # of its run
+    annotated_from_model: np.ndarray | None = None  # (3, 3), from the network's own frame; None: not aligned
+    about: dict[str, Any] = field(default_factory=dict)  # its run's key, metrics and so on, as plain JSON types
 
     @property
     def aligned(self) -> bool:
@@ -77,11 +70,9 @@ def load(where: str | os.PathLike[str], **hub_options: Any) -> Pretrained:
         file = checkpoint.locate(name)
     except ViewnetError:
         if place.exists() or not HUB_ID.fullmatch(name):
-            raise ViewnetError(
-                f"{name}: no model there: expected a model that comes with viewnet ({', '.join(shipped())}), a folder "
-                "of save_pretrained, the folder or key of a finished run (viewnet train prints it), or NAME/MODEL of "
-                "the Hugging Face hub"
-            ) from None
+            kinds = f"a model that comes with viewnet ({', '.join(shipped())}), a folder of save_pretrained, the folder"
+            kinds += " or key of a finished run (viewnet train prints it), or NAME/MODEL of the Hugging Face hub"
+            raise ViewnetError(f"{name}: no model there: expected {kinds}") from None
         return _from_folder(hub.download(name, [WEIGHTS, CONFIG], **hub_options))
     return _from_run(file)
 
@@ -125,10 +116,8 @@ def _from_folder(folder: Path) -> Pretrained:
     if not file.is_file():
         raise ViewnetError(f"{folder}: no {WEIGHTS} in it: save the model again (save_pretrained)")
     if values["format"] != FORMAT:
-        raise ViewnetError(
-            f"{path}: format {values['format']}, written by viewnet {values.get('viewnet', '?')}: this version reads "
-            f"format {FORMAT}: install that one"
-        )
+        written = f"format {values['format']}, written by viewnet {values.get('viewnet', '?')}"
+        raise ViewnetError(f"{path}: {written}: this version reads format {FORMAT}: install that one")
     if missing := [name for name in FIELDS if name not in values]:
         raise ViewnetError(f"{path}: {missing[0]!r} is missing: save the model again")
     try:
@@ -145,23 +134,15 @@ def _from_folder(folder: Path) -> Pretrained:
 def _rotation(alignment: dict[str, Any] | None, path: Path) -> np.ndarray | None:
     if alignment is None:
         return None
-    try:
+    with contextlib.suppress(KeyError, TypeError, ValueError):
         rotation = np.array(alignment["rotation"], dtype=np.float64).reshape(3, 3)
         if np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0:
             return rotation
-    except (KeyError, TypeError, ValueError):
-        pass
     raise ViewnetError(f"{path}: its alignment is not a rotation: save the model again")
 
 
-def save(
-    model: Pretrained,
-    folder: Path,
-    license: str | None = None,
-    half: bool = False,
-    scores: Sequence[dict[str, Any]] = (),
-) -> None:
-    """Write the three files of a model; see ViewpointEstimator.save_pretrained for the options.
+def save(model: Pretrained, folder: Path, license: str | None, half: bool, scores: Sequence[dict[str, Any]]) -> None:
+    """Write the three files of a model, see ViewpointEstimator.save_pretrained.
 
     Of the folders of this machine that the configuration names only the last part is written. ViewnetError where the
     folder cannot be written, for scores of another run, and for weights that half precision cannot hold.
@@ -179,20 +160,15 @@ def save(
         "about": about,
     }
     weights = {name: value.cpu().contiguous() for name, value in model.network.state_dict().items()}
-    if half:
-        weights = {name: _halved(name, value) for name, value in weights.items()}
+    for name, value in weights.items() if half else ():
+        if value.is_floating_point():
+            weights[name] = value.half()
+            if not weights[name].isfinite().all():
+                raise ViewnetError(f"{name} holds values that half precision cannot: save the model without half")
     with replacing(folder / WEIGHTS) as temporary:
         save_file(weights, temporary, metadata={"config": _digest(values)})
     write_json(folder / CONFIG, values)
     write_text(folder / CARD, model_card.card(config, model.aligned, about, license))
-
-
-def _halved(name: str, value: Tensor) -> Tensor:
-    if not value.is_floating_point():
-        return value
-    if not value.half().isfinite().all():
-        raise ViewnetError(f"{name} holds values that half precision cannot: save the model without half")
-    return value.half()
 
 
 def _without_places(config: RunConfig) -> RunConfig:

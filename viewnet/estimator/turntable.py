@@ -55,8 +55,8 @@ def animate(
     frames = []
     for step in [*[0] * hold, *range(steps)]:
         angle = (azimuth + 360 / steps * step) % 360
-        label = "predicted viewpoint" if step == 0 else "turned"
-        text = f"{label}\nazimuth {round(angle) % 360}°, elevation {height:.0f}°"
+        heading = "predicted viewpoint" if step == 0 else "turned"
+        text = f"{heading}\nazimuth {round(angle) % 360}°, elevation {height:.0f}°"
         frames.append(_composed(left, _scaled(rendered[step], size), text, angle, azimuth, step == 0))
     return frames
 
@@ -76,16 +76,10 @@ def save(frames: Sequence[np.ndarray], path: Path, rate: int = 16) -> Path:
         raise ViewnetError(f"{path}: no frames to write")
     check(path)
     if path.suffix == ".gif":
-        images = [Image.fromarray(frame) for frame in frames]
+        first, *others = [Image.fromarray(frame) for frame in frames]
         with replacing(path) as temporary:
-            duration = round(1000 / rate)
-            images[0].save(temporary, save_all=True, append_images=images[1:], duration=duration, loop=0)
-    else:
-        _save_mp4(frames, path, rate)
-    return path
-
-
-def _save_mp4(frames: Sequence[np.ndarray], path: Path, rate: int) -> None:
+            first.save(temporary, save_all=True, append_images=others, duration=round(1000 / rate), loop=0)
+        return path
     try:
         import av
     except ImportError:
@@ -98,6 +92,7 @@ def _save_mp4(frames: Sequence[np.ndarray], path: Path, rate: int) -> None:
         for frame in frames:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
         container.mux(stream.encode())
+    return path
 
 
 def _scaled(image: np.ndarray, size: int) -> Image.Image:

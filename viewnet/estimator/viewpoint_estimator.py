@@ -17,11 +17,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -87,9 +87,8 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         `where` is a category whose model comes with the package ("car", see viewnet.estimator.pretrained.shipped), a
         folder of `save_pretrained`, a finished run's folder or key (its folder's name, which `viewnet train` prints),
         or a model on the Hugging Face hub ("name/model"). The default device is a GPU if there is one. The other
-        options are for the hub, which needs `pip install "viewnet[hub]"`. Weights are read with safetensors: nothing
-        is unpickled. ViewnetError for a model that is missing, of another version or damaged, and for a hub that
-        cannot be reached.
+        options are for the hub, which needs `pip install "viewnet[hub]"`. Nothing is unpickled. ViewnetError for a
+        model that is missing, of another version or damaged, and for a hub that cannot be reached.
         """
         options = {"revision": revision, "cache_dir": cache_dir, "token": token, "force_download": force_download}
         model = pretrained.load(where, **options, local_files_only=local_files_only)
@@ -121,7 +120,14 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         else:
             batches = self._prepared(images, masks, boxes, batch_size)
             inputs = (self.network.composite(prepared.viewpoint) for prepared in batches)
-        return self._viewpoints(map(self._hypotheses, inputs))
+        # Copied at once: the next batch may overwrite what a batch was computed from.
+        hypotheses = map(self._hypotheses, inputs)
+        arrays = [[_array(each.vectors), _array(each.logits), _array(each.ups)] for each in hypotheses]
+        joined: Any = [None if parts[0] is None else np.concatenate(parts) for parts in zip(*arrays, strict=True)]
+        vectors, logits, ups = joined
+        if (rotation := self.annotated_from_model) is not None:
+            vectors, ups = vectors @ rotation.T, None if ups is None else ups @ rotation.T
+        return Viewpoints.of(vectors, logits, ups, self.aligned)
 
     def volume(self, image: ImageLike | Prepared, mask: Any = None, box: Any = None) -> Tensor:
         """The volume that is reconstructed from one image: (4, Z, Y, X), colour and occupancy in [0, 1], on the CPU.
@@ -244,18 +250,15 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         return onnx_export.export(self, Path(path))
 
     def __repr__(self) -> str:
-        config = self.config
+        config, size = self.config, self.framing.size
+        run = f"{config.variant} {config.category} seed {config.seed} ({config.profile}, {config.recipe})"
         frame = "the annotated frame" if self.aligned else "the network's own frame: not aligned"
-        return (
-            f"ViewpointEstimator({config.variant} {config.category} seed {config.seed} ({config.profile}, "
-            f"{config.recipe}), {self.framing.size} x {self.framing.size} pixels, {self.device}; viewpoints in {frame})"
-        )
+        return f"ViewpointEstimator({run}, {size} x {size} pixels, {self.device}; viewpoints in {frame})"
 
     @torch.no_grad()
     def _hypotheses(self, images: Tensor) -> Hypotheses:
         """Hypotheses for the viewpoint network's input (N, 3, S, S), in the network's own frame."""
-        hypotheses: Hypotheses = self.network.viewpoint(images)
-        return hypotheses
+        return cast(Hypotheses, self.network.viewpoint(images))
 
     def _predicted_poses(self, prepared: Prepared) -> Tensor:
         """(N, 3, 3) camera frames of the selected hypotheses, in the network's own frame."""
@@ -266,16 +269,6 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
     def encode(self, prepared: Prepared) -> Encoded:
         """The objects of prepared images, for `render`."""
         return Encoded(*self.network.encode(prepared.appearance, background=prepared.background))
-
-    def _viewpoints(self, batches: Iterable[Hypotheses]) -> Viewpoints:
-        """Hypotheses in the network's own frame as viewpoints in the frame of the predictions."""
-        # Copied at once: the next batch may overwrite what a batch was computed from.
-        arrays = [[_array(each.vectors), _array(each.logits), _array(each.ups)] for each in batches]
-        joined: Any = [None if parts[0] is None else np.concatenate(parts) for parts in zip(*arrays, strict=True)]
-        vectors, logits, ups = joined
-        if (rotation := self.annotated_from_model) is not None:
-            vectors, ups = vectors @ rotation.T, None if ups is None else ups @ rotation.T
-        return Viewpoints.of(vectors, logits, ups, self.aligned)
 
     def _prepared(
         self, images: ImagesLike | Prepared, masks: Any, boxes: Any, batch_size: int = BATCH

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 """An array of double precision."""
-LINES = 12
-"""Images that a summary lists."""
+LINES = 12  # images that a summary lists
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,12 @@ from torch import Tensor
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import replacing
 
-LEVEL = 0.5
 SUFFIXES = (".glb", ".ply")
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """From the project's z up to glTF's y up."""
 
 
-def surface(volume: Tensor, rotation: Tensor | None = None, level: float = LEVEL) -> trimesh.Trimesh:
+def surface(volume: Tensor, rotation: Tensor | None = None, level: float = 0.5) -> trimesh.Trimesh:
     """The closed surface of a volume (4, Z, Y, X), colour and occupancy in [0, 1], with an RGBA colour at each vertex.
 
     `rotation` (3, 3) leads from the volume's frame to that of the mesh (default: the same). A surface that reaches the
@@ -36,10 +35,8 @@ def surface(volume: Tensor, rotation: Tensor | None = None, level: float = LEVEL
     volume = volume.detach().float().cpu()
     occupancy = np.pad(volume[3].numpy(), 1)  # empty around it, so that the surface closes
     if not occupancy.max() > level:
-        raise ViewnetError(
-            f"mesh: the volume is empty: its highest occupancy is {occupancy.max():.2g}, not above {level:g}: "
-            "train longer or lower the level"
-        )
+        highest = f"its highest occupancy is {occupancy.max():.2g}, not above {level:g}"
+        raise ViewnetError(f"mesh: the volume is empty: {highest}: train longer or lower the level")
     corners, faces, _, _ = marching_cubes(occupancy, level)
     sides = np.array(volume.shape[1:])
     points = ((2 * (corners - 1) + 1) / sides - 1)[:, ::-1].astype(np.float32)  # z, y, x to x, y, z
@@ -50,10 +47,7 @@ def surface(volume: Tensor, rotation: Tensor | None = None, level: float = LEVEL
 
 
 def write(mesh: trimesh.Trimesh, path: Path) -> Path:
-    """Write a mesh as .ply, in the project's axes, or as .glb, y up as the format prescribes, and return the path.
-
-    ViewnetError for another suffix.
-    """
+    """Write a mesh as .ply, in the project's axes, or as .glb, y up as the format has it. ViewnetError for others."""
     if path.suffix not in SUFFIXES:
         raise ViewnetError(f"{path}: unknown kind of mesh file: name it {' or '.join(SUFFIXES)}")
     data: Any = as_glb(mesh) if path.suffix == ".glb" else mesh.export(file_type="ply")
@@ -66,14 +60,13 @@ def as_glb(mesh: trimesh.Trimesh) -> bytes:
     """The contents of a .glb file, see `write`."""
     scene = trimesh.Scene()
     scene.add_geometry(mesh, transform=Y_UP, geom_name="volume", node_name="volume")
-    data: bytes = scene.export(file_type="glb")
-    return data
+    return bytes(scene.export(file_type="glb"))
 
 
 def _colours(volume: Tensor, points: Tensor) -> np.ndarray:
     """RGBA (V, 4) uint8 at points (V, 3) of [-1, 1]^3 (x, y, z), weighted by occupancy."""
     weighted = torch.cat([volume[:3] * volume[3:], volume[3:]])
-    grid = points[None, None, None]
+    grid = points[None, None, None]  # (1, 1, 1, V, 3)
     # Border padding: otherwise a surface closed at the cube's face would be black.
     sampled = F.grid_sample(weighted[None], grid, padding_mode="border", align_corners=False)[0, :, 0, 0]
     colours = (sampled[:3] / sampled[3:].clamp(min=1e-6)).clamp(0, 1) * 255

@@ -58,8 +58,7 @@ def novel_view(estimator: ViewpointEstimator, encoded: Encoded, azimuth: float, 
     """(S, S, 3) uint8: an encoded object from another viewpoint, as ViewpointEstimator.novel_view renders it."""
     angles = (torch.tensor([value], dtype=torch.float64) for value in (azimuth, elevation))
     pose = estimator.in_own_frame(look_at(view_vector(*angles)))
-    image: np.ndarray = estimator.displayed(estimator.render(encoded, pose, _size(estimator)))[0]
-    return image
+    return np.asarray(estimator.displayed(estimator.render(encoded, pose, _size(estimator)))[0])
 
 
 def model_facts(estimator: ViewpointEstimator) -> str:

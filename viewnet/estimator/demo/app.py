@@ -28,8 +28,6 @@ from viewnet.model.reconstruction import Encoded
 
 LIFETIME = 3600
 """Seconds after which files that visitors sent, and what was made of them, are deleted."""
-QUEUE = "network"
-"""Events that use the network wait for each other: compiled kernels are not for several threads at once."""
 WAITING = "<p>Choose an image, say where its object is, and press <b>Find the viewpoint</b>.</p>"
 STYLE = Path(__file__).parents[1] / "templates" / "demo.css"
 
@@ -91,8 +89,7 @@ class Page:
     def _lay_out_answer(self) -> None:
         self.answer = gr.HTML(WAITING, elem_id="answer")
         with gr.Row():
-            still: dict[str, Any] = {"interactive": False, "format": "png", "buttons": []}
-            still |= {"height": 230, "min_width": 130}
+            still: Any = {"interactive": False, "format": "png", "buttons": [], "height": 230, "min_width": 130}
             self.input = gr.Image(label="As the network sees it", elem_id="seen", **still)
             self.reconstruction = gr.Image(label="As it renders it from there", elem_id="posed", **still)
         self.table = gr.HTML(elem_id="hypotheses")
@@ -108,7 +105,8 @@ class Page:
         answer = [self.encoded, self.answer, self.input, self.reconstruction, self.table]
         answer += [self.azimuth, self.elevation, self.view, self.mesh]
         quiet: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
-        queued: dict[str, Any] = {"concurrency_id": QUEUE, "concurrency_limit": 1, "api_visibility": "private"}
+        # Events that use the network wait for each other: compiled kernels are not for several threads at once.
+        queued: dict[str, Any] = {"concurrency_id": "network", "concurrency_limit": 1, "api_visibility": "private"}
         # Files come as they are (preprocess=False): the project's own reader, not gradio's, explains what is wrong.
         raw: dict[str, Any] = queued | {"preprocess": False}
         predicting = (self.predict, [self.picker, self.mask, self.box], answer)
@@ -182,17 +180,11 @@ class Page:
             notes.append(f"There is no 3-D model: {error}.")
         viewpoint = result.viewpoint
         azimuth, elevation = round(viewpoint.azimuth) % 360, round(viewpoint.elevation)
-        return [
-            result.encoded,
-            answer(result, notes),
-            _enlarged(result.input),
-            result.reconstruction,
-            compass_svg.table(viewpoint),
-            azimuth,
-            elevation,
-            self.turn(result.encoded, azimuth, elevation),
-            gr.update(value=model, camera_position=_camera(azimuth, elevation, reach)),
-        ]
+        images = [_enlarged(result.input), result.reconstruction]
+        view = self.turn(result.encoded, azimuth, elevation)
+        turned = gr.update(value=model, camera_position=_camera(azimuth, elevation, reach))
+        hypotheses = compass_svg.table(viewpoint)
+        return [result.encoded, answer(result, notes), *images, hypotheses, azimuth, elevation, view, turned]
 
     def turn(self, encoded: Encoded | None, azimuth: float, elevation: float) -> Any:
         """The object from the viewpoint of the sliders."""
@@ -217,8 +209,7 @@ def answer(result: Analysis, notes: Sequence[str]) -> str:
 def _enlarged(pixels: np.ndarray) -> Image.Image:
     """An image of few pixels, each as a square."""
     times = max(1, analysis.SIZE // len(pixels))
-    image = Image.fromarray(pixels)
-    return image.resize((times * image.width, times * image.height), Image.Resampling.NEAREST)
+    return Image.fromarray(pixels.repeat(times, 0).repeat(times, 1))
 
 
 def _camera(azimuth: float, elevation: float, reach: float) -> tuple[float, float, float]:
