@@ -274,7 +274,7 @@ def test_a_configuration_opens_videos(tmp_path, monkeypatch):
     whole = video_views(replace(config, split_rule="all"), 1, False)
     assert set(whole.index["split"]) == {"train"} and len(whole) == 6
     assert view_store(DataConfig("chair", video=config), 1, False).folder == store.folder
-    with pytest.raises(ViewnetError, match="category car: its videos show chair"):
+    with pytest.raises(ViewnetError, match="category car: videos show chair"):
         view_store(DataConfig("car", video=config), 1, False)
     for wrong in (VideoConfig("sofa"), VideoConfig("chair", kind="freiburg"), VideoConfig("chair", kind="folder")):
         with pytest.raises(ViewnetError, match=f"category {wrong.category}: stand-ins for videos show car"):
@@ -325,7 +325,7 @@ def test_masks_may_lie_in_another_folder(tmp_path, monkeypatch):
     assert found == [6, 5, 5]
     with pytest.raises(ViewnetError, match=r"mask_folder nowhere: no masks of any video, such as .*car001"):
         video_views(replace(cars, mask_folder="nowhere"), 1, False)
-    with pytest.raises(ViewnetError, match=r"elsewhere: only used with masks=files \(masks is alpha\)"):
+    with pytest.raises(ViewnetError, match=r"elsewhere: only used with masks=files \(not alpha\)"):
         video_views(replace(cars, mask_folder="elsewhere", masks="alpha"), 1, False)
 
 

@@ -234,7 +234,7 @@ def test_a_store_that_is_there_is_reused_or_refused(models: list[ModelFile], tmp
     before = (tmp_path / "views" / "views.npy").stat().st_mtime_ns
     assert draw(models, tmp_path / "views").identity == first.identity
     assert (tmp_path / "views" / "views.npy").stat().st_mtime_ns == before
-    with pytest.raises(ViewnetError, match="holds views made from other models or settings"):
+    with pytest.raises(ViewnetError, match="holds views of other models or settings"):
         draw(models, tmp_path / "views", seed=5)
 
 
@@ -464,7 +464,7 @@ def test_a_second_collection_joins_the_training_models(
             view_store(DataConfig(**{**config.__dict__, "extra": root, "extra_share": share}), progress=False)
 
 
-@pytest.mark.parametrize(("models", "message"), [(0, "built-in models have no end"), (-1, "models -1")])
+@pytest.mark.parametrize(("models", "message"), [(0, "built-in ones have no end"), (-1, "models -1")])
 def test_numbers_of_models_that_make_no_sense(config: DataConfig, models: int, message: str) -> None:
     with pytest.raises(ViewnetError, match=message):
         view_store(DataConfig(**{**config.__dict__, "models": models}), progress=False)

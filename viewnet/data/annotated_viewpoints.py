@@ -28,10 +28,8 @@ def read(path: Path) -> tuple[pd.DataFrame, dict[str, int]]:
     """
     table = read_csv(path, dtype={"category": str, "subset": str, "split": str})
     if missing := [name for name in REQUIRED if name not in table.columns]:
-        raise ViewnetError(
-            f"{path}: column {missing[0]!r} is missing: expected {', '.join(REQUIRED)}, and if there are "
-            f"{', '.join(OPTIONAL)}"
-        )
+        expected = f"{', '.join(REQUIRED)}, and if there are {', '.join(OPTIONAL)}"
+        raise ViewnetError(f"{path}: column {missing[0]!r} is missing: expected {expected}")
     for name, value in OPTIONAL.items():
         table[name] = table[name].fillna(value) if name in table.columns else value
     azimuth = pd.to_numeric(table["azimuth_deg"], errors="coerce").to_numpy(dtype=np.float64, copy=True)
@@ -42,26 +40,18 @@ def read(path: Path) -> tuple[pd.DataFrame, dict[str, int]]:
         "azimuth or elevation is no number": ~(np.isfinite(azimuth) & np.isfinite(elevation)),
         "elevation beyond 90 degrees": np.abs(elevation) > 90,
     }
-    rejected = np.zeros(len(table), dtype=bool)
-    counts = {}
-    for reason, rows in reasons.items():
-        if new := int((rows & ~rejected).sum()):
-            counts[reason] = new
-        rejected |= rows
+    # The first reason that applies counts.
+    reason = np.select(list(reasons.values()), list(reasons), default="")
+    counts = {name: count for name in reasons if (count := int((reason == name).sum()))}
+    rejected = reason != ""
     if rejected.all():
         raise ViewnetError(f"{path}: no usable viewpoint ({in_words(counts) or 'the list is empty'})")
     azimuth[rejected] = 0.0  # infinity has no remainder
-    usable = pd.DataFrame(
-        {
-            "category": table["category"],
-            "azimuth": azimuth % 360 % 360,  # a tiny negative angle is 360 after rounding
-            "elevation": elevation,
-            "subset": table["subset"],
-            "split": table["split"],
-            "easy": pd.to_numeric(table["easy"], errors="coerce").fillna(0) == 1,
-        }
-    )
-    return usable[~rejected].reset_index(drop=True), counts
+    table["azimuth"] = azimuth % 360 % 360  # a tiny negative angle is 360 after rounding
+    table["elevation"] = elevation
+    table["easy"] = pd.to_numeric(table["easy"], errors="coerce").fillna(0) == 1
+    usable = table.loc[~rejected, ["category", "azimuth", "elevation", "subset", "split", "easy"]]
+    return usable.reset_index(drop=True), counts
 
 
 def histogram_file() -> Path:

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import itertools
 import json
+from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,10 +19,10 @@ from PIL import Image
 
 from viewnet import paths
 from viewnet.data.readers.image_folder import list_images
-from viewnet.data.store import identity_of
+from viewnet.data.store import filled_once, identity_of
 from viewnet.data.synthetic import scenes
 from viewnet.errors import ViewnetError
-from viewnet.runtime.files import filling, load_array, locked
+from viewnet.runtime.files import load_array
 from viewnet.runtime.image_files import opened
 from viewnet.runtime.progress import bar
 
@@ -45,12 +48,9 @@ class Backgrounds:
 
 
 def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: bool = True) -> Backgrounds:
-    """`count` images of size x size pixels from `source`, or all of its usable ones where it has fewer.
+    """`count` images of size x size pixels, or fewer where there are no more, randomly cropped to squares.
 
-    `source` is "drawn" (viewnet.data.synthetic.scenes), or a folder (image_folder.list_images). Of more than `count`
-    images, classes have equal shares. Every image is cropped to a square, at random by `seed` and its path. Images that
-    cannot be used are in `rejected`, and others are used instead.
-
+    `source` is "drawn" (synthetic.scenes) or a folder (image_folder.list_images), of which classes have equal shares.
     Raises ViewnetError for values out of range, and a folder that does not exist or holds no usable image.
     """
     if not 1 <= size <= LARGEST:
@@ -65,26 +65,19 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
     else:
         listed, missing = list_images(Path(source))
         described["pictures"] = _digest(Path(source), listed, missing)
+
+    def fill(folder: Path) -> None:
+        if source != SYNTHETIC:
+            images, classes, rejected = _crop_all(Path(source), listed, size, count, seed, progress)
+        else:
+            images, classes, rejected = _synthetic(size, count, seed, progress), np.zeros(count, np.int64), []
+        np.save(folder / "pictures.npy", images)
+        np.save(folder / "classes.npy", classes)
+        with (folder / "rejected.csv").open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows([("path", "reason"), *missing, *rejected])
+
     identity = identity_of(described)
-    folder = paths.data() / "backgrounds" / identity
-    if folder.exists():  # before any lock, for which the folder about it may not be writable
-        return _read(folder, identity, size)
-    with locked(folder):
-        if not folder.exists():
-            if source == SYNTHETIC:
-                images, classes, rejected = _synthetic(size, count, seed, progress), np.zeros(count, np.int64), missing
-            else:
-                images, classes, rejected = _crop_all(Path(source), listed, size, count, seed, progress)
-                rejected = missing + rejected
-            with filling(folder) as temporary:
-                np.save(temporary / "pictures.npy", images)
-                np.save(temporary / "classes.npy", classes)
-                with (temporary / "rejected.csv").open("w", newline="", encoding="utf-8") as file:
-                    csv.writer(file, lineterminator="\n").writerows([("path", "reason"), *rejected])
-    return _read(folder, identity, size)
-
-
-def _read(folder: Path, identity: str, size: int) -> Backgrounds:
+    folder = filled_once(paths.data() / "backgrounds" / identity, fill)
     again = "remove the folder, and it is made again"
     images, classes = (load_array(folder / f"{name}.npy", again) for name in ("pictures", "classes"))
     try:
@@ -100,7 +93,7 @@ def _read(folder: Path, identity: str, size: int) -> Backgrounds:
 
 
 def _digest(root: Path, listed: list[tuple[str, int]], missing: list[tuple[str, str]]) -> str:
-    """What images depend on: paths within the folder, classes and, as a cheap sign of a changed file, sizes."""
+    """Of paths within the folder, classes and, as a cheap sign of a changed file, sizes."""
     hashed = hashlib.sha256(json.dumps(missing).encode())
     for path, number in listed:
         hashed.update(json.dumps([path, number, (root / path).stat().st_size]).encode())
@@ -141,13 +134,9 @@ def _crop_all(
 
 def _balanced(listed: list[tuple[str, int]], seed: int) -> list[tuple[str, int]]:
     """Shuffled so that any beginning has equally many images of each class, but for classes that are exhausted."""
-    ranked = sorted(listed, key=lambda item: hashlib.sha256(f"{seed} {item[0]}".encode()).digest())
-    seen: dict[int, int] = {}
-    rounds = []
-    for _, number in ranked:
-        seen[number] = seen.get(number, -1) + 1
-        rounds.append(seen[number])
-    return [ranked[i] for i in sorted(range(len(ranked)), key=rounds.__getitem__)]
+    shuffled = sorted(listed, key=lambda item: hashlib.sha256(f"{seed} {item[0]}".encode()).digest())
+    rank: defaultdict[int, Iterator[int]] = defaultdict(itertools.count)  # of an image among those of its class
+    return sorted(shuffled, key=lambda item: next(rank[item[1]]))
 
 
 def random_square(path: Path, size: int, rng: np.random.Generator) -> np.ndarray:

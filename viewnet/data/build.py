@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -19,11 +18,11 @@ from viewnet.data.readers.photo_folder import LIST
 from viewnet.data.readers.registry import READERS
 from viewnet.data.readers.shapenet import ModelFile, find_models, take
 from viewnet.data.rendered_store import Rendering, digest, partial_folder, render_views
-from viewnet.data.store import Rejected, ViewStore, identity_of
+from viewnet.data.store import Rejected, ViewStore, filled_once, identity_of, made_once
 from viewnet.data.synthetic import freiburg_standin, objectron_standin, pascal3d_standin
 from viewnet.errors import ViewnetError
 from viewnet.render import choose_backend
-from viewnet.runtime.files import filling, locked
+from viewnet.runtime.files import locked
 from viewnet.runtime.splits import SHARES
 
 
@@ -33,16 +32,12 @@ def view_store(
     """Open the views of `config` (section 4.2), making the CAD collection and rendering the views where missing.
 
     Where it names videos, the views are theirs (video_views). Else views are rendered in `workers` processes of this
-    machine, or on an executor whose workers see the same files.
-
-    Stores lie in `<paths.data()>/views/<category>-<key>`, the key a hash of everything that decides the views. Raises
-    ViewnetError for a collection that cannot be used (see find_models) and values out of range (see render_views).
+    machine, or on an executor whose workers see the same files. Stores lie in `<paths.data()>/views/<category>-<key>`,
+    the key a hash of everything that decides the views. Raises ViewnetError as find_models and render_views do.
     """
     if config.video is not None:
         if config.video.category != config.category:
-            raise ViewnetError(
-                f"category {config.category}: its videos show {config.video.category}: name one category"
-            )
+            raise ViewnetError(f"category {config.category}: videos show {config.video.category}: name one category")
         return video_views(config.video, workers, progress)
     if config.models < 0:
         raise ViewnetError(f"models {config.models}: expected 1 or more, or 0 for all of a collection")
@@ -72,8 +67,7 @@ def as_training_models(models: list[ModelFile], config: DataConfig) -> list[Mode
     """The models of a second collection, all of them in the training split of the first.
 
     Each is repeated until they are `config.extra_share` of the training models, the first collection's being 70 % of
-    `config.models`; every copy is seen from other viewpoints. Where `config.models` is 0 each comes once. Raises
-    ViewnetError for a share that is not between 0 and 1.
+    `config.models`; every copy has other viewpoints. Where `config.models` is 0 each comes once.
     """
     if not 0 < config.extra_share < 1:
         raise ViewnetError(f"extra_share {config.extra_share}: expected a number between 0 and 1")
@@ -83,18 +77,12 @@ def as_training_models(models: list[ModelFile], config: DataConfig) -> list[Mode
 
 
 def built_in(category: str, models: int, seed: int = 0, progress: bool = True) -> Path:
-    """The folder of a collection of built-in models of one category, written if it is not there yet.
-
-    ViewnetError for 0 models.
-    """
+    """The folder of a collection of built-in models of one category, written if it is not there yet."""
     if models < 1:
-        raise ViewnetError(
-            "models 0 means all of a collection, but built-in models have no end: give a number or a root"
-        )
+        raise ViewnetError("models 0 means all of a collection, but built-in ones have no end: give a number or a root")
     root = paths.data() / "cad" / f"{category}-{models}-seed{seed}-v{cad.VERSION}"
     with locked(root):
-        # The list of splits is written last.
-        if not (root / "all.csv").is_file():
+        if not (root / "all.csv").is_file():  # the list of splits, written last
             cad.write_collection(root, [category], models, seed, progress=progress)
     return root
 
@@ -102,19 +90,18 @@ def built_in(category: str, models: int, seed: int = 0, progress: bool = True) -
 def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
     """Open the photographs of `config` (section 4.3) as a view store, cutting them where that has not been done.
 
-    Viewpoints are calibrated on split "val", PASCAL3D+'s "train", and scored on "test", its "val". Every object is a
-    model of its own with one view. `photo_store.summary` says what is used and what is left out.
-
-    Stores lie in `<paths.data()>/views/photos-<category>-<key>`, the key a hash of everything that decides the views;
-    looking for one reads annotations, but no image. Raises ViewnetError for a root in no layout that can be read,
-    settings that do not apply to it, a split without usable photographs, and one photograph in both.
+    Viewpoints are calibrated on split "val", PASCAL3D+'s "train", and scored on "test", its "val". Stores lie in
+    `<paths.data()>/views/photos-<category>-<key>`; looking for one reads annotations, but no image. Raises ViewnetError
+    for a root in no layout that can be read, settings that do not apply to it, a split without usable photographs, and
+    one photograph in both.
     """
     known(config.category, CATEGORIES, "category")
     crop = Crop(config.size, config.margin, config.square, config.pad)
     made_by: dict[str, Any] = {"category": config.category, "crop": photo_store.describe_crop(crop)}
     if config.root is None:
         reader = pascal3d.READER.photographs
-        made_by |= {"stand-in": _describe_stand_in(config)} | pascal3d.settings(config)
+        made_by |= {"stand-in": pascal3d_standin.describe(config.category, **_stand_in_settings(config))}
+        made_by |= pascal3d.settings(config)
     else:
         root = Path(config.root)
         reader = next((r.photographs for r in READERS.values() if r.photographs and r.recognises(root)), None)
@@ -130,51 +117,35 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
     def make() -> None:
         root = stand_in(config, workers, progress) if config.root is None else Path(config.root)
         photographs = reader.read(config, root)
-        # The notes follow from what is in the store's name already.
+        described = made_by | photographs.notes  # notes follow from what is in the store's name already
         photo_store.photo_store(
-            photographs.usable,
-            folder,
-            crop,
-            made_by | photographs.notes,
-            root,
-            photographs.rejected,
-            reader.upright,
-            workers,
-            progress,
+            photographs.usable, folder, crop, described, root, photographs.rejected, reader.upright, workers, progress
         )
 
-    return ViewStore.open(_made_once(folder, make))
+    return ViewStore.open(made_once(folder, make))
 
 
 def stand_in(config: PhotoConfig, workers: int | None = None, progress: bool = True) -> Path:
     """The folder of the stand-in for PASCAL3D+ that `config` asks for, written if it is not there yet."""
-    name = f"{config.category}-{identity_of(_describe_stand_in(config))[:12]}"
-    chosen = (config.models, config.count, config.subset, _backgrounds(config), config.seed)
-    return _write_once(
-        paths.data() / "pascal3d-stand-in" / name,
-        lambda folder: pascal3d_standin.write_stand_in(folder, [config.category], *chosen, workers, progress),
-    )
+    category, settings = config.category, _stand_in_settings(config)
+    name = f"{category}-{identity_of(pascal3d_standin.describe(category, **settings))[:12]}"
+    settings |= {"workers": workers, "progress": progress}
+    write = pascal3d_standin.write_stand_in
+    return filled_once(paths.data() / "pascal3d-stand-in" / name, lambda folder: write(folder, [category], **settings))
 
 
-def _describe_stand_in(config: PhotoConfig) -> dict[str, Any]:
-    chosen = (config.subset, config.models, config.count, config.seed, _backgrounds(config))
-    return pascal3d_standin.describe(config.category, *chosen)
-
-
-def _backgrounds(config: PhotoConfig) -> Path | None:
-    return None if config.backgrounds is None else Path(config.backgrounds)
+def _stand_in_settings(config: PhotoConfig) -> dict[str, Any]:
+    settings = {name: getattr(config, name) for name in ("subset", "models", "count", "seed", "backgrounds")}
+    return settings | ({"backgrounds": Path(config.backgrounds)} if config.backgrounds is not None else {})
 
 
 def video_views(config: VideoConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
     """Open the videos of `config` (section 4.4) as a view store, cutting their objects out where that is not done.
 
-    Every clip is a model, every frame a view. Viewpoints are known of Freiburg static cars and of Objectron; of a
-    folder of videos they are not, so that training selects by reconstruction. `clip_store.summary` says what is used
-    and what is left out.
-
-    Stores lie in `<paths.data()>/views/videos-<category>-<key>`, the key a hash of everything that decides the views;
-    looking for one lists the frames' files, and reads annotations and images' headers. Raises ViewnetError for a root
-    that cannot be read, missing weights of a network for masks, and where no clip to train on is left.
+    Viewpoints are known of Freiburg static cars and of Objectron; of a folder of videos they are not, so that training
+    selects by reconstruction. Stores lie in `<paths.data()>/views/videos-<category>-<key>`; looking for one lists the
+    frames' files, and reads annotations and images' headers. Raises ViewnetError for a root that cannot be read,
+    missing weights of a network for masks, and where no clip to train on is left.
     """
     known(config.category, CATEGORIES, "category")
     if config.count < 0:
@@ -190,7 +161,7 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     def make() -> None:
         clip_store.clip_store(clips, folder, root, source, crop, limits, config.scale, rejected, workers, progress)
 
-    return ViewStore.open(_made_once(folder, make))
+    return ViewStore.open(made_once(folder, make))
 
 
 def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]:
@@ -203,15 +174,13 @@ def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]
         clips = [replace(clip, split="train") for clip in clips]
     if config.mask_folder != VideoConfig.mask_folder:
         if config.masks != "files":
-            raise ViewnetError(
-                f"mask_folder {config.mask_folder}: only used with masks=files (masks is {config.masks})"
-            )
+            raise ViewnetError(f"mask_folder {config.mask_folder}: only used with masks=files (not {config.masks})")
         # A clip's id is its place below the folder, whatever the data set.
         folders = [root / Path(config.mask_folder).expanduser() / clip.id for clip in clips]
         if not any(folder.is_dir() for folder in folders):
             raise ViewnetError(f"mask_folder {config.mask_folder}: no masks of any video, such as {folders[0]}")
-        masked = [folder if folder.is_dir() else None for folder in folders]
-        clips = [replace(clip, masks=folder) for clip, folder in zip(clips, masked, strict=True)]
+        pairs = zip(clips, folders, strict=True)
+        clips = [replace(clip, masks=folder if folder.is_dir() else None) for clip, folder in pairs]
     return clips, rejected
 
 
@@ -220,43 +189,21 @@ def video_stand_in(config: VideoConfig, workers: int | None = None, progress: bo
 
     Raises ViewnetError for a category that neither data set has, and for a folder of videos, which has no stand-in.
     """
-    cars = config.category == freiburg.CATEGORY
-    if cars and config.kind in ("auto", "freiburg"):
+    if config.category == freiburg.CATEGORY and config.kind in ("auto", "freiburg"):
         driven = (config.sequences or freiburg_standin.SEQUENCES, config.frames, config.seed)
-        return _write_once(
+        return filled_once(
             paths.data() / "freiburg-stand-in" / identity_of(freiburg_standin.describe(*driven))[:12],
             lambda folder: freiburg_standin.write_stand_in(folder, *driven, workers, progress),
         )
     if config.kind in ("auto", "objectron") and config.category in objectron.CLASSES:
         filmed = (config.category, config.videos, config.frames, config.seed)
-        return _write_once(
+        return filled_once(
             paths.data() / "objectron-stand-in" / identity_of(objectron_standin.describe(*filmed))[:12],
             lambda folder: objectron_standin.write_stand_in(folder, *filmed, progress=progress),
         )
-    raise ViewnetError(
-        f"category {config.category}: stand-ins for videos show {freiburg.CATEGORY} (Freiburg static cars) and"
-        f" {', '.join(objectron.CLASSES)} (Objectron): name a root for others"
-    )
+    shown = f"{freiburg.CATEGORY} (Freiburg static cars) and {', '.join(objectron.CLASSES)} (Objectron)"
+    raise ViewnetError(f"category {config.category}: stand-ins for videos show {shown}: name a root for others")
 
 
 def _store_folder(name: str, made_by: dict[str, Any]) -> Path:
     return paths.data() / "views" / f"{name}-{identity_of(made_by)[:12]}"
-
-
-def _made_once(folder: Path, make: Callable[[], None]) -> Path:
-    """`folder`, which `make` makes where it is missing; of several processes one makes it and the others wait."""
-    if not folder.exists():  # before any lock, for which the folder about it may not be writable
-        with locked(folder):
-            if not folder.exists():
-                make()
-    return folder
-
-
-def _write_once(folder: Path, write: Callable[[Path], None]) -> Path:
-    """`folder`, which appears whole when `write` has filled a temporary one."""
-
-    def make() -> None:
-        with filling(folder) as temporary:
-            write(temporary)
-
-    return _made_once(folder, make)

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from viewnet.data.readers.shapenet import ModelFile, load_model
-from viewnet.data.store import ViewStore, identity_of, write_store
+from viewnet.data.store import ViewStore, identity_of, made_once, write_store
 from viewnet.errors import ViewnetError
 from viewnet.render import VERSION, Backend, choose_backend, render_cameras
 from viewnet.render.camera import DISTANCE, FOCAL, look_from
 from viewnet.render.mesh import UnusableModel
-from viewnet.runtime.files import locked, replacing, write_text
+from viewnet.runtime.files import replacing, write_text
 from viewnet.runtime.parallel import cores, pool
 from viewnet.runtime.progress import bar as progress_bar
 
@@ -53,23 +53,18 @@ class Rendering:
         for name, most in (("views", 10_000), ("image_size", 4096), ("supersample", 16)):
             if not 1 <= (value := getattr(self, name)) <= most:
                 raise ViewnetError(f"{name} {value}: expected 1 to {most}")
-        low, high = self.azimuth_range
-        if not (-360 <= low <= high <= 720 and high - low <= 360):
-            raise ViewnetError(
-                f"azimuth_range {self.azimuth_range}: expected (low, high) in degrees, at most 360 apart"
-            )
-        low, high = self.elevation_range
-        if not -90 <= low <= high <= 90:
-            raise ViewnetError(
-                f"elevation_range {self.elevation_range}: expected (low, high) in degrees within -90 and 90"
-            )
+        for name, least, most, limit in (
+            ("azimuth_range", -360, 720, "at most 360 apart"),
+            ("elevation_range", -90, 90, "within -90 and 90"),
+        ):
+            low, high = getattr(self, name)
+            if not (least <= low <= high <= most and high - low <= 360):
+                raise ViewnetError(f"{name} {(low, high)}: expected (low, high) in degrees, {limit}")
 
     def describe(self) -> dict[str, Any]:
         """Everything but the models that decides the images, as JSON values."""
         return {
-            "renderer": {
-                "name": choose_backend(self.backend), "version": VERSION, "supersample": self.supersample
-            },
+            "renderer": {"name": choose_backend(self.backend), "version": VERSION, "supersample": self.supersample},
             "camera": {"distance": DISTANCE, "focal": FOCAL, "image_size": self.image_size},
             "viewpoints": {
                 "views": self.views,
@@ -77,7 +72,7 @@ class Rendering:
                 "elevation_range": [float(x) for x in self.elevation_range],
                 "seed": self.seed,
             },
-        }  # fmt: skip
+        }
 
 
 def render_views(
@@ -92,27 +87,20 @@ def render_views(
     """Render views of every model into the view store `folder` (section 4.2) and open it; `settings`: see Rendering.
 
     Azimuth and elevation are uniform in their ranges, the light's direction uniform on the camera's side. They depend
-    on (seed, model id, view) only, so neither order nor number of processes nor other models matter. The store appears
-    when it is whole; a killed call that is repeated resumes and ends with the same bytes; of two calls at once one
-    renders and the other waits. An existing store is opened if it was made from the same. Models that cannot be used
-    are named with the reason in `rejected.csv`. `workers`: processes, None for one a core; 1 renders in this process.
-    With an `executor` they are its workers', which must see `folder` and the models under the same names.
-
-    Raises ViewnetError for values out of range, a folder that holds something else, no model that can be used, and too
-    little room on the disk.
+    on (seed, model id, view) only, so neither order nor number of processes nor other models matter. A killed call that
+    is repeated resumes and ends with the same bytes; of two calls at once one renders and the other waits. An existing
+    store is opened if it was made from the same. `workers`: processes, None for one a core; 1 renders in this process.
+    The workers of an `executor` must see `folder` and the models under the same names. Raises ViewnetError for values
+    out of range, a folder that holds something else, no model that can be used, and too little room on the disk.
     """
     folder, how = Path(folder), Rendering(**settings)
     how = replace(how, backend=choose_backend(how.backend))
     models = sorted(models, key=lambda model: (model.category, model.id))
     _check(models, workers)
     made_by = how.describe() | {"models": digest(models)}
-    if folder.exists():  # before any lock, for which the folder about it may not be writable
-        return _reopen(folder, made_by)
-    with locked(folder):
-        if folder.exists():
-            return _reopen(folder, made_by)
-        partial = partial_folder(folder)
-        chunks = _plan(models, partial, made_by)
+
+    def make() -> None:
+        chunks = _plan(models, partial_folder(folder), made_by)
         todo = [(rows, file) for rows, file in chunks if not file.exists()]
         open_share = sum(len(rows) for rows, _ in todo) / len(models)
         _check_room(folder, len(models) * how.views * how.image_size**2 * 4, open_share)
@@ -124,9 +112,14 @@ def render_views(
             lights = np.einsum("mvij,mvj->mvi", cameras, light[rows])  # in world coordinates
             jobs.append(Chunk(tuple(models[i] for i in rows), cameras, lights, how, file))
         _render(jobs, len(models), workers, progress, executor)
-        store = assemble(folder, models, [file for _, file in chunks], azimuth, elevation, made_by)
-        shutil.rmtree(partial, ignore_errors=True)
-        return store
+        assemble(folder, models, [file for _, file in chunks], azimuth, elevation, made_by)
+
+    made_once(folder, make)
+    shutil.rmtree(partial_folder(folder), ignore_errors=True)
+    store = ViewStore.open(folder)
+    if store.identity != identity_of(made_by):
+        raise ViewnetError(f"{folder}: holds views of other models or settings: remove it or name another folder")
+    return store
 
 
 def partial_folder(folder: Path) -> Path:
@@ -221,16 +214,6 @@ def _source(model: ModelFile) -> str:
     return model.path.relative_to(model.folder.parent.parent).as_posix()
 
 
-def _reopen(folder: Path, made_by: dict[str, Any]) -> ViewStore:
-    shutil.rmtree(partial_folder(folder), ignore_errors=True)
-    store = ViewStore.open(folder)
-    if store.identity != identity_of(made_by):
-        raise ViewnetError(
-            f"{folder}: holds views made from other models or settings: remove it or name another folder"
-        )
-    return store
-
-
 def _plan(models: Sequence[ModelFile], partial: Path, made_by: dict[str, Any]) -> list[tuple[np.ndarray, Path]]:
     """Model numbers and file of each chunk. What `partial` holds of another request is removed."""
     plan = json.dumps({"identity": identity_of(made_by), "chunk": CHUNK})
@@ -286,7 +269,7 @@ def assemble(
     azimuth: np.ndarray,
     elevation: np.ndarray,
     made_by: dict[str, Any],
-) -> ViewStore:
+) -> None:
     """Write the store from its chunks' files, without unusable models. Raises ViewnetError where none is usable."""
     import pandas as pd  # slow to import, and every rendering process imports this module
 
@@ -312,4 +295,4 @@ def assemble(
             "source": np.repeat([_source(models[i]) for i in used], views),
         }
     )
-    return write_store(folder, (read_chunk(file)[0] for file in files), index, made_by, rejected)
+    write_store(folder, (read_chunk(file)[0] for file in files), index, made_by, rejected)

@@ -15,7 +15,7 @@ import hashlib
 import json
 import platform
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from viewnet.errors import ViewnetError
-from viewnet.runtime.files import filling, load_array, read_csv, read_json
+from viewnet.runtime.files import filling, load_array, locked, read_csv, read_json
 
 if TYPE_CHECKING:
     # Slow to import, and predicting a viewpoint imports this module but opens no store.
@@ -130,6 +130,25 @@ def in_words(counts: Mapping[str, int]) -> str:
 def identity_of(made_by: dict[str, Any]) -> str:
     """16 hex digits that name what `made_by` (JSON values) describes."""
     return hashlib.sha256(json.dumps(made_by, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def made_once(folder: Path, make: Callable[[], object]) -> Path:
+    """`folder`, which `make` makes where it is missing; of several processes one makes it and the others wait."""
+    if not folder.exists():  # before any lock, for which the folder about it may not be writable
+        with locked(folder):
+            if not folder.exists():
+                make()
+    return folder
+
+
+def filled_once(folder: Path, fill: Callable[[Path], object]) -> Path:
+    """`made_once` by a function that fills a temporary folder, so that `folder` appears whole."""
+
+    def make() -> None:
+        with filling(folder) as temporary:
+            fill(temporary)
+
+    return made_once(folder, make)
 
 
 def write_store(
