@@ -177,7 +177,7 @@ def test_another_collection_is_scored_whole_and_aligned_on_own_views(tmp_path, m
     for score in found["alignments"].values():
         assert score["images"] == len(other.index)
         assert score["alignment"]["images"] == len(run.predictions.subset("val"))
-    assert found["alignments"]["procrustes"] == other_views.score_on(run, other, steps=STEPS)
+    assert found["alignments"]["procrustes"] == evaluate.evaluate(other_views.transferred(run, other, STEPS))
 
 
 @pytest.mark.parametrize(

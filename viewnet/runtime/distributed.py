@@ -23,15 +23,11 @@ from viewnet.errors import ViewnetError
 T = TypeVar("T")
 
 ENVIRONMENT = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
-PATIENCE = datetime.timedelta(days=7)
-"""How long processes wait for each other: the first may be rendering. torchrun ends those that wait for a dead one."""
+PATIENCE = datetime.timedelta(days=7)  # the first may be rendering; torchrun ends those that wait for a dead one
 
 
 def start() -> None:
-    """Join the processes that torchrun started. Does nothing in a single process, or when called again.
-
-    Raises ViewnetError where a machine has GPUs, but fewer than processes.
-    """
+    """Join the processes that torchrun started, if any and once. ViewnetError for fewer GPUs than processes."""
     if _joined() or any(name not in os.environ for name in ENVIRONMENT) or os.environ["WORLD_SIZE"] == "1":
         return
     backend = "gloo"
@@ -93,15 +89,13 @@ def first(work: Callable[[], T]) -> T:
     if size() == 1:
         return work()
     outcome: list[Any] = [None, None]  # result, message of the exception
-    error = None
     if rank() == 0:
         try:
             outcome[0] = work()
-        except Exception as problem:
-            error, outcome[1] = problem, str(problem)
+        except Exception as error:
+            dist.broadcast_object_list([None, str(error)], 0, device=torch.device("cpu"))
+            raise
     dist.broadcast_object_list(outcome, 0, device=torch.device("cpu"))
-    if error is not None:
-        raise error
     if outcome[1] is not None:
         raise ViewnetError(outcome[1])
     return outcome[0]
@@ -123,15 +117,14 @@ def mean(value: Tensor) -> Tensor:
 
 
 def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
-    """Replace gradients by their mean over all processes.
+    """Replace gradients by their mean over all processes, the same to the bit, so that all keep the same weights.
 
-    DistributedDataParallel wraps a module's `forward`, but a step calls several methods of parts of the model. One sum
-    of all gradients gives every process's optimisers the same numbers, to the bit, so that all keep the same weights.
+    DistributedDataParallel wraps a module's `forward`, but a step calls several methods of parts of the model.
     """
     if size() == 1:
         return
     gradients = [weight.grad for weight in parameters if weight.grad is not None]
-    flat = torch.cat([gradient.flatten() for gradient in gradients])
+    flat = torch.cat([gradient.flatten() for gradient in gradients])  # (all numbers,)
     dist.all_reduce(flat)
     flat /= size()
     for gradient, averaged in zip(gradients, flat.split([g.numel() for g in gradients]), strict=True):
@@ -193,7 +186,7 @@ class _Gather(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, value: Tensor) -> Tensor:
-        slots = value.new_zeros(size(), *value.shape)
+        slots = value.new_zeros(size(), *value.shape)  # (processes, ...)
         slots[rank()] = value
         dist.all_reduce(slots)
         return slots

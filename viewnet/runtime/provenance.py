@@ -24,10 +24,9 @@ LIBRARIES = ("torch", "numpy", "scipy", "pandas", "numba", "safetensors", "trime
 
 @functools.cache
 def code_identity(modules: tuple[str, ...]) -> str:
-    """12 hex digits of the statements in modules of this package (paths below it).
+    """12 hex digits of the `statements` in modules of this package (paths below it), in any order.
 
-    Comments, docstrings, imports, blank lines, the modules' names and the order of top-level statements do not count:
-    documenting or moving code keeps finished runs valid, editing a statement does not.
+    Documenting or moving code keeps finished runs valid, editing a statement does not.
     """
     texts = [text for module in modules for text in statements(PACKAGE.joinpath(module).read_text(encoding="utf-8"))]
     return hashlib.sha256("\n\n".join(sorted(texts)).encode()).hexdigest()[:12]
@@ -74,21 +73,16 @@ def hardware(threads: int | None = None) -> dict[str, Any]:
     """CPU model, usable cores, threads in use and the GPU that torch would train on (None without)."""
     import torch
 
+    cpu, info = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
+    if info.exists() and (name := re.search(r"^model name.*?:(.*)", info.read_text(errors="replace"), re.MULTILINE)):
+        cpu = name[1].strip()
     return {
         "system": f"{platform.system()} {platform.machine()}",
-        "processor": _cpu(),
+        "processor": cpu,
         "cores": cores(),
         "threads": threads or torch.get_num_threads(),
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
     }
-
-
-def _cpu() -> str:
-    info = Path("/proc/cpuinfo")
-    match = re.search(
-        r"^model name[^:\n]*:(.*)", info.read_text(errors="replace") if info.exists() else "", re.MULTILINE
-    )
-    return match[1].strip() if match else platform.processor() or platform.machine()
 
 
 def versions(libraries: Sequence[str] = LIBRARIES) -> dict[str, str]:

@@ -26,19 +26,16 @@ def executor(address: str | None = None, timeout: float = 30) -> Iterator[Execut
     Dask submits the job of a worker that dies to another, up to three times. Raises ViewnetError where Dask is not
     installed, or no scheduler answers within `timeout` seconds.
     """
-    address = address or named()
-    if not address:
+    if not (address := address or named()):
         raise ViewnetError(f"no cluster: give tcp://HOST:PORT or {FILE}PATH, or set {VARIABLE}")
     try:
         from distributed import Client
     except ImportError as error:
         raise ViewnetError(f"cluster {address}: Dask is not installed: pip install 'viewnet[cluster]'") from error
-    scheduler = {"address": address}
-    if address.startswith(FILE):
-        file = address.removeprefix(FILE)
-        scheduler = {"scheduler_file": file}
-        if not Path(file).is_file():
-            raise ViewnetError(f"cluster {address}: no such file: start the scheduler with --scheduler-file first")
+    file = address.removeprefix(FILE)
+    if address.startswith(FILE) and not Path(file).is_file():
+        raise ViewnetError(f"cluster {address}: no such file: start the scheduler with --scheduler-file first")
+    scheduler = {"scheduler_file" if address.startswith(FILE) else "address": file}
     try:
         client = Client(**scheduler, timeout=timeout)
     except (OSError, ValueError) as error:

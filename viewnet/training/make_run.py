@@ -14,26 +14,20 @@ from typing import Any
 
 import torch
 
-from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.evaluate import evaluate
 from viewnet.evaluation.predictions import Predictions
-from viewnet.evaluation.run import NOT_SCORED, Run, can_be_scored, read_log, read_result, run_name
+from viewnet.evaluation.run import NOT_SCORED, Run, can_be_scored, read_log, read_result
 from viewnet.model import checkpoint
 from viewnet.runtime import distributed, provenance
 from viewnet.runtime.files import locked, write_json, write_text
 
-SCHEMA = 1
-"""The version of result.json."""
-STATE = "state.pt"
-"""What an interrupted training resumes from (viewnet.training.train); removed when training has ended."""
+SCHEMA = 1  # of result.json
+STATE = "state.pt"  # what an interrupted training resumes from (training.train); removed when training has ended
+# A change in the statements of these modules repeats predictions and metrics of finished runs, not their training.
 PREDICTING = ("evaluation/predict.py", "evaluation/predictions.py")
-EVALUATING = (
-    *(f"evaluation/{module}.py" for module in ("alignment", "evaluate", "metrics", "predictions")),
-    "geometry.py",
-)
-"""A change in the statements of these modules repeats predictions and metrics of finished runs, not their training."""
+EVALUATING = (*(f"evaluation/{name}.py" for name in ("alignment", "evaluate", "metrics", "predictions")), "geometry.py")
 
 
 @dataclass(frozen=True)
@@ -57,28 +51,18 @@ def default_steps() -> Steps:
 
 
 @dataclass(frozen=True)
-class Job:
+class Job(Run):
     """A run that is not finished, and the folder of its view store."""
 
-    config: RunConfig
-    folder: Path
     views: Path
-
-    @property
-    def name(self) -> str:
-        """What messages call the run."""
-        return run_name(self.config)
 
 
 _one_at_a_time = threading.Lock()
 
 
 def attempt(job: Job, steps: Steps, threads: int | None, progress: bool = False) -> str | None:
-    """Make a job. None, or what went wrong in one line, with the traceback of an unforeseen error in error.log.
-
-    A process makes one run at a time, however many threads an executor gives it: seeds and thread counts are global.
-    """
-    with _one_at_a_time:
+    """Make a job. None, or what went wrong in one line, with the traceback of an unforeseen error in error.log."""
+    with _one_at_a_time:  # however many threads an executor gives a process: seeds and thread counts are global
         threads_before = torch.get_num_threads()
         try:
             make(job, steps, threads, progress)
@@ -103,27 +87,25 @@ def one_line(error: BaseException) -> str:
 def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = True) -> None:
     """Train, predict and evaluate what is missing of a run; waits where another process is making it.
 
-    A run on views that cannot be scored (can_be_scored) is trained only. Raises ViewnetError for an untrained predictor
-    on such views.
+    A run on views that cannot be scored is trained only; ViewnetError for an untrained predictor on such views.
     """
-    config, folder, run = job.config, job.folder, Run(job.config, job.folder)
+    config, folder = job.config, job.folder
     with locked(folder):
         if is_complete(folder):
             return
         folder.mkdir(parents=True, exist_ok=True)
         write_json(folder / "config.json", config.to_dict())
         views = steps.open(job.views)
-        result = run.result if (folder / "result.json").is_file() else {}
+        result = job.result if (folder / "result.json").is_file() else {}
         predictions: Predictions | None = None
         scored = can_be_scored(views.index)
-        if not run.trained:
+        if not job.trained:
             if not scored:
-                raise ViewnetError(f"{run.name}: {NOT_SCORED}, and there is nothing to train: use an annotated store")
+                raise ViewnetError(f"{job.name}: {NOT_SCORED}, and there is nothing to train: use an annotated store")
             predictions = UNTRAINED[config.variant].predict(views.index)
         else:
             if not ("training" in result and (folder / checkpoint.CHECKPOINT).is_file()):
-                training = _train(config, views, folder, steps, threads, progress)
-                result = {"schema": SCHEMA, "training": training}
+                result = {"schema": SCHEMA, "training": _train(job, views, steps, threads, progress)}
                 write_json(folder / "result.json", result)
             current = result.get("code", {}).get("predicting") == code_identities()["predicting"]
             if scored and not (current and (folder / "predictions.parquet").is_file()):
@@ -132,7 +114,7 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
             predictions.to_parquet(folder / "predictions.parquet")
         elif scored:
             predictions = Predictions.from_parquet(folder / "predictions.parquet")
-        metrics = None if predictions is None else {kind: evaluate(predictions, kind) for kind in run.alignments}
+        metrics = None if predictions is None else {kind: evaluate(predictions, kind) for kind in job.alignments}
         result = {
             "schema": SCHEMA,
             "key": folder.name,
@@ -161,10 +143,9 @@ def code_identities() -> dict[str, str]:
     return {"predicting": provenance.code_identity(PREDICTING), "evaluating": provenance.code_identity(EVALUATING)}
 
 
-def _train(
-    config: RunConfig, views: Any, folder: Path, steps: Steps, threads: int | None, progress: bool
-) -> dict[str, Any]:
+def _train(job: Job, views: Any, steps: Steps, threads: int | None, progress: bool) -> dict[str, Any]:
     """Train a run, or resume it; how that went, for result.json."""
+    config, folder = job.config, job.folder
     resumed = (folder / "log.csv").is_file()
     started, clock = datetime.datetime.now(datetime.UTC), time.perf_counter()
     try:
@@ -195,8 +176,7 @@ def _saved_state(folder: Path) -> str:
     """The end of the message of a failed training: which state the next call resumes from, if any."""
     if not (folder / STATE).is_file():
         return ""
-    try:
+    epoch = ""
+    with contextlib.suppress(ViewnetError, LookupError):  # no log, or none of a whole epoch
         epoch = f" of epoch {int(read_log(folder / 'log.csv')['epoch'].iloc[-1])}"
-    except (ViewnetError, LookupError):
-        epoch = ""
     return f" (the state{epoch} is kept in {folder / STATE})"

@@ -6,20 +6,11 @@ import hashlib
 from typing import Any
 
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.evaluate import evaluate
 from viewnet.evaluation.predictions import Predictions, joined
 from viewnet.evaluation.run import Run
 from viewnet.model import checkpoint
 from viewnet.training import make_run
 from viewnet.training.make_run import Steps, code_identities
-
-
-def score_on(run: Run, views: Any, alignment: str | None = None, steps: Steps | None = None) -> dict[str, Any]:
-    """`evaluate`'s dictionary for a finished run on all views of another store, say of CAD models made by artists.
-
-    The alignment is still fitted on the run's own validation views. Raises ViewnetError as `transferred` does.
-    """
-    return evaluate(transferred(run, views, steps), alignment or run.alignment)
 
 
 def transferred(run: Run, views: Any, steps: Steps | None = None) -> Predictions:
@@ -38,10 +29,8 @@ def transferred(run: Run, views: Any, steps: Steps | None = None) -> Predictions
     if run.trained:
         other = steps.predict(run.folder, views, splits=tuple(views.index["split"].unique()))
     else:  # the same hypothesis for every image
-        count = len(views.index)
-        other = Predictions(
-            views.index, validation.hypotheses[:1].repeat(count, 0), validation.logits[:1].repeat(count, 0)
-        )
+        same = (values[:1].repeat(len(views.index), 0) for values in (validation.hypotheses, validation.logits))
+        other = Predictions(views.index, *same)
     scored = Predictions(other.ids.assign(split="test"), other.hypotheses, other.logits, other.ups)
     return joined([validation, scored])
 
@@ -49,8 +38,8 @@ def transferred(run: Run, views: Any, steps: Steps | None = None) -> Predictions
 def on_photographs(run: Run, store: Any, steps: Steps | None = None) -> Predictions:
     """A trained run's predictions for a store of photographs: its splits "val", to align on, and "test", to score.
 
-    Cached in the run's folder as `predictions-<store's identity>-<code's>-<checkpoint's>.parquet`, and made anew where
-    the store, the code that predicts or the checkpoint is another. Raises ViewnetError for a run without a checkpoint.
+    Cached in the run's folder as `predictions-<store's identity>-<code's>-<checkpoint's>.parquet`. Raises ViewnetError
+    for a run without a checkpoint.
     """
     if not run.trained:
         raise ViewnetError(f"{run.name} has no network to predict photographs with: choose a trained variant")

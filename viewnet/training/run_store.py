@@ -20,10 +20,9 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from viewnet import paths
-from viewnet.config import DataConfig, ModelConfig, RunConfig, TrainConfig, VideoConfig
+from viewnet.config import DataConfig, ModelConfig, RunConfig, TrainConfig, VideoConfig, known
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.run import Run
@@ -46,23 +45,17 @@ TRAINING = (
     "training/step.py", "training/train.py", "training/validation.py",
 )
 # fmt: on
-"""The code that decides a training, part of every key.
+"""The code that decides a training: its statements are part of every key (provenance.code_identity).
 
-The key has the modules' statements and not their paths, comments, imports or order (provenance.code_identity): moving
-or documenting them keeps finished runs valid. A module that training starts to use must be added here, or a change in
-it would go unnoticed; a test compares this list with what viewnet.training.train imports.
+A module that training starts to use must be added here, or a change in it would go unnoticed; a test compares this list
+with what viewnet.training.train imports.
 """
-UNTRAINED_CODE = ("evaluation/baselines.py", "geometry.py")
-"""The same of predictors that need no training."""
+UNTRAINED_CODE = ("evaluation/baselines.py", "geometry.py")  # the same of predictors that need no training
 
 
 def untrained(variant: str, config: RunConfig) -> RunConfig:
-    """The configuration of a predictor of `UNTRAINED` on the views of `config`; settings it ignores at their defaults.
-
-    Raises ViewnetError for another variant.
-    """
-    if variant not in UNTRAINED:
-        raise ViewnetError(f"unknown untrained variant {variant!r}: choose one of {', '.join(UNTRAINED)}")
+    """The configuration of a predictor of `UNTRAINED` on the views of `config`; unused settings are the defaults."""
+    known(variant, UNTRAINED, "untrained variant")
     return replace(config, variant=variant, seed=0, model=ModelConfig(), train=TrainConfig())
 
 
@@ -71,8 +64,8 @@ def locate(config: RunConfig, identity: str, backgrounds: str = "") -> Path:
     code = TRAINING if config.variant not in UNTRAINED else UNTRAINED_CODE
     data = replace(config.data, root=None, splits=None, extra=None, backgrounds=None)
     if data.video is not None:
-        # Of videos only their own settings count, not those of rendering.
-        data = DataConfig(data.category, video=replace(data.video, root=None, mask_folder=VideoConfig.mask_folder))
+        video = replace(data.video, root=None, mask_folder=VideoConfig.mask_folder)
+        data = DataConfig(data.category, video=video)  # of videos only their own settings count, not those of rendering
     without_places = replace(config, data=data, train=replace(config.train, start=None))
     identities = [identity, backgrounds] if backgrounds else [identity]
     identities += [checkpoint.identity(config.train.start)] if config.train.start else []
@@ -92,9 +85,8 @@ def ensure(
     many as there are GPUs, or cores without any). Runs that another process is training are waited for. A failed run
     leaves the others to end; then ViewnetError names each failed run and why.
 
-    With an `executor`, or a cluster in VIEWNET_CLUSTER (viewnet.training.dask_cluster), views are rendered and runs
-    trained there; its workers must see the same files. Under torchrun every process calls this, and trains each run
-    together with the others; there the first failure ends all.
+    With an `executor`, or a cluster in VIEWNET_CLUSTER, views are rendered and runs trained there; its workers must see
+    the same files. Under torchrun every process calls this and trains each run with the others; a failure ends all.
     """
     if workers is not None and workers < 1:
         raise ViewnetError(f"workers {workers}: expected 1 or more")
@@ -117,17 +109,14 @@ def _plan(
 ) -> tuple[dict[RunConfig, Path], list[Job]]:
     """Each configuration's folder, and the runs that are not finished. Makes the views of all."""
     unique = list(dict.fromkeys(configs))
-    stores: dict[DataConfig, Any] = {}
-    for config in unique:
-        if config.data not in stores:
-            stores[config.data] = steps.views(config.data, workers=workers, progress=progress, executor=executor)
+    data = dict.fromkeys(config.data for config in unique)
+    stores = {each: steps.views(each, workers=workers, progress=progress, executor=executor) for each in data}
     folders = {c: locate(c, stores[c.data].identity, _backgrounds_identity(c, progress)) for c in unique}
     missing = [config for config in unique if not make_run.is_complete(folders[config])]
     # The longest first and the shortest last, so that no core waits long at the end.
     missing.sort(key=lambda c: (c.model.decoder != "hologan", not c.train.cycle.on, c.model.heads == 1))
-    # Absolute, since another machine's process has another working directory.
-    jobs = [Job(_absolute(c), folders[c].absolute(), Path(stores[c.data].folder).absolute()) for c in missing]
-    return folders, jobs
+    # Absolute paths, since another machine's process has another working directory.
+    return folders, [Job(_absolute(c), folders[c].absolute(), Path(stores[c.data].folder).absolute()) for c in missing]
 
 
 def _backgrounds_identity(config: RunConfig, progress: bool) -> str:

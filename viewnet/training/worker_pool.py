@@ -27,8 +27,7 @@ from viewnet.training.make_run import Job, Steps, attempt, make, one_line
 T = TypeVar("T")
 
 POLL = 1.0  # seconds between looks at the logs
-TRIES = 3
-"""How often a run is begun on an executor whose workers die."""
+TRIES = 3  # how often a run is begun on an executor whose workers die
 
 
 def run_all(
@@ -36,9 +35,9 @@ def run_all(
 ) -> list[str]:
     """Make every job; the messages of those that failed, in the order of the jobs.
 
-    Without an executor: with one worker, or one job, everything happens in this process, otherwise in a LocalPool.
-    What dies there has mostly run out of memory and would do so again, so it is left to the next call. On an executor,
-    whose workers come and go, a run whose worker died is begun up to `TRIES` times and resumes from its last state.
+    Without an executor: with one worker, or one job, in this process, otherwise in a LocalPool. What dies there has
+    mostly run out of memory and would do so again, so it is left to the next call. On an executor, whose workers come
+    and go, a run whose worker died is begun up to `TRIES` times and resumes from its last state.
     """
     if executor is not None:
         return _collect(executor, jobs, steps, None, progress, TRIES)
@@ -148,8 +147,7 @@ class WorkerDied(BrokenExecutor):
 class LocalPool(futures.ThreadPoolExecutor):
     """Spawned processes of this machine, each with `threads` threads and, where there are GPUs, one of them in turn.
 
-    `workers`: as many as there are GPUs, or cores without any. A process that dies fails its job with WorkerDied and is
-    replaced. Functions, arguments and results must be picklable.
+    By default as many as GPUs, or cores without any. A process that dies fails its job with WorkerDied and is replaced.
     """
 
     def __init__(self, workers: int | None = None):
@@ -157,7 +155,10 @@ class LocalPool(futures.ThreadPoolExecutor):
         workers = workers or gpus or cores()
         super().__init__(workers)  # a thread for each process, which waits for it
         self.threads = max(1, cores() // workers)
-        self._workers = [_Worker(_gpu(number, gpus)) for number in range(workers)]
+        # As CUDA_VISIBLE_DEVICES names them.
+        visible = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
+        names = visible if len(visible) >= gpus and visible[0] else [str(number) for number in range(gpus)]
+        self._workers = [_Worker(names[number % gpus] if gpus else None) for number in range(workers)]
         self._idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
         for worker in self._workers:
             self._idle.put(worker)
@@ -191,8 +192,7 @@ class _Worker:
     """A process for one task at a time, started when needed and again when it has died."""
 
     def __init__(self, gpu: str | None):
-        self._gpu = gpu
-        self._context = _Context()
+        self._gpu, self._context = gpu, _Context()
         self._executor: futures.ProcessPoolExecutor | None = None
 
     def call(self, fn: Callable[..., T], args: tuple[Any, ...], kwargs: dict[str, Any]) -> T:
@@ -245,12 +245,3 @@ def _initialise(gpu: str | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, which then ends its workers
     if gpu is not None:
         os.environ["CUDA_VISIBLE_DEVICES"] = gpu  # takes effect as long as CUDA has not been initialised
-
-
-def _gpu(worker: int, gpus: int) -> str | None:
-    """The GPU of a worker, as CUDA_VISIBLE_DEVICES names it."""
-    if not gpus:
-        return None
-    visible = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
-    names = visible if len(visible) >= gpus and visible[0] else [str(i) for i in range(gpus)]
-    return names[worker % gpus]
