@@ -1,13 +1,11 @@
 """A stand-in for Freiburg static cars in its layout: built-in CAD cars, filmed once around, before synthetic scenes.
 
-Everything that reads the data set runs on it, and can be tested, where the data set is not to be had. Numbers measured
-on it are numbers of the stand-in.
+Numbers measured on it are numbers of the stand-in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,7 @@ from scipy import ndimage
 
 from viewnet.data.readers.freiburg import ANNOTATIONS, AZIMUTH, CATEGORY, MASKS
 from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.stand_in import built_in_mesh, check_request, versions
+from viewnet.data.synthetic.stand_in import as_image, built_in_mesh, check_request, versions, visible_box
 from viewnet.errors import ViewnetError
 from viewnet.render import render_cameras
 from viewnet.render.camera import look_from
@@ -37,16 +35,6 @@ OBJECT = 160
 """Pixels along a side of the rendering that a car is pasted from."""
 NO_MASK = 0.02
 """The share of frames without a mask."""
-
-
-@dataclass(frozen=True)
-class _Job:
-    """One sequence."""
-
-    root: Path
-    number: int
-    frames: int
-    seed: int
 
 
 def describe(sequences: Sequence[int], frames: int, seed: int) -> dict[str, Any]:
@@ -72,51 +60,48 @@ def write_stand_in(
     """
     root = Path(root)
     numbers = sorted(set(sequences))
-    given = {"frames": frames, "workers": 1 if workers is None else workers, "sequences": len(numbers)}
-    check_request(root, given)
+    check_request(root, {"frames": frames, "workers": 1 if workers is None else workers, "sequences": len(numbers)})
     if numbers[0] < 1 or numbers[-1] > 999:
         raise ViewnetError(f"stand-in: sequences {numbers[0]} to {numbers[-1]}: expected numbers from 1 to 999")
     if workers is None:
         workers = 1 if len(numbers) * frames < 400 else cores()  # for a few, starting processes takes longer
-    jobs = [_Job(root, number, frames, seed) for number in numbers]
+    jobs = [(root, number, frames, seed) for number in numbers]
     with bar(progress, total=len(jobs), desc="stand-in", unit="sequence") as shown:
         for _ in as_done(_write_sequence, jobs, workers, "the stand-in"):
             shown.update()
 
 
-def _write_sequence(job: _Job) -> None:
-    rng = np.random.default_rng([job.seed, job.number, job.frames])
-    name = f"car{job.number:03d}"
+def _write_sequence(job: tuple[Path, int, int, int]) -> None:
+    root, number, count, seed = job
+    rng = np.random.default_rng([seed, number, count])
+    name = f"car{number:03d}"
     sense = rng.choice([-1.0, 1.0])
-    azimuths = (rng.uniform(0, 360) + sense * 360 * np.arange(job.frames) / job.frames) % 360
-    elevations = rng.uniform(2, 12) + np.cumsum(rng.normal(0, 0.3, job.frames)).clip(-3, 3)
+    azimuths = (rng.uniform(0, 360) + sense * 360 * np.arange(count) / count) % 360
+    elevations = rng.uniform(2, 12) + np.cumsum(rng.normal(0, 0.3, count)).clip(-3, 3)
     cameras = look_from(azimuths, elevations)  # (frames, 3, 3)
     sun = np.array([*rng.normal(0, 1, 2), rng.uniform(0.8, 2)])
     # The sun stands still; the shade is lit by the sky, from the camera's side.
     lights = sun / np.linalg.norm(sun) + 0.9 * cameras[:, :, 2]
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
-    mesh = built_in_mesh(CATEGORY, job.number, job.seed + MODEL_SEED)
+    mesh = built_in_mesh(CATEGORY, number, seed + MODEL_SEED)
     renderings = render_cameras(mesh, cameras, lights, OBJECT, 2, "raycast")
     panorama = _panorama(rng)
     scale = rng.uniform(0.85, 1.15) * SIZE[1] / OBJECT * 1.25
-    shake = ndimage.gaussian_filter1d(rng.normal(0, 1, (job.frames, 2)), 2, axis=0, mode="wrap") * [9, 4]
-    exposure = np.exp(0.25 * _drift(rng, job.frames))
+    shake = ndimage.gaussian_filter1d(rng.normal(0, 1, (count, 2)), 2, axis=0, mode="wrap") * [9, 4]
+    exposure = np.exp(0.25 * _drift(rng, count))
     gloss = rng.uniform(0.2, 0.7)
     lines = []
-    for k in range(job.frames):
+    for k in range(count):
         glossy = _with_reflection(renderings[k], gloss, azimuths[k] - np.rad2deg(np.arctan2(sun[1], sun[0])))
         image, alpha = _frame(glossy, panorama, azimuths[k] / 360, scale, shake[k], rng)
-        ys, xs = np.nonzero(alpha > 127)
-        if not len(xs):
-            raise ViewnetError("a car of the stand-in cannot be seen")
-        box = (int(xs.min()), int(ys.min()), int(xs.max()) + 1, int(ys.max()) + 1)
+        box = visible_box(alpha)
         theirs = round(AZIMUTH[0] * (azimuths[k] - AZIMUTH[1]) % 360) % 360
         lines.append(f"{name}/{k + 1:04d}.png\t{' '.join(map(str, box))}\t{theirs}\n")
-        _save(_exposed(image, exposure[k], rng), job.root / name / f"{k + 1:04d}.png")
+        _save(_exposed(image, exposure[k], rng), root / name / f"{k + 1:04d}.png")
         mask = _imperfect(alpha, rng)
         if rng.random() >= NO_MASK:
-            _save(mask, job.root / MASKS / name / f"{k + 1:04d}.png")
-    write_text(job.root / ANNOTATIONS / f"{job.number}_annot.txt", "".join(lines))
+            _save(mask, root / MASKS / name / f"{k + 1:04d}.png")
+    write_text(root / ANNOTATIONS / f"{number}_annot.txt", "".join(lines))
 
 
 def _save(image: Image.Image, file: Path) -> None:
@@ -156,16 +141,10 @@ def _with_reflection(rendering: np.ndarray, strength: float, turn: float) -> np.
 
 
 def _frame(
-    rendering: np.ndarray,
-    panorama: np.ndarray,
-    turn: float,
-    scale: float,
-    shake: np.ndarray,
-    rng: np.random.Generator,
+    rendering: np.ndarray, panorama: np.ndarray, turn: float, scale: float, shake: np.ndarray, rng: np.random.Generator
 ) -> tuple[Image.Image, np.ndarray]:
     """A car composited over its surroundings, and its true alpha (H, W)."""
-    width, height = SIZE
-    side = round(OBJECT * scale)
+    (width, height), side = SIZE, round(OBJECT * scale)
     thing = Image.fromarray(rendering).resize((side, side), Image.Resampling.HAMMING)
     start = round(turn * panorama.shape[1])
     image = Image.fromarray(panorama[:, np.arange(start, start + width) % panorama.shape[1]])
@@ -185,8 +164,7 @@ def _frame(
 
 def _exposed(image: Image.Image, exposure: float, rng: np.random.Generator) -> Image.Image:
     pixels = np.asarray(image, dtype=np.float64) / 255 * exposure
-    pixels = pixels + rng.normal(0, 0.015, pixels.shape)
-    return Image.fromarray((pixels.clip(0, 1) * 255 + 0.5).astype(np.uint8))
+    return as_image(pixels + rng.normal(0, 0.015, pixels.shape))
 
 
 def _imperfect(alpha: np.ndarray, rng: np.random.Generator) -> Image.Image:

@@ -8,7 +8,6 @@ and with two kinds of masks, like those of a supervised (masks/) and of a weakly
 from __future__ import annotations
 
 from collections.abc import Sequence as Many
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from viewnet.data.readers.objectron import CLASSES, MASKS
 from viewnet.data.readers.objectron_record import AXES, UNIT_BOX
 from viewnet.data.readers.objectron_schema import Sequence
 from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.stand_in import built_in_mesh, check_request, versions
+from viewnet.data.synthetic.stand_in import as_image, built_in_mesh, check_request, versions
 from viewnet.errors import ViewnetError
 from viewnet.render import render_cameras
 from viewnet.render.camera import DISTANCE, FOCAL, look_from
@@ -47,25 +46,14 @@ _SENSOR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _NEAR, _FAR = 0.01, 1000.0
 
 
-@dataclass(frozen=True)
-class _Shot:
-    """The camera of one frame; focal length and principal point in pixels."""
-
-    world_from_camera: np.ndarray  # (3, 3)
-    focal: float
-    centre: tuple[float, float]
+Shot = tuple[np.ndarray, float, tuple[float, float]]
+"""The camera of one frame: world_from_camera (3, 3), focal length and principal point in pixels."""
 
 
 def describe(category: str, videos: int, frames: int, seed: int, size: tuple[int, int] = SIZE) -> dict[str, Any]:
     """What decides a stand-in, as JSON values, without making it."""
-    return {
-        "version": versions(VERSION),
-        "category": category,
-        "videos": videos,
-        "frames": frames,
-        "seed": seed,
-        "size": list(size),
-    }
+    counts = {"videos": videos, "frames": frames, "seed": seed}
+    return {"version": versions(VERSION), "category": category, **counts, "size": list(size)}
 
 
 def write_stand_in(
@@ -102,7 +90,7 @@ def _write_video(
     rng = np.random.default_rng([seed, list(CLASSES).index(category), number])
     mesh = built_in_mesh(category, number, seed + MODEL_SEED)
     shots = _shots(rng, frames, size)
-    cameras = np.stack([shot.world_from_camera for shot in shots])
+    cameras = np.stack([camera for camera, _, _ in shots])
     renderings = render_cameras(mesh, cameras, _lights(rng, cameras), max(size), 2, "raycast")
     images, masks = _filmed(rng, shots, renderings, size)
     folders = {part: root / part / name for part in ("videos", MASKS, WEAK)}
@@ -119,7 +107,7 @@ def _write_video(
     record.write_bytes(_record(rng, shots, mesh, size).SerializeToString(deterministic=True))
 
 
-def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> list[_Shot]:
+def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> list[Shot]:
     """Cameras on an arc around the object, never tilted; a wandering aim shifts the principal point."""
     width, height = size
     sweep = rng.uniform(60, 180) * rng.choice([-1, 1])
@@ -131,8 +119,7 @@ def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> list
     x, y = 0.5 + 0.05 * _drift(rng, frames), 0.5 + 0.06 * _drift(rng, frames)
     cameras = look_from(azimuth % 360, elevation)
     return [
-        _Shot(cameras[i], float(FOCAL * width * zoom[i]), (float(x[i] * width), float(y[i] * height)))
-        for i in range(frames)
+        (cameras[i], float(FOCAL * width * zoom[i]), (float(x[i] * width), float(y[i] * height))) for i in range(frames)
     ]
 
 
@@ -153,7 +140,7 @@ def _lights(rng: np.random.Generator, cameras: np.ndarray) -> np.ndarray:
 
 
 def _filmed(
-    rng: np.random.Generator, shots: Many[_Shot], renderings: np.ndarray, size: tuple[int, int]
+    rng: np.random.Generator, shots: Many[Shot], renderings: np.ndarray, size: tuple[int, int]
 ) -> tuple[list[Image.Image], list[Image.Image]]:
     """The images and true masks of a video, from renderings (frames, S, S, 4) of its object."""
     width, height = size
@@ -165,44 +152,37 @@ def _filmed(
     gain, tint = np.exp(0.25 * _drift(rng, len(shots))), np.exp(rng.normal(0, 0.05, 3))
     grain = rng.uniform(0, 0.02)
     images, masks = [], []
-    previous = shots[0].centre
-    for place, (shot, rendering) in enumerate(zip(shots, renderings, strict=True)):
+    previous = shots[0][2]
+    for place, ((_, focal, centre), rendering) in enumerate(zip(shots, renderings, strict=True)):
         left, upper = pan[0][place] * (wide - width), pan[1][place] * (high - height)
-        view = (left, upper, left + width, upper + height)
-        image = background.resize(size, Image.Resampling.BILINEAR, box=view)
+        image = background.resize(size, Image.Resampling.BILINEAR, box=(left, upper, left + width, upper + height))
         # The rendering, scaled and shifted as the shot's camera has it.
-        side = shot.focal / FOCAL
+        side = focal / FOCAL
         scale = rendering.shape[1] / side
-        offset = (scale * (side / 2 - shot.centre[0]), scale * (side / 2 - shot.centre[1]))
-        affine = (scale, 0.0, offset[0], 0.0, scale, offset[1])
-        thing = _premultiplied(rendering).transform(size, Image.Transform.AFFINE, affine, Image.Resampling.BILINEAR)
+        affine = (scale, 0.0, scale * (side / 2 - centre[0]), 0.0, scale, scale * (side / 2 - centre[1]))
+        # Colours times alpha, so that scaling does not mix the black around the object into its edge.
+        colour = (rendering[..., :3] * (rendering[..., 3:].astype(np.float64) / 255) + 0.5).astype(np.uint8)
+        thing = Image.fromarray(np.dstack([colour, rendering[..., 3]]))
+        thing = thing.transform(size, Image.Transform.AFFINE, affine, Image.Resampling.BILINEAR)
         pixels = np.asarray(thing, dtype=np.float64)
         alpha = pixels[..., 3:] / 255
         mixed = pixels[..., :3] + (1 - alpha) * np.asarray(image, dtype=np.float64)
-        step = np.subtract(shot.centre, previous) * rng.uniform(0.3, 1.2) + rng.normal(0, 0.4, 2)
+        step = np.subtract(centre, previous) * rng.uniform(0.3, 1.2) + rng.normal(0, 0.4, 2)
         # Frames far apart in time would be blurred too much.
         step *= min(1.0, 0.02 * width / max(np.hypot(*step), 1e-9))
-        previous = shot.centre
+        previous = centre
         blurred = _moved(Image.fromarray(mixed.clip(0, 255).astype(np.uint8)), step)
         exposed = (blurred / 255 * gain[place] * tint).clip(0, 1) + rng.normal(0, grain, blurred.shape)
-        images.append(Image.fromarray((exposed.clip(0, 1) * 255 + 0.5).astype(np.uint8)))
+        images.append(as_image(exposed))
         masks.append(Image.fromarray(((alpha[..., 0] > 0.5) * 255).astype(np.uint8)))
     return images, masks
-
-
-def _premultiplied(rendering: np.ndarray) -> Image.Image:
-    """Colours times alpha, so that scaling does not mix the black around the object into its edge."""
-    alpha = rendering[..., 3:].astype(np.float64) / 255
-    colour = (rendering[..., :3] * alpha + 0.5).astype(np.uint8)
-    return Image.fromarray(np.dstack([colour, rendering[..., 3]]))
 
 
 def _moved(image: Image.Image, step: np.ndarray, copies: int = 5) -> np.ndarray:
     """The mean (height, width, 3) of an image and its copies along a movement of `step` pixels about it."""
     total = np.zeros((image.height, image.width, 3))
     for share in np.linspace(-0.5, 0.5, copies):
-        dx, dy = share * step
-        affine = (1.0, 0.0, float(dx), 0.0, 1.0, float(dy))
+        affine = (1.0, 0.0, float(share * step[0]), 0.0, 1.0, float(share * step[1]))
         moved = image.transform(image.size, Image.Transform.AFFINE, affine, Image.Resampling.BILINEAR)
         inside = Image.new("L", image.size, 255).transform(image.size, Image.Transform.AFFINE, affine)
         total += np.asarray(Image.composite(moved, image, inside), dtype=np.float64)
@@ -211,23 +191,22 @@ def _moved(image: Image.Image, step: np.ndarray, copies: int = 5) -> np.ndarray:
 
 def _faulty(rng: np.random.Generator, mask: Image.Image) -> Image.Image:
     """A mask like a network's: too small or too large by a pixel or two, rounded, with holes and a wrong spot."""
-    width, height = mask.size
-    kind = int(rng.integers(3))
-    if kind:
+    if kind := int(rng.integers(3)):
         mask = mask.filter((ImageFilter.MinFilter, ImageFilter.MaxFilter)[kind - 1](3))
     mask = mask.filter(ImageFilter.MedianFilter(3))
-    pen = ImageDraw.Draw(mask)
     box = mask.getbbox()
     if box is None:
         return mask
-    for _ in range(int(rng.integers(0, 4))):
+
+    def spot(box: tuple[int, int, int, int], most: float, value: int) -> None:
         x, y = rng.uniform(box[0], box[2]), rng.uniform(box[1], box[3])
-        reach = rng.uniform(0.01, 0.05) * min(width, height)
-        pen.ellipse((x - reach, y - reach, x + reach, y + reach), 0)
+        reach = rng.uniform(0.01, most) * min(mask.size)
+        ImageDraw.Draw(mask).ellipse((x - reach, y - reach, x + reach, y + reach), value)
+
+    for _ in range(int(rng.integers(0, 4))):
+        spot(box, 0.05, 0)
     if rng.random() < 0.2:
-        x, y = rng.uniform(0, width), rng.uniform(0, height)
-        reach = rng.uniform(0.01, 0.03) * min(width, height)
-        pen.ellipse((x - reach, y - reach, x + reach, y + reach), 255)
+        spot((0, 0, *mask.size), 0.03, 255)
     return mask
 
 
@@ -245,7 +224,7 @@ def _weak(rng: np.random.Generator, mask: Image.Image, cells: int = 12) -> Image
     return Image.fromarray(((soft > level.clip(0.1, 0.75)) * 255).astype(np.uint8))
 
 
-def _record(rng: np.random.Generator, shots: Many[_Shot], mesh: Mesh, size: tuple[int, int]) -> Any:
+def _record(rng: np.random.Generator, shots: Many[Shot], mesh: Mesh, size: tuple[int, int]) -> Any:
     """The record of a video whose object stands somewhere in the world (y up), rotated about the vertical."""
     width, height = size
     turn = rng.uniform(0, 2 * np.pi)
@@ -260,18 +239,20 @@ def _record(rng: np.random.Generator, shots: Many[_Shot], mesh: Mesh, size: tupl
     thing.rotation.extend(rotation.ravel())
     thing.translation.extend(translation)
     thing.scale.extend(scale)
-    for number, shot in enumerate(shots):
+    for number, (world_from_camera, focal, (x, y)) in enumerate(shots):
         pose = np.eye(4)
-        pose[:3, :3] = rotation @ AXES.T @ shot.world_from_camera @ _SENSOR
-        pose[:3, 3] = rotation @ AXES.T @ (DISTANCE * shot.world_from_camera[:, 2]) + where
+        pose[:3, :3] = rotation @ AXES.T @ world_from_camera @ _SENSOR
+        pose[:3, 3] = rotation @ AXES.T @ (DISTANCE * world_from_camera[:, 2]) + where
         to_camera = np.linalg.inv(pose)
-        projection = _projection(shot, size)
+        projection = np.zeros((4, 4))  # from the sensor's frame to its clip space
+        projection[0, [0, 2]] = 2 * focal / height, 1 - 2 * y / height
+        projection[1, [1, 2]] = 2 * focal / width, 1 - 2 * x / width
+        projection[2:, 2:] = [-(_FAR + _NEAR) / (_FAR - _NEAR), -2 * _FAR * _NEAR / (_FAR - _NEAR)], [-1, 0]
         frame = sequence.frame_annotations.add(frame_id=number, timestamp=number / 30)
         frame.camera.transform.extend(pose.ravel())
         frame.camera.view_matrix.extend(to_camera.ravel())
         frame.camera.projection_matrix.extend(projection.ravel())
-        x, y = shot.centre
-        frame.camera.intrinsics.extend((shot.focal, 0, y, 0, shot.focal, x, 0, 0, 1))
+        frame.camera.intrinsics.extend((focal, 0, y, 0, focal, x, 0, 0, 1))
         frame.camera.image_resolution_width, frame.camera.image_resolution_height = height, width
         seen = frame.annotations.add(object_id=1, visibility=1)
         in_camera = corners @ to_camera[:3, :3].T + to_camera[:3, 3]
@@ -282,17 +263,3 @@ def _record(rng: np.random.Generator, shots: Many[_Shot], mesh: Mesh, size: tupl
             # In the image, which is the sensor's rotated by a quarter turn.
             keypoint.point_2d.x, keypoint.point_2d.y, keypoint.point_2d.depth = (1 + up) / 2, (1 + right) / 2, -point[2]
     return sequence
-
-
-def _projection(shot: _Shot, size: tuple[int, int]) -> np.ndarray:
-    """(4, 4) from the sensor's frame to its clip space."""
-    width, height = size
-    x, y = shot.centre
-    return np.array(
-        [
-            [2 * shot.focal / height, 0, 1 - 2 * y / height, 0],
-            [0, 2 * shot.focal / width, 1 - 2 * x / width, 0],
-            [0, 0, -(_FAR + _NEAR) / (_FAR - _NEAR), -2 * _FAR * _NEAR / (_FAR - _NEAR)],
-            [0, 0, -1, 0],
-        ]
-    )

@@ -1,7 +1,6 @@
 """A stand-in for PASCAL3D+ in its layout: built-in CAD models before backgrounds, viewpoints distributed as in it.
 
-Everything that reads the data set runs on it, and can be tested, where the data set is not to be had. Numbers measured
-on it are numbers of the stand-in.
+Numbers measured on it are numbers of the stand-in.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from viewnet.data.annotated_viewpoints import histogram_file, sample
 from viewnet.data.readers.image_folder import list_images
 from viewnet.data.readers.pascal3d import EXTENSIONS, LISTS, SPLITS, VOC, annotation_file, image_file, parts
 from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.stand_in import built_in_mesh, check_request, versions
+from viewnet.data.synthetic.stand_in import as_image, built_in_mesh, check_request, versions, visible_box
 from viewnet.errors import ViewnetError
 from viewnet.render import render_cameras
 from viewnet.render.camera import look_from
@@ -57,18 +56,6 @@ class Photograph:
     world_from_camera: np.ndarray  # (3, 3)
 
 
-@dataclass(frozen=True)
-class _Job:
-    """The images of one CAD model."""
-
-    root: Path
-    category: str
-    model: int
-    photographs: tuple[Photograph, ...]
-    backgrounds: tuple[Path, ...]
-    seed: int
-
-
 def describe(
     category: str, subset: str, models: int, count: int, seed: int, backgrounds: Path | None = None
 ) -> dict[str, Any]:
@@ -76,12 +63,7 @@ def describe(
     values: dict[str, Any] = {
         "version": versions(VERSION),
         "viewpoints": hashlib.sha256(histogram_file().read_bytes()).hexdigest(),
-        "category": category,
-        "subset": subset,
-        "models": models,
-        "count": count,
-        "seed": seed,
-    }
+    } | {"category": category, "subset": subset, "models": models, "count": count, "seed": seed}
     if backgrounds is not None:
         names = [(path, (backgrounds / path).stat().st_size) for path, _ in list_images(backgrounds)[0]]
         values["backgrounds"] = hashlib.sha256(repr(names).encode()).hexdigest()
@@ -118,11 +100,11 @@ def write_stand_in(
     jobs = []
     for category in dict.fromkeys(categories):
         planned = plan(known(category, CATEGORIES, "category"), subset, models, count, seed)
-        jobs += [_Job(root, category, model, photographs, images, seed) for model, photographs in planned.items()]
+        jobs += [(root, category, model, photographs, images, seed) for model, photographs in planned.items()]
         for part in parts(subset):
             for split in SPLITS:
                 write_list(root, category, part, split, [_name(category, split, i) for i in range(count)])
-    total = sum(len(job.photographs) for job in jobs)
+    total = sum(len(photographs) for *_, photographs, _, _ in jobs)
     if workers is None:
         workers = 1 if total < 200 else cores()  # for a few, starting processes takes longer
     with bar(progress, total=total, desc="stand-in", unit="image") as shown:
@@ -148,22 +130,23 @@ def _name(category: str, split: str, number: int) -> str:
     return f"{category}_{split}_{number:05d}"
 
 
-def _write_model(job: _Job) -> int:
+def _write_model(job: tuple[Path, str, int, tuple[Photograph, ...], tuple[Path, ...], int]) -> int:
     """Write the photographs of one model; their number."""
-    mesh = built_in_mesh(job.category, job.model, job.seed + MODEL_SEED)
-    generators = [_generator(job.seed, job.category, p.subset, p.name) for p in job.photographs]
-    cameras = np.stack([photograph.world_from_camera for photograph in job.photographs])  # (V, 3, 3)
+    root, category, model, photographs, backgrounds, seed = job
+    mesh = built_in_mesh(category, model, seed + MODEL_SEED)
+    generators = [_generator(seed, category, photograph.subset, photograph.name) for photograph in photographs]
+    cameras = np.stack([photograph.world_from_camera for photograph in photographs])  # (V, 3, 3)
     lights = []
     for rng, camera in zip(generators, cameras, strict=True):
         # Mostly from above, and never from behind, where the object would be dark.
         light = rng.normal(size=3) * 0.7 + camera[:, 2] * 0.6 + np.array([0.0, 0.0, 0.8])
         lights.append(light / np.linalg.norm(light))
     renderings = render_cameras(mesh, cameras, np.stack(lights), OBJECT, 2, "raycast")
-    for photograph, rendering, rng in zip(job.photographs, renderings, generators, strict=True):
-        image, entry = _photograph(rendering, photograph, HARD[photograph.subset], job.backgrounds, rng)
-        entry["class"] = job.category
-        write_annotated_image(job.root, job.category, photograph.subset, photograph.name, image, [entry])
-    return len(job.photographs)
+    for photograph, rendering, rng in zip(photographs, renderings, generators, strict=True):
+        image, entry = _photograph(rendering, photograph, backgrounds, rng)
+        entry["class"] = category
+        write_annotated_image(root, category, photograph.subset, photograph.name, image, [entry])
+    return len(photographs)
 
 
 def _generator(seed: int, *names: str) -> np.random.Generator:
@@ -173,20 +156,16 @@ def _generator(seed: int, *names: str) -> np.random.Generator:
 
 
 def _photograph(
-    rendering: np.ndarray, photograph: Photograph, hard: float, backgrounds: Sequence[Path], rng: np.random.Generator
+    rendering: np.ndarray, photograph: Photograph, backgrounds: Sequence[Path], rng: np.random.Generator
 ) -> tuple[Image.Image, dict[str, Any]]:
     """An image, and its object as in a record's `objects` (but for its class)."""
-    ys, xs = np.nonzero(rendering[..., 3] > 127)
-    if not len(xs):
-        raise ViewnetError("a model of the stand-in cannot be seen")
-    thing = Image.fromarray(rendering).crop((int(xs.min()), int(ys.min()), int(xs.max()) + 1, int(ys.max()) + 1))
+    thing = Image.fromarray(rendering).crop(visible_box(rendering[..., 3]))
     width, height = SIZE
     scale = min(0.95 * width / thing.width, 0.95 * height / thing.height) * rng.uniform(0.45, 1)
     size = (max(8, round(thing.width * scale)), max(8, round(thing.height * scale)))
     thing = thing.resize(size, Image.Resampling.HAMMING)
-    truncated, occluded = rng.random(2) < hard / 2
-    left = int(rng.integers(0, width - thing.width + 1))
-    upper = int(rng.integers(0, height - thing.height + 1))
+    truncated, occluded = rng.random(2) < HARD[photograph.subset] / 2
+    left, upper = (int(rng.integers(0, room + 1)) for room in (width - thing.width, height - thing.height))
     if truncated:
         beyond = rng.uniform(0.1, 0.35)
         left, upper = (
@@ -201,26 +180,14 @@ def _photograph(
     x1, y1 = min(left + thing.width, width), min(upper + thing.height, height)
     if occluded:
         _occlude(image, (x0, y0, x1, y1), rng)
-    viewpoint = {
-        "azimuth_coarse": round(photograph.azimuth / 45) * 45 % 360,
-        "elevation_coarse": round(photograph.elevation / 30) * 30,
-        "azimuth": photograph.azimuth,
-        "elevation": photograph.elevation,
-        "distance": DISTANCE,
-        "focal": 1,
-        "px": width / 2,
-        "py": height / 2,
-        "theta": 0.0,
-    }
-    entry = {
-        "view": "Unspecified",
-        "bbox": np.array([x0 + 1, y0 + 1, x1, y1], dtype=np.float64),  # from 1, the last pixel included
-        "occluded": int(occluded),
-        "truncated": int(truncated),
-        "difficult": 0,
-        "viewpoint": viewpoint,
-    }
-    return _exposed(image, rng), entry
+    azimuth, elevation = photograph.azimuth, photograph.elevation
+    viewpoint: dict[str, float]  # the record's bytes depend on the order of its fields
+    viewpoint = {"azimuth_coarse": round(azimuth / 45) * 45 % 360, "elevation_coarse": round(elevation / 30) * 30}
+    viewpoint |= {"azimuth": azimuth, "elevation": elevation, "distance": DISTANCE}
+    viewpoint |= {"focal": 1, "px": width / 2, "py": height / 2, "theta": 0.0}
+    box = np.array([x0 + 1, y0 + 1, x1, y1], dtype=np.float64)  # from 1, the last pixel included
+    flags = {"occluded": int(occluded), "truncated": int(truncated), "difficult": 0}
+    return _exposed(image, rng), {"view": "Unspecified", "bbox": box, **flags, "viewpoint": viewpoint}
 
 
 def _add_shadow(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
@@ -236,8 +203,7 @@ def _occlude(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.
     """Paste a part of another scene over the object: a post, or one that covers its foot or a side."""
     x0, y0, x1, y1 = box
     width, height = x1 - x0, y1 - y0
-    share = rng.uniform(0.2, 0.45)
-    where = int(rng.integers(4))
+    share, where = rng.uniform(0.2, 0.45), int(rng.integers(4))
     part: tuple[float, float, float, float]
     if where == 0:  # a post
         left = x0 + rng.uniform(0.1, 0.8) * width
@@ -249,11 +215,7 @@ def _occlude(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.
         part = (left, y0 + rng.uniform(0, 0.5) * height, left + (share + 0.2) * width, image.height)
     mask = Image.new("L", image.size, 0)
     radius = 0.0 if rng.random() < 0.5 else 0.3 * min(part[2] - part[0], part[3] - part[1])
-    pen = ImageDraw.Draw(mask)
-    if radius:
-        pen.rounded_rectangle(part, radius, 255)
-    else:
-        pen.rectangle(part, 255)
+    ImageDraw.Draw(mask).rounded_rectangle(part, radius, 255)
     image.paste(Image.fromarray(scenes.sample(rng, *image.size)), mask=mask)
 
 
@@ -278,8 +240,7 @@ def _exposed(image: Image.Image, rng: np.random.Generator) -> Image.Image:
     pixels = np.asarray(image.filter(ImageFilter.GaussianBlur(rng.uniform(0, 0.9))), dtype=np.float64) / 255
     pixels = pixels * rng.uniform(0.75, 1.2) * np.exp(rng.normal(0, 0.05, 3))
     pixels = pixels.clip(0, 1) ** np.exp(rng.normal(0, 0.15))
-    pixels = pixels + rng.normal(0, rng.uniform(0, 0.03), pixels.shape)
-    return Image.fromarray((pixels.clip(0, 1) * 255 + 0.5).astype(np.uint8))
+    return as_image(pixels + rng.normal(0, rng.uniform(0, 0.03), pixels.shape))
 
 
 def write_annotated_image(
@@ -291,10 +252,8 @@ def write_annotated_image(
         file.parent.mkdir(parents=True, exist_ok=True)
     image.save(path, "JPEG", quality=88)
     # A structure array, one element an object, as MATLAB writes it.
-    fields = np.zeros(len(objects), dtype=[(field, object) for field in objects[0]])
-    for number, entry in enumerate(objects):
-        for field, value in entry.items():
-            fields[number][field] = value
+    rows = [tuple(entry.get(field, 0) for field in objects[0]) for entry in objects]
+    fields = np.array(rows, dtype=[(field, object) for field in objects[0]])
     record = {
         "folder": path.parent.name,
         "filename": f"{name}{EXTENSIONS[subset]}",

@@ -16,9 +16,7 @@ from scipy.spatial import cKDTree
 VERSION = 1
 """Raise it when a change alters images: it is part of every set of backgrounds' identity."""
 
-# Least pixels of the shorter side while a scene is made.
-_SMALLEST = 32
-
+_SMALLEST = 32  # pixels of the shorter side while a scene is made, at least
 Rng = np.random.Generator
 Kind = Callable[[Rng, int, int], np.ndarray]
 
@@ -31,8 +29,7 @@ def sample(rng: Rng, width: int, height: int) -> np.ndarray:
     if rng.random() < 0.6:
         grain = _fractal(rng, wide, high, rng.uniform(0.4, 1.6))
         fine = fine * (1 + rng.uniform(0.02, 0.2) * grain[..., None])
-    image = _drawing(fine).reduce(scale)
-    return _photographed(rng, image)
+    return _photographed(rng, _drawing(fine).reduce(scale))
 
 
 def gradients(rng: Rng, width: int, height: int) -> np.ndarray:
@@ -46,7 +43,8 @@ def noise(rng: Rng, width: int, height: int) -> np.ndarray:
     """Noise on all scales in a few colours: clouds, plaster, marble, lawn, gravel."""
     field = _fractal(rng, width, height, rng.uniform(0.6, 2.4), rng.uniform(0.4, 2.5))
     colours = _palette(rng, int(rng.integers(2, 6)))
-    return _coloured(field, colours)
+    stops = np.linspace(-1.5, 1.5, len(colours))
+    return np.stack([np.interp(field, stops, channel) for channel in colours.T], axis=-1)
 
 
 def tilings(rng: Rng, width: int, height: int) -> np.ndarray:
@@ -68,8 +66,7 @@ def tilings(rng: Rng, width: int, height: int) -> np.ndarray:
     column = np.floor(u * along + shift)
     if style == "stripes":
         row = np.zeros_like(row)
-    odd = ((row + column) % 2 == 1)[..., None]
-    image = np.where(odd & (style != "bricks"), second, first)
+    image = np.where(((row + column) % 2 == 1)[..., None] & (style != "bricks"), second, first)
     # Every tile has a shade of its own.
     shades = rng.normal(0, rng.uniform(0, 25), (61, 61))
     image = image + shades[row.astype(int) % 61, column.astype(int) % 61][..., None]
@@ -109,10 +106,7 @@ def clutter(rng: Rng, width: int, height: int) -> np.ndarray:
 def street(rng: Rng, width: int, height: int) -> np.ndarray:
     """Sky, houses with windows, trees and posts, and a ground that runs to the horizon."""
     horizon = int(height * rng.uniform(0.35, 0.7))
-    image = np.empty((height, width, 3))
-    image[:horizon] = _sky(rng, width, horizon)
-    image[horizon:] = _ground(rng, width, height - horizon)
-    canvas = _drawing(image)
+    canvas = _drawing(np.concatenate([_sky(rng, width, horizon), _ground(rng, width, height - horizon)]))
     pen = ImageDraw.Draw(canvas)
     for _ in range(int(rng.integers(0, 7))):
         left, wide = rng.uniform(-0.2, 1) * width, rng.uniform(0.1, 0.5) * width
@@ -201,8 +195,7 @@ def stones(rng: Rng, width: int, height: int) -> np.ndarray:
     points = rng.uniform(-0.1, 1.1, (count, 2)) * [width, height * rng.uniform(0.5, 1)]
     x, y = np.meshgrid(np.arange(width), np.linspace(0, points[:, 1].max(), height))
     near, cell = cKDTree(points).query(np.stack([x, y], axis=-1), k=2)
-    colours = _palette(rng, count)
-    image = colours[cell[..., 0]]
+    image = _palette(rng, count)[cell[..., 0]]
     reach = np.sqrt(width * height / count)
     rim = ((near[..., 1] - near[..., 0]) / reach).clip(0, 1)[..., None]
     return image * (1 - rng.uniform(0, 0.8) * np.exp(-rim * rng.uniform(2, 15)))
@@ -227,9 +220,7 @@ def foliage(rng: Rng, width: int, height: int) -> np.ndarray:
     return _array(image)
 
 
-KINDS: tuple[Kind, ...] = (
-    gradients, noise, tilings, clutter, street, facade, room, landscape, stones, foliage,
-)  # fmt: skip
+KINDS: tuple[Kind, ...] = (gradients, noise, tilings, clutter, street, facade, room, landscape, stones, foliage)
 
 
 def _sky(rng: Rng, width: int, height: int) -> np.ndarray:
@@ -294,10 +285,9 @@ def _tree(rng: Rng, pen: ImageDraw.ImageDraw, x: float, foot: float, high: float
 
 def _any_ground(rng: Rng, width: int, height: int) -> np.ndarray:
     """A plain ground for shapes."""
-    plain = int(rng.integers(3))
-    if plain == 0:
-        return np.broadcast_to(_palette(rng, 1)[0], (height, width, 3))
-    return gradients(rng, width, height) if plain == 1 else noise(rng, width, height)
+    if plain := int(rng.integers(3)):
+        return (gradients, noise)[plain - 1](rng, width, height)
+    return np.broadcast_to(_palette(rng, 1)[0], (height, width, 3))
 
 
 def _photographed(rng: Rng, image: Image.Image) -> np.ndarray:
@@ -311,9 +301,8 @@ def _photographed(rng: Rng, image: Image.Image) -> np.ndarray:
         slope = rng.normal(0, 0.25, 2)
         pixels = pixels * np.exp(slope[0] * x + slope[1] * y)[..., None]
     grey = pixels.mean(axis=2, keepdims=True)
-    pixels = grey + (pixels - grey) * rng.choice(
-        [0.0, rng.uniform(0.3, 1.0), rng.uniform(1.0, 1.3)], p=[0.06, 0.5, 0.44]
-    )
+    saturations = [0.0, rng.uniform(0.3, 1.0), rng.uniform(1.0, 1.3)]
+    pixels = grey + (pixels - grey) * rng.choice(saturations, p=[0.06, 0.5, 0.44])
     pixels = pixels * np.exp(rng.normal(0, 0.08, 3)) * np.exp(rng.normal(0, 0.2))
     middle = pixels.mean()
     pixels = middle + (pixels - middle) * rng.uniform(0.5, 1.25)
@@ -324,21 +313,15 @@ def _photographed(rng: Rng, image: Image.Image) -> np.ndarray:
 
 def _palette(rng: Rng, count: int, hue: float | None = None) -> np.ndarray:
     """Matching random colours (count, 3), 0 to 255: few hues, mostly dull, from dark to light."""
-    # Hues of earth, leaves and sky are more frequent than violet.
-    hue = (
-        rng.choice(
-            [rng.normal(0.09, 0.04), rng.normal(0.28, 0.06), rng.normal(0.59, 0.05), rng.random()],
-            p=[0.35, 0.2, 0.2, 0.25],
-        )
-        if hue is None
-        else hue
-    )
+    if hue is None:  # those of earth, leaves and sky are more frequent than violet
+        hues = [rng.normal(0.09, 0.04), rng.normal(0.28, 0.06), rng.normal(0.59, 0.05), rng.random()]
+        hue = rng.choice(hues, p=[0.35, 0.2, 0.2, 0.25])
     spread = rng.choice([0.03, 0.1, 0.5])
     dull, light, contrast = rng.beta(1.2, 2.2), rng.uniform(0.35, 0.85), rng.uniform(0.05, 0.3)
-    hues = hue + rng.normal(0, spread, count)
+    around = hue + rng.normal(0, spread, count)
     saturation = (dull * rng.uniform(0.4, 1.6, count)).clip(0, 1)
     value = rng.normal(light, contrast, count).clip(0.03, 1)
-    return np.array([_rgb(*hsv) for hsv in zip(hues, saturation, value, strict=True)])
+    return np.array([_rgb(*hsv) for hsv in zip(around, saturation, value, strict=True)])
 
 
 def _rgb(hue: float, saturation: float, value: float) -> np.ndarray:
@@ -361,17 +344,10 @@ def _fractal(rng: Rng, width: int, height: int, slope: float, stretch: float = 1
     return field / max(field.std(), 1e-12)
 
 
-def _coloured(field: np.ndarray, colours: np.ndarray) -> np.ndarray:
-    """A field of deviation 1 as an image: its values run through the colours (n, 3)."""
-    stops = np.linspace(-1.5, 1.5, len(colours))
-    return np.stack([np.interp(field, stops, colours[:, channel]) for channel in range(3)], axis=-1)
-
-
 def _grid(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """x and y (height, width), the longer side from -1 to 1."""
     side = max(width, height)
-    x, y = np.meshgrid(np.linspace(-1, 1, width) * width / side, np.linspace(-1, 1, height) * height / side)
-    return x, y
+    return np.meshgrid(np.linspace(-1, 1, width) * width / side, np.linspace(-1, 1, height) * height / side)
 
 
 def _bar(x: float, y: float, reach: float, thick: float, turn: float) -> list[tuple[float, float]]:

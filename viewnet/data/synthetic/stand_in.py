@@ -5,6 +5,9 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 from viewnet import cad
 from viewnet.cad.writer import write_model
 from viewnet.data.readers.shapenet import ModelFile, load_model
@@ -26,6 +29,18 @@ def check_request(root: Path, values: dict[str, int], least: int = 1) -> None:
             raise ViewnetError(f"stand-in: {name} {value}: expected {least} or more")
     if root.exists() and any(root.iterdir()):
         raise ViewnetError(f"{root}: is not empty: name another folder")
+
+
+def visible_box(alpha: np.ndarray) -> tuple[int, int, int, int]:
+    """The bounding box of an object's alpha (H, W) uint8; ViewnetError where nothing of it is visible."""
+    if box := Image.fromarray((alpha > 127).astype(np.uint8)).getbbox():
+        return box
+    raise ViewnetError("a model of the stand-in cannot be seen")
+
+
+def as_image(pixels: np.ndarray) -> Image.Image:
+    """Pixels (H, W, 3), cut to 0 and 1, as an image."""
+    return Image.fromarray((pixels.clip(0, 1) * 255 + 0.5).astype(np.uint8))
 
 
 def built_in_mesh(category: str, model: int, seed: int) -> Mesh:
