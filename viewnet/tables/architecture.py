@@ -38,20 +38,15 @@ class Architecture:
 
     def comparison(self) -> pd.DataFrame:
         """Reported and present layers side by side, lined up from the top; `same` says where they agree."""
-        paper, ours = reported.architecture(self.part).add_suffix(" (print)"), self.layers.add_suffix(" (ours)")
-        both = paper.join(ours, how="outer").fillna("")
-        same = pd.Series(True, index=both.index)
-        for column in COLUMNS:
-            theirs = both[f"{column} (print)"]
-            same &= (theirs == both[f"{column} (ours)"]) | (theirs == "variable")  # the sizes of both encoders
-        return both.assign(same=same)
+        paper, ours = (frame.fillna("") for frame in reported.architecture(self.part).align(self.layers, axis=0))
+        same = (paper == ours) | (paper == "variable")  # the sizes of both encoders
+        return paper.add_suffix(" (print)").join(ours.add_suffix(" (ours)")).assign(same=same.all(axis=1))
 
     def latex(self) -> str:
         """A booktabs tabular to \\input, ruled between convolutions as in the paper."""
-        body = [line(["Layer", "\\# channels", "Kernel", "Stride"])]
-        for layer in self.layers.itertuples(index=False):
-            body.append(("\\midrule\n" if "Conv" in layer.layer else "") + line(map(escape, layer)))
-        return tabular("lccc", body)
+        layers = self.layers.itertuples(index=False)
+        rows = (("\\midrule\n" if "Conv" in layer.layer else "") + line(map(escape, layer)) for layer in layers)
+        return tabular("lccc", [line(["Layer", "\\# channels", "Kernel", "Stride"]), *rows])
 
     def write(self, folder: Path) -> list[Path]:
         """`architecture_<part>.tex` and `.csv`."""

@@ -17,18 +17,14 @@ HEADINGS = (
 
 def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
     """A row as text, one cell for each of HEADINGS."""
-    measured = any(row[f"{name}_s"] is not None for name in CONTESTANTS)
+    times = [row[f"{name}_s"] for name in CONTESTANTS]
+    ratios = ("memory_ratio", "textbook_images_per_s", "viewnet_images_per_s", "growth_expected")
     return (
-        row["work"],
-        row["volume"],
-        "" if row["size"] is None else str(row["size"]),
-        row["device"],
-        *((_seconds(row["textbook_s"]), _seconds(row["viewnet_s"])) if measured else ("", NOT_MEASURED)),
+        *(row["work"], row["volume"], "" if row["size"] is None else str(row["size"]), row["device"]),
+        *(("", NOT_MEASURED) if times == [None, None] else map(_seconds, times)),
         _range(row["speedup"], row["speedup_low"], row["speedup_high"]),
-        _bytes(row["textbook_bytes"]),
-        _bytes(row["viewnet_bytes"]),
-        *(number(row[key]) for key in ("memory_ratio", "textbook_images_per_s", "viewnet_images_per_s")),
-        number(row["growth_expected"]),
+        *(_bytes(row[f"{name}_bytes"]) for name in CONTESTANTS),
+        *(number(row[key]) for key in ratios),
         *(_both(row[f"{name}_growth"], row[f"{name}_memory_growth"]) for name in CONTESTANTS),
         *(number(row[f"{name}_over_floor"]) for name in CONTESTANTS),
     )
@@ -63,15 +59,11 @@ def number(value: float | None) -> str:
 def _seconds(value: float | None) -> str:
     if value is None:
         return ""
-    if value >= 100:
-        return f"{value:.0f} s"
-    return f"{value:.3g} s" if value >= 1 else f"{1000 * value:.3g} ms"
+    return f"{value:.0f} s" if value >= 100 else f"{value:.3g} s" if value >= 1 else f"{1000 * value:.3g} ms"
 
 
 def _bytes(value: float | None) -> str:
-    if value is None:
-        return ""
-    return f"{value / 2**20:.{1 if value < 100 * 2**20 else 0}f} MiB"
+    return "" if value is None else f"{value / 2**20:.{1 if value < 100 * 2**20 else 0}f} MiB"
 
 
 def _range(median: float | None, low: float | None, high: float | None) -> str:

@@ -67,7 +67,8 @@ def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
     for group in groups:
         rows, empty = group.rows[:count], 2 * max(0, count - len(group.rows))
         pairs = zip(renderer.test_images(rows), renderer.displayed(renderer.reconstruct(rows)), strict=True)
-        texts = (f"{kind}\n{round(a[row]) % 360}°, {round(e[row])}°" for row in rows for kind, (a, e) in kinds.items())
+        each = itertools.product(rows, kinds.items())
+        texts = (f"{kind}\n{round(a[row]) % 360}°, {round(e[row])}°" for row, (kind, (a, e)) in each)
         lines.append([*itertools.chain.from_iterable(pairs), *[None] * empty])
         captions.append([*texts, *[""] * empty])
         labels.append(f"{group.cause}\n{len(group.rows)} of {group.views}")

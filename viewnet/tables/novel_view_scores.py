@@ -16,7 +16,7 @@ learns no colours: neither PSNR nor SSIM.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -51,8 +51,7 @@ DRAWS = 1000
 def fidelity(renderer: RunRenderer, copy: bool = False) -> pd.DataFrame:
     """A row for each test view: model_id, view, psnr (dB), ssim, iou; NaN for what the network does not render.
 
-    With `copy`, of the appearance view in the rendered view's place. Raises ViewnetError for photographs, which have no
-    mask to compare with, and for objects of a single view.
+    With `copy`, of the appearance view in its place. ViewnetError for photographs and for objects of a single view.
     """
     views, ids = renderer.views, renderer.aligned.predictions.ids
     if views.opaque:
@@ -61,7 +60,7 @@ def fidelity(renderer: RunRenderer, copy: bool = False) -> pd.DataFrame:
         raise ViewnetError(f"{renderer.store.folder}: an object has a single view: render two or more a model")
     frames = renderer.in_own_frame(look_at(torch.from_numpy(true_vectors(ids))))
     parts = []
-    for rows in _batches(len(renderer)):
+    for rows in map(Tensor.tolist, torch.arange(len(renderer)).split(BATCH)):
         other = renderer.next_views(rows)
         rendered = renderer.images(other) if copy else renderer.render(renderer.encode(other), frames[rows])
         parts.append(compare(rendered, renderer.images(rows)))
@@ -104,7 +103,7 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None, seed: i
     angles = torch.from_numpy(rng.uniform((0, low), (360, high), (len(renderer), 2)))
     truth = view_vector(angles[:, 0], angles[:, 1])
     vectors, up_vectors = [], []
-    for rows in _batches(len(renderer)):
+    for rows in map(Tensor.tolist, torch.arange(len(renderer)).split(BATCH)):
         rendered = renderer.render(renderer.encode(rows), look_at(truth[rows]))
         hypotheses = reader.network.viewpoint(_as_input(rendered, renderer, reader))
         heads = hypotheses.logits.argmax(1)
@@ -149,8 +148,8 @@ def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -
             raise ViewnetError(f"novel views: {run.name} is no row: choose one of {', '.join(LABELS)}")
     lines: list[dict[str, object]] = []
     for category in dict.fromkeys(run.config.category for run in runs):
-        of_category = [run for run in runs if run.config.category == category]
-        groups = {v: [run for run in of_category if run.config.variant == v] for v in LABELS}
+        here = [run for run in runs if run.config.category == category]
+        groups = {variant: [run for run in here if run.config.variant == variant] for variant in LABELS}
         mine = {variant: renderers(group, stores) for variant, group in groups.items() if group}
         judge = mine["viewnet"][0] if "viewnet" in mine else None
         copied = fidelity(next(iter(mine.values()))[0], copy=True)
@@ -204,8 +203,3 @@ def _lines(
             values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in seeds], bounds[statistic]
     parts = {m: columns.measured(*values.get(m, ([np.nan], None)), objects) for m in NOVEL_VIEWS}
     return [{**about, "metric": metric, **part, "runs": keys} for metric, part in parts.items()]
-
-
-def _batches(count: int) -> Iterator[list[int]]:
-    for start in range(0, count, BATCH):
-        yield list(range(start, min(start + BATCH, count)))

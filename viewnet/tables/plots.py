@@ -34,7 +34,7 @@ INK = "#1f4e79"
 STYLES = {"none": "-", "procrustes": "-", "robust": "-.", "linear": "--", "per_angle": ":"}
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Distinct for colour-blind readers too (Okabe and Ito 2008)."""
-DASHES = ("-", "--", ":", "-.")
+DASHES: Any = ("-", "--", ":", "-.")
 LOGGED = ("epoch", "step", "seconds", "loss", "val_reconstruction", "val_accuracy")
 """Columns of a run's log that are no term of its loss."""
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
@@ -49,7 +49,7 @@ def angles(vectors: Floats) -> tuple[Floats, Floats]:
 
 @matplotlib.rc_context(STYLE)
 def azimuth_scatter(runs: Sequence[Run]) -> Figure:
-    """Figure 3 (a)-(c): predicted azimuth after alignment over the true one, a panel a run. ViewnetError for no runs."""
+    """Figure 3 (a)-(c): predicted azimuth after alignment over the true one, a panel a run. ViewnetError if none."""
     if not runs:
         raise ViewnetError("figure 3: no runs to show: train some first")
     figure = Figure(figsize=(2.2 * len(runs), 2.5), layout="constrained")
@@ -168,11 +168,8 @@ def collapse_curves(collapse: pd.DataFrame) -> Figure:
 @matplotlib.rc_context(STYLE)
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     """`<name>.png` and `<name>.pdf`, the same bytes each time."""
-    files = {
-        folder / f"{name}.png": {"Software": None},
-        folder / f"{name}.pdf": {"CreationDate": None, "ModDate": None},
-    }
-    for path, metadata in files.items():
+    files = [folder / f"{name}.png", folder / f"{name}.pdf"]
+    for path, metadata in zip(files, ({"Software": None}, {"CreationDate": None, "ModDate": None}), strict=True):
         with replacing(path) as temporary:
             figure.savefig(temporary, dpi=200, metadata=metadata)
-    return list(files)
+    return files

@@ -21,10 +21,9 @@ def folder() -> Path:
 
 
 def load(table: str) -> pd.DataFrame:
-    """A table of the paper, one row per number: row (the paper's label), metric, category, value, bold, source.
+    """A table of the paper, a line per number: `row` is the paper's label, `value` its text, "" where it has a dash.
 
-    Metrics are acc30 and dva (per cent), median (degrees) and confidence_index; `value` is the text in the paper, ""
-    where it has a dash. Raises ViewnetError for a file with other columns.
+    Metrics are acc30 and dva (per cent), median (degrees) and confidence_index. ViewnetError for other columns.
     """
     path = folder() / f"{known(table, TABLES, 'table')}.csv"
     frame = read_csv(path, dtype=str, keep_default_na=False)
@@ -34,10 +33,7 @@ def load(table: str) -> pd.DataFrame:
 
 
 def architecture(part: str) -> pd.DataFrame:
-    """The supplement's table of the "encoder" or the "generator", one row per layer: layer, channels, kernel, stride.
-
-    Raises ViewnetError for a file that lacks a column.
-    """
+    """The supplement's table of the "encoder" or the "generator", a line a layer. ViewnetError for a missing column."""
     known(part, ("encoder", "generator"), "part")
     path = folder() / "architecture.csv"
     frame = read_csv(path, dtype=str, keep_default_na=False)

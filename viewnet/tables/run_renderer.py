@@ -29,15 +29,11 @@ from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import read_json
 
 BATCH = 64
-SPLIT = "test"
 
 
 @dataclass(frozen=True)
 class RunRenderer(ObjectRenderer):
-    """A trained network with the test views of a store, and the rotation from its own frame to the annotated one.
-
-    Rows number the test views in the store's order, which is that of `aligned.predictions`.
-    """
+    """A trained network with the test views of a store, numbered in its order, that of `aligned.predictions`."""
 
     network: ViewNet
     config: RunConfig
@@ -46,17 +42,15 @@ class RunRenderer(ObjectRenderer):
 
     @classmethod
     def of(cls, folder: Path, store: ViewStore) -> RunRenderer:
-        """Of a finished run, aligned on the validation views of `store`, as in the tables.
+        """Of a finished run, aligned on the validation views of `store`. ViewnetError as of load_model and align.
 
-        Viewpoints are predicted again unless the views are the run's own. Raises ViewnetError as
-        viewnet.model.checkpoint.load_model and viewnet.evaluation.evaluate.align do.
+        Viewpoints are predicted again unless the views are the run's own.
         """
         network, config = load_model(folder)
         saved, path = folder / "predictions.parquet", folder / "result.json"
         result = read_json(path) if path.is_file() else None
         own = saved.is_file() and isinstance(result, dict) and result.get("views") == store.identity
-        predictions = Predictions.from_parquet(saved) if own else predict(folder, store)
-        return cls(network, config, store, align(predictions))
+        return cls(network, config, store, align(Predictions.from_parquet(saved) if own else predict(folder, store)))
 
     def __len__(self) -> int:
         return len(self.aligned.predictions)
@@ -82,19 +76,17 @@ class RunRenderer(ObjectRenderer):
     def views(self) -> Views:
         """The test views, at the larger of the network's input and output sizes."""
         model = self.network.config
-        return model_views(self.store, SPLIT, max(model.input_size, model.render_size), model)
+        return model_views(self.store, "test", max(model.input_size, model.render_size), model)
 
     @cached_property
     def backgrounds(self) -> Tensor | None:
         """The backgrounds that the run was trained with, if any; None for photographs, which have their own."""
-        if self.views.opaque:
-            return None
-        return augment.load(self.config.data, self.network.config.input_size, self.device)
+        size = self.network.config.input_size
+        return None if self.views.opaque else augment.load(self.config.data, size, self.device)
 
     def images(self, rows: Sequence[int], size: int | None = None) -> Tensor:
         """Test views (N, 4, S, S), RGB times alpha and alpha; by default of the network's output size."""
-        size = self.network.config.render_size if size is None else size
-        return self.views.images(torch.as_tensor(rows), size, self.device)
+        return self.views.images(torch.as_tensor(rows), size or self.network.config.render_size, self.device)
 
     def test_images(self, rows: Sequence[int]) -> np.ndarray:
         """Test views (N, S, S, 3) uint8 on white, of the network's input size."""
@@ -119,15 +111,12 @@ class RunRenderer(ObjectRenderer):
 
     def predicted_frames(self, rows: Sequence[int]) -> Tensor:
         """Own camera frames (N, 3, 3) of the viewpoints that the network selects for test views."""
-        rowwise = self.aligned.predictions.take(list(rows))
-        ups = None if rowwise.ups is None else torch.from_numpy(rowwise.ups[np.arange(len(rowwise)), rowwise.choice])
-        return look_at(torch.from_numpy(np.array(rowwise.selected)), ups).float()
+        taken = self.aligned.predictions.take(list(rows))
+        ups = None if taken.ups is None else torch.from_numpy(taken.ups[np.arange(len(taken)), taken.choice])
+        return look_at(torch.from_numpy(np.array(taken.selected)), ups).float()
 
     def reconstruct(self, rows: Sequence[int], size: int | None = None) -> Tensor:
-        """Reconstructions (N, 4, S, S) of test views: own appearance, selected viewpoint.
-
-        Photographs are cropped to their object, and so are their reconstructions.
-        """
+        """Reconstructions (N, 4, S, S) of test views: own appearance, selected viewpoint; cropped like photographs."""
         rendered = self.render(self.encode(rows), self.predicted_frames(rows), size)
         return tight_crop(rendered, rendered.shape[-1], margin=0.0) if self.views.opaque else rendered
 
