@@ -37,6 +37,7 @@ EXACT, STEP = "renderer, forward + backward (all voxels)", "training step"
 VIEWS = 3
 """Images rendered of each volume: one for each head of the paper's viewpoint network."""
 FOCAL = 0.4
+Call = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -106,12 +107,12 @@ def step_config(profile: str) -> RunConfig:
     return make_config(profile=profile, recipe="paper", **changes)
 
 
-def prepare(work: Work, contestant: str, device: torch.device) -> Callable[[], None]:
+def prepare(work: Work, contestant: str, device: torch.device) -> Call:
     """The function that does `work` once, by the "textbook" version or by "viewnet"."""
     return (_step if work.kind == STEP else _renderer)(work, contestant == "textbook", device)
 
 
-def _renderer(work: Work, by_textbook: bool, device: torch.device) -> Callable[[], None]:
+def _renderer(work: Work, by_textbook: bool, device: torch.device) -> Call:
     shape = volume.squash(logits(work.occupancy, work.size, work.batch).to(device), None, None)
     cameras, focal = camera_frames(work.images).to(device), torch.tensor(FOCAL, device=device)
     size = work.size
@@ -129,7 +130,7 @@ def _renderer(work: Work, by_textbook: bool, device: torch.device) -> Callable[[
     return call
 
 
-def _step(work: Work, by_textbook: bool, device: torch.device) -> Callable[[], None]:
+def _step(work: Work, by_textbook: bool, device: torch.device) -> Call:
     config = step_config(work.profile)
     settings = config.train
     torch.manual_seed(0)
@@ -165,9 +166,7 @@ def _step(work: Work, by_textbook: bool, device: torch.device) -> Callable[[], N
     return call
 
 
-def in_turn(
-    calls: dict[str, Callable[[], None]], repeat: int, device: torch.device, least: float
-) -> dict[str, list[float]]:
+def in_turn(calls: dict[str, Call], repeat: int, device: torch.device, least: float) -> dict[str, list[float]]:
     """Seconds per call, `repeat` measurements of each contestant of `least` seconds or more, after an untimed call.
 
     They alternate, A B B A A B ..., so that other load on the machine affects both.
@@ -190,7 +189,7 @@ def peak_memory(work: Work, contestant: str, device: torch.device, threads: int)
 
     On a GPU the memory that PyTorch allocates there, else resident memory. ViewnetError where that process fails.
     """
-    context = get_context("spawn")
+    context, what = get_context("spawn"), f"{work.kind} at {work.size} by the {contestant} version"
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_send_peak_memory, args=(sender, work, contestant, device, threads), daemon=True)
     process.start()
@@ -199,13 +198,11 @@ def peak_memory(work: Work, contestant: str, device: torch.device, threads: int)
         answer = receiver.recv()
     except EOFError:
         process.join()
-        raise ViewnetError(
-            f"{work.kind} at {work.size} by the {contestant} version: its process was ended (exit code "
-            f"{process.exitcode}): too little memory is likely: choose a smaller --batch or smaller --sizes"
-        ) from None
+        advice = "too little memory is likely: choose a smaller --batch or smaller --sizes"
+        raise ViewnetError(f"{what}: its process was ended (exit code {process.exitcode}): {advice}") from None
     process.join()
     if isinstance(answer, str):
-        raise ViewnetError(f"{work.kind} at {work.size} by the {contestant} version failed: {answer}")
+        raise ViewnetError(f"{what} failed: {answer}")
     return answer
 
 

@@ -66,13 +66,10 @@ class Settings:
     accuracy: int = 0
 
     def __post_init__(self) -> None:
-        for name, value, least, most in (
-            *(("size", size, 8, 512) for size in self.sizes),
-            ("batch", self.batch, 2, 4096),
-            ("repeat", self.repeat, 1, 1000),
-            ("threads", self.threads, 1, 1024),
-            ("accuracy", self.accuracy, 0, 100),
-        ):
+        ranges = {"batch": (2, 4096), "repeat": (1, 1000), "threads": (1, 1024), "accuracy": (0, 100)}
+        values = [("size", size, 8, 512) for size in self.sizes]
+        values += [(name, getattr(self, name), *limits) for name, limits in ranges.items()]
+        for name, value, least, most in values:
             if not least <= value <= most:
                 raise ViewnetError(f"{name} {value}: expected {least} to {most}")
         if list(self.sizes) != sorted(set(self.sizes)):
@@ -159,19 +156,20 @@ def _row(work: Work, settings: Settings, rates: Rates, device: torch.device) -> 
     calls = {name: contestants.prepare(work, name, device) for name in CONTESTANTS}
     times = contestants.in_turn(calls, settings.repeat, device, 0.0 if settings.quick else 0.2)
     del calls
+    floor = need(work, device).seconds(rates)
+    row |= {"images": work.images, "floor_s": floor}
     for name in CONTESTANTS:
         row |= _spread(name, "_s", times[name])
-        row[f"{name}_images_per_s"] = work.images / row[f"{name}_s"]
+        row[f"{name}_images_per_s"], row[f"{name}_over_floor"] = (
+            work.images / row[f"{name}_s"],
+            row[f"{name}_s"] / floor,
+        )
+        if work.memory:
+            row[f"{name}_bytes"] = contestants.peak_memory(work, name, device, settings.threads)
+    row["memory_ratio"] = _ratio(row["textbook_bytes"], row["viewnet_bytes"])
     # Measurements of one round are neighbours in time: what slows one down is likely to slow the other.
     pairs = [slow / fast for slow, fast in zip(times["textbook"], times["viewnet"], strict=True)]
-    row |= _spread("speedup", "", pairs)
-    if work.memory:
-        for name in CONTESTANTS:
-            row[f"{name}_bytes"] = contestants.peak_memory(work, name, device, settings.threads)
-        row["memory_ratio"] = _ratio(row["textbook_bytes"], row["viewnet_bytes"])
-    floor = need(work, device).seconds(rates)
-    row |= {f"{name}_over_floor": row[f"{name}_s"] / floor for name in CONTESTANTS}
-    return row | {"images": work.images, "floor_s": floor}
+    return row | _spread("speedup", "", pairs)
 
 
 def need(work: Work, device: torch.device) -> Need:

@@ -8,7 +8,7 @@ the same names of weights.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -48,16 +48,14 @@ def render(volume: Tensor, world_from_camera: Tensor, focal: Tensor, size: int, 
     return torch.cat([colour, mask], 1)
 
 
-def encoder(
-    channels: tuple[int, ...], outputs: int, size: int, padding: Literal["zeros", "replicate"]
-) -> nn.Sequential:
-    """The supplement's encoder: images (N, 3, size, size) -> (N, outputs)."""
+def encoder(config: ModelConfig, outputs: int) -> nn.Sequential:
+    """The supplement's encoder: images (N, 3, S, S) -> (N, outputs)."""
     layers: list[nn.Module] = []
-    before, side = 3, size
+    before, side = 3, config.input_size
     while side > 1:
-        width = channels[len(layers) // 3]
+        width = config.encoder_channels[len(layers) // 3]
         shape: dict[str, Any] = {"kernel_size": 3, "stride": 2, "padding": 1} if side > 2 else {"kernel_size": 2}
-        convolution = nn.Conv2d(before, width, padding_mode=padding, bias=False, **shape)
+        convolution = nn.Conv2d(before, width, padding_mode=config.encoder_padding, bias=False, **shape)
         layers += [convolution, nn.BatchNorm2d(width), nn.ReLU()]
         before, side = width, side // 2
     return nn.Sequential(*layers, nn.Conv2d(before, outputs, 1), nn.Flatten())
@@ -122,9 +120,8 @@ class TextbookViewNet(nn.Module):
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
         self.config = config
-        channels, size, padding = config.encoder_channels, config.input_size, config.encoder_padding
-        self.viewpoint = nn.ModuleDict({"encoder": encoder(channels, 4 * config.heads, size, padding)})
-        self.appearance = encoder(channels, config.appearance_size, size, padding)
+        self.viewpoint = nn.ModuleDict({"encoder": encoder(config, 4 * config.heads)})
+        self.appearance = encoder(config, config.appearance_size)
         self.decoder = Generator(config)
         self.focal = nn.Parameter(torch.tensor(config.focal))
         axis = (torch.arange(config.volume_size) * 2 + 1) / config.volume_size - 1

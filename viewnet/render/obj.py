@@ -225,10 +225,7 @@ def _materials(
     uv = _uv(lines, corners) if textured else None
     materials = [Material()]
     for number, name in enumerate(names, start=1):
-        if not used[number] or name not in library:
-            materials.append(Material(name))
-            continue
-        entry, texture = library[name], None
+        entry, texture = library.get(name, Entry()) if used[number] else Entry(), None
         if uv is not None and number in textured:
             file = textured[number]
             texture = images[file] = images[file] if file in images else read_texture(lines.path, folder, file)

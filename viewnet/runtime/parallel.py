@@ -72,10 +72,8 @@ def as_done(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, wh
             for future in as_completed([executor.submit(work, job) for job in jobs]):
                 yield future.result()
     except BrokenProcessPool:
-        raise ViewnetError(
-            f"a process that makes {what} died: call again with fewer workers if memory ran out; a script must start"
-            " its work under `if __name__ == '__main__':`"
-        ) from None
+        advice = "call again with fewer workers if memory ran out; a script must start its work under"
+        raise ViewnetError(f"a process that makes {what} died: {advice} `if __name__ == '__main__':`") from None
 
 
 @contextmanager

@@ -55,8 +55,7 @@ def statements(source: str) -> list[str]:
 
 def commit() -> dict[str, Any]:
     """The git commit of this package's checkout and whether tracked files were changed; None for both outside one."""
-    head = _git("rev-parse", "HEAD")
-    if head is None or _git("ls-files", "--error-unmatch", "errors.py") is None:
+    if (head := _git("rev-parse", "HEAD")) is None or _git("ls-files", "--error-unmatch", "errors.py") is None:
         return {"commit": None, "dirty": None}  # no checkout, or one of another project that contains this folder
     return {"commit": head, "dirty": bool(_git("status", "--porcelain", "--untracked-files=no"))}
 

@@ -49,10 +49,8 @@ def convolutions(network: str, weights: Path | None = None, otherwise: str = "ch
     """
     url, path = _url(network), weights or weights_file(network)
     if not path.is_file():
-        raise ViewnetError(
-            f"no {network} weights at {path}: download {url} to that place, name another file by "
-            f"{variable(network)}, or {otherwise}"
-        )
+        advice = f"download {url} to that place, name another file by {variable(network)}, or {otherwise}"
+        raise ViewnetError(f"no {network} weights at {path}: {advice}")
     from torchvision import models
 
     with torch.device("meta"):  # initialising VGG16 at random would take a while
