@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -85,12 +86,14 @@ def clip_store(
     With `scale` "clip" it is then equally high in all views of its clip; with "view" it fills every square, so that a
     car looks larger from the front. Without `masks` it is the whole box, or else image, and nothing is transparent.
     Frames that do not decode, have no usable mask, or are beyond `limits`, and clips with fewer than two usable frames
-    join `rejected` with their reason. `workers` threads read files; a network processes one clip after the other.
-
-    Raises ViewnetError for two clips of one name, and where no clip to train on is left.
+    join `rejected`. Raises ViewnetError for two clips of one name, and where no clip to train on is left.
     """
     limits = limits or Limits()
-    _check(clips)
+    if twice := [name for name, count in Counter(clip.id for clip in clips).items() if count > 1]:
+        raise ViewnetError(f"clip {twice[0]!r} is there twice: give every clip a name of its own")
+    for clip in clips:
+        known(clip.category, CATEGORIES, "category")
+        known(clip.split, SPLITS, "split")
     rejected = list(rejected)
     ordered = sorted(clips, key=lambda clip: clip.id)
     rows: list[tuple[Any, ...]] = []
@@ -146,11 +149,7 @@ def describe(
 
 
 def summary(store: ViewStore) -> str:
-    """What a store of clips holds and what it leaves out, in a line for under a table.
-
-    For example "car: 5850 views of 48 clips (45 train, 2 val, 1 test); 0.9 % of the frames without a usable mask; left
-    out: 53 mask is missing, 4 no annotations of the sequence".
-    """
+    """What a store of clips holds and what it leaves out, in a line for under a table."""
     index = store.index
     clips = index.drop_duplicates("model_id")["split"].value_counts()
     splits = ", ".join(f"{clips[split]} {split}" for split in SPLITS if split in clips)
@@ -160,16 +159,6 @@ def summary(store: ViewStore) -> str:
     if store.meta["made_by"]["masks"] is not None:
         text += f"; {100 * lost / (len(index) + lost):.1f} % of the frames without a usable mask"
     return f"{text}; left out: {in_words(dict(sorted(reasons.items())))}" if reasons else text
-
-
-def _check(clips: Sequence[Clip]) -> None:
-    seen: set[str] = set()
-    for clip in clips:
-        if clip.id in seen:
-            raise ViewnetError(f"clip {clip.id!r} is there twice: give every clip a name of its own")
-        seen.add(clip.id)
-        known(clip.category, CATEGORIES, "category")
-        known(clip.split, SPLITS, "split")
 
 
 def _views(
@@ -204,8 +193,7 @@ def _views(
 def _levelled(views: Sequence[_View]) -> list[_View]:
     """Views that fill their squares, shrunk so that the object is equally high in all of them.
 
-    An object's height hardly depends on azimuth and elevation, so that equal heights give one scale to a rigid object
-    and remove the effect of the camera's distance.
+    A rigid object's height hardly depends on its viewpoint, so that equal heights remove the camera's distance.
     """
     sides = np.array([(x1 - x0, y1 - y0) for x0, y0, x1, y1 in (bounds(view.pixels[..., 3]) for view in views)])
     longer = sides.max(axis=1) / sides[:, 1]

@@ -32,13 +32,7 @@ VERSION = 1
 NETWORKS = {"maskrcnn": "maskrcnn_resnet50_fpn", "deeplabv3": "deeplabv3_resnet50"}
 """Our name -> torchvision's. Mask R-CNN separates the objects of a class; DeepLabV3 does not, so each connected region
 counts as one."""
-COCO = {
-    "aeroplane": "airplane",
-    "diningtable": "dining table",
-    "motorbike": "motorcycle",
-    "sofa": "couch",
-    "tvmonitor": "tv",
-}
+COCO = dict(aeroplane="airplane", diningtable="dining table", motorbike="motorcycle", sofa="couch", tvmonitor="tv")
 """COCO's names of categories where PASCAL VOC, and so DeepLabV3, has other ones."""
 SURE = 0.5
 """Score of an object, and probability of a pixel, from which on they count."""
@@ -70,10 +64,7 @@ class MaskSource:
 
 
 def from_files() -> MaskSource:
-    """PNG files in each clip's folder of masks, named like its images, or 000000.png by the frame's number.
-
-    See `crop.coverage` for their pixels. Followers raise ViewnetError where there is no file.
-    """
+    """PNG files (see `crop.coverage`) in each clip's folder of masks, named like its images, or by frame number."""
 
     def follow(clip: Clip) -> Follower:
         def read(number: int, name: str, image: Image.Image) -> np.ndarray:
@@ -81,7 +72,11 @@ def from_files() -> MaskSource:
             file = next((path for path in files if path.is_file()), None)
             if file is None:
                 raise ViewnetError("mask is missing")
-            return _read(file, image.width, image.height)
+            with opened(file, "mask") as mask:
+                if mask.size != image.size:
+                    raise ViewnetError(f"mask has another size than its image ({mask.width} x {mask.height})")
+                mask.load()
+                return coverage(mask)
 
         return read
 
@@ -122,10 +117,7 @@ def from_segmenter(segment: Segmenter, described: dict[str, Any]) -> MaskSource:
 
 
 def mask_source(name: str, category: str) -> MaskSource | None:
-    """The source that a configuration names: files, alpha, a network (see `predicted`), or none.
-
-    Raises ViewnetError for another name, and as `predicted` does.
-    """
+    """The source that a configuration names: files, alpha, none, or else a network (see `predicted`)."""
     plain: dict[str, MaskSource | None] = {"none": None, "files": from_files(), "alpha": from_alpha()}
     return plain[name] if name in plain else predicted(name, category)
 
@@ -143,16 +135,13 @@ def continuing(objects: np.ndarray, last: np.ndarray | None) -> int:
 def predicted(network: str, category: str, weights: Path | None = None) -> MaskSource:
     """Masks of a category by torchvision's network for COCO: "maskrcnn" or "deeplabv3".
 
-    Weights are those of `weights`, else of the file that VIEWNET_MASKRCNN_RESNET50_FPN_WEIGHTS or
-    VIEWNET_DEEPLABV3_RESNET50_WEIGHTS names, else of torchvision's cache. Raises ViewnetError where there is no such
-    file, or it holds something else.
+    Weights: the file `weights`, else `torchvision_weights.weights_file`; ViewnetError where they cannot be used.
     """
     full = NETWORKS[known(network, NETWORKS, "network for masks")]
     path = weights or torchvision_weights.weights_file(full)
     segment = segmenter(network, category, path)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    described = {"masks": network, "category": category, "weights": digest, "version": VERSION}
-    return from_segmenter(segment, described)
+    return from_segmenter(segment, {"masks": network, "category": category, "weights": digest, "version": VERSION})
 
 
 def segmenter(network: str, category: str, path: Path) -> Segmenter:
@@ -205,10 +194,8 @@ def _deeplab(category: str, path: Path, device: torch.device) -> Segmenter:
     network.eval().to(device)
     names = segmentation.DeepLabV3_ResNet50_Weights.COCO_WITH_VOC_LABELS_V1.meta["categories"]
     label = names.index(category)
-    mean, deviation = (
-        torch.tensor(values).view(3, 1, 1)
-        for values in (torchvision_weights.IMAGENET_MEAN, torchvision_weights.IMAGENET_STD)
-    )
+    statistics = [torchvision_weights.IMAGENET_MEAN, torchvision_weights.IMAGENET_STD]
+    mean, deviation = torch.tensor(statistics).view(2, 3, 1, 1)
 
     @torch.no_grad()
     def segment(image: Image.Image) -> np.ndarray:
@@ -222,10 +209,7 @@ def _deeplab(category: str, path: Path, device: torch.device) -> Segmenter:
 
 
 def load_weights(network: nn.Module, path: Path, full: str) -> None:
-    """Give a network the weights of a file; what it has no place for, such as layers for training, is not used.
-
-    Raises ViewnetError for a file that does not hold them.
-    """
+    """Give a network the weights of a file, which may hold others too. ViewnetError where it does not hold them."""
     try:
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
@@ -242,9 +226,8 @@ def load_weights(network: nn.Module, path: Path, full: str) -> None:
                 raise ValueError(f"{name} is {weight.dtype} and not plain {kind}")
     except Exception as error:  # torch raises whatever a damaged file makes it stumble over
         problem = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ViewnetError(
-            f"{path} does not hold {full} weights ({problem}): download {weights_url(full)} anew"
-        ) from error
+        advice = f"download {weights_url(full)} anew"
+        raise ViewnetError(f"{path} does not hold {full} weights ({problem}): {advice}") from error
 
 
 def weights_url(full: str) -> str:
@@ -257,12 +240,3 @@ def weights_url(full: str) -> str:
 def _tensor(image: Image.Image) -> torch.Tensor:
     """(3, H, W) in [0, 1]."""
     return torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255
-
-
-def _read(file: Path, width: int, height: int) -> np.ndarray:
-    """Alpha (H, W) uint8 of a mask's file, which must be of that size."""
-    with opened(file, "mask") as image:
-        if image.size != (width, height):
-            raise ViewnetError(f"mask has another size than its image ({image.width} x {image.height})")
-        image.load()
-        return coverage(image)

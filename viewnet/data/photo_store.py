@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -58,71 +58,45 @@ def photo_store(
 ) -> ViewStore:
     """Cut photographs of the data set at `root` into a view store, one view each, and open it.
 
-    `made_by` describes where they come from (JSON values). With `upright`, images are rotated as their camera recorded
-    before they are cut. Images that cannot be decoded, boxes outside of them, and images to calibrate on whose very
-    bytes are scored too join `rejected` with their reason.
-
-    Raises ViewnetError where one file is in both splits, or a split has no usable photograph.
+    With `upright`, images are rotated as their camera recorded before they are cut. Images that cannot be decoded,
+    boxes outside of them, and images to calibrate on whose very bytes are scored too join `rejected`. Raises
+    ViewnetError where one file is in both splits, or a split has no usable photograph.
     """
     _check_apart(photographs)
     rejected = list(rejected)
-
-    def attempt(photograph: Photograph) -> tuple[np.ndarray, bytes] | ViewnetError:
-        try:
-            return _crop_and_digest(photograph, crop, upright)
-        except ViewnetError as error:
-            return error
-
     # Decoding and resizing release the interpreter's lock, so threads do.
     with ThreadPoolExecutor(workers or cores()) as pool:
-        crops = pool.map(attempt, photographs)
-        results = list(bar(progress, iterable=crops, total=len(photographs), desc="photographs", unit="image"))
+        work = pool.map(lambda photograph: _crop_and_digest(photograph, crop, upright), photographs)
+        results = list(bar(progress, iterable=work, total=len(photographs), desc="photographs", unit="image"))
     pairs = list(zip(photographs, results, strict=True))
     scored = {result[1] for photo, result in pairs if photo.split == "test" and isinstance(result, tuple)}
-    usable: list[tuple[Photograph, np.ndarray]] = []
+    usable: list[tuple[Photograph, str, np.ndarray]] = []
     for photograph, result in pairs:
         source = photograph.image_path.relative_to(root).as_posix()
         if isinstance(result, ViewnetError):
             rejected.append((photograph.id, source, str(result)))
         elif photograph.split == "val" and result[1] in scored:
-            reason = "image to calibrate on that is scored on under another name"
-            rejected.append((photograph.id, source, reason))
+            rejected.append((photograph.id, source, "image to calibrate on that is scored on under another name"))
         else:
-            usable.append((photograph, result[0]))
+            usable.append((photograph, source, result[0]))
+    usable.sort(key=lambda item: item[0].id)
+    rows = [(p.id, p.category, p.split, 0, p.azimuth % 360 % 360, float(p.elevation), file) for p, file, _ in usable]
+    index = pd.DataFrame(rows, columns=list(COLUMNS))
     for name in SPLITS:
-        if not any(photograph.split == name for photograph, _ in usable):
+        if not (index["split"] == name).any():
             first = f" (the first that was left out: {rejected[0][1]}: {rejected[0][2]})" if rejected else ""
             raise ViewnetError(f"{root}: no usable photograph in the {name} split{first}")
-    usable.sort(key=lambda item: item[0].id)
-    index = pd.DataFrame(
-        [
-            (
-                p.id,
-                p.category,
-                p.split,
-                0,
-                p.azimuth % 360 % 360,
-                float(p.elevation),
-                p.image_path.relative_to(root).as_posix(),
-            )
-            for p, _ in usable
-        ],
-        columns=list(COLUMNS),
-    )
-    return write_store(folder, _batches([pixels for _, pixels in usable]), index, made_by, rejected)
+    crops = [pixels for _, _, pixels in usable]
+    batches = (np.stack(crops[i : i + 256]) for i in range(0, len(crops), 256))  # (256, S, S, 4), the last one fewer
+    return write_store(folder, batches, index, made_by, rejected)
 
 
 def summary(store: ViewStore) -> str:
-    """What a store of photographs holds and what it leaves out, in a line for under a table.
-
-    For example "car: 308 calibrate, 605 scored; left out: 12 only coarsely annotated, 1 image does not decode".
-    """
+    """What a store of photographs holds and what it leaves out, in a line for under a table."""
     counts = store.index["split"].value_counts()
     text = f"{store.index['category'].iloc[0]}: {counts.get('val', 0)} calibrate, {counts.get('test', 0)} scored"
-    for title, reasons in (
-        ("left out", tally(store.rejected["reason"])),
-        ("mended", store.meta["made_by"].get("mended", {})),
-    ):
+    mended = store.meta["made_by"].get("mended", {})
+    for title, reasons in (("left out", tally(store.rejected["reason"])), ("mended", mended)):
         if reasons:
             text += f"; {title}: {in_words(dict(sorted(reasons.items())))}"
     return text
@@ -138,25 +112,21 @@ def _check_apart(photographs: Sequence[Photograph]) -> None:
     seen: dict[Path, str] = {}
     for photograph in photographs:
         if seen.setdefault(photograph.image_path, photograph.split) != photograph.split:
-            raise ViewnetError(
-                f"{photograph.image_path}: is both calibrated on and scored: list it in one split, or the score is"
-                " of an image that was seen in calibration"
-            )
+            raise ViewnetError(f"{photograph.image_path}: is both calibrated on and scored: list it in one split only")
 
 
-def _crop_and_digest(photograph: Photograph, crop: Crop, upright: bool) -> tuple[np.ndarray, bytes]:
+def _crop_and_digest(photograph: Photograph, crop: Crop, upright: bool) -> tuple[np.ndarray, bytes] | ViewnetError:
+    """The crop and a digest of the image's file, or why it cannot be used."""
     try:
         content = photograph.image_path.read_bytes()
     except FileNotFoundError:
-        raise ViewnetError("no such image") from None
+        return ViewnetError("no such image")
     except (OSError, ValueError) as error:
-        raise ViewnetError(f"image cannot be read ({type(error).__name__})") from None
-    with opened(io.BytesIO(content)) as image:
-        image.load()
-        whole = ImageOps.exif_transpose(image) if upright else image.copy()
-    return cut(whole, photograph.box, crop), hashlib.sha256(content).digest()
-
-
-def _batches(crops: Sequence[np.ndarray], size: int = 256) -> Iterator[np.ndarray]:
-    for start in range(0, len(crops), size):
-        yield np.stack(crops[start : start + size])  # (size, S, S, 4)
+        return ViewnetError(f"image cannot be read ({type(error).__name__})")
+    try:
+        with opened(io.BytesIO(content)) as image:
+            image.load()
+            whole = ImageOps.exif_transpose(image) if upright else image.copy()
+        return cut(whole, photograph.box, crop), hashlib.sha256(content).digest()
+    except ViewnetError as error:
+        return error
