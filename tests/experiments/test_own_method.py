@@ -427,7 +427,7 @@ class TestTheNotebook:
         request = experiment("your_method", cad_root=cad, data_root=photos, calibration=16, backgrounds="drawn")
         assert request.tables["table1_shapenet"].configs[0].data.root == cad
         on_photos = request.tables["table3_pascal3d"]
-        assert (on_photos.configs[0].data.root, on_photos.photographs.root) == (cad, photos)
+        assert (on_photos.configs[0].data.root, on_photos.photo_config("car").root) == (cad, photos)
         assert on_photos.calibration == request.tables["table5_dva"].calibration == 16
 
     @pytest.mark.parametrize(

@@ -42,8 +42,8 @@ def test_no_constant_passes_the_bounds(azimuth, elevation, seed):
     views = rows(rng.normal(40, 50, 60) % 360, rng.normal(5, 20, 60).clip(-89, 89))
     a, grid = views["azimuth"].to_numpy(), errors_of(constants.grid_frames(around=True), views)
     mine = errors_of(frame(azimuth, elevation)[None], views)[0]
-    for name, made in metrics.DEFINITIONS.items():
-        bound, found = constants.bounds(grid, a, name), constants.scores(made(mine), a)
+    for made in metrics.DEFINITIONS.values():
+        bound, found = constants.bounds(made(grid), a), constants.scores(made(mine), a)
         assert found["acc30"] <= bound["acc30"] + 1e-6
         assert found["median"] >= bound["median"] - 1e-6
         assert found["dva"] <= bound["dva"] + 1e-6
@@ -53,9 +53,7 @@ def test_bounds_are_close_to_what_some_constant_reaches():
     """One cluster of viewpoints: its centre has all of them right, with the median of their spread."""
     rng = np.random.default_rng(0)
     views = rows(rng.normal(90, 5, 500), rng.normal(10, 5, 500))
-    bound = constants.bounds(
-        errors_of(constants.grid_frames(around=True), views), views["azimuth"].to_numpy(), "geodesic"
-    )
+    bound = constants.bounds(errors_of(constants.grid_frames(around=True), views), views["azimuth"].to_numpy())
     own = constants.scores(errors_of(frame(90, 10)[None], views)[0], views["azimuth"].to_numpy())
     assert bound["acc30"] == pytest.approx(own["acc30"], abs=1)
     assert own["median"] - 3 < bound["median"] <= own["median"]
@@ -95,9 +93,7 @@ def test_verdicts_tell_the_definition_that_was_used(monkeypatch):
 def test_the_printed_constants_of_table_2_are_no_geodesic_angles():
     """Azimuths all around: a constant is right in little more than one of any 12 bins."""
     even = constants.lattice()
-    bound = constants.bounds(
-        errors_of(constants.grid_frames(around=False), even), even["azimuth"].to_numpy(), "geodesic"
-    )
+    bound = constants.bounds(errors_of(constants.grid_frames(around=False), even), even["azimuth"].to_numpy())
     assert 13 < bound["acc30"] < 15
     assert 88 < bound["median"] < 92
     cells = pd.DataFrame(constants.examine("drawn evenly", "", even, {"drawn evenly": even}, ("table2_ablation",)))

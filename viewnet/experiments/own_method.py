@@ -71,7 +71,6 @@ class Method(Protocol):
 class Submission:
     """A method, the label of its row and its alignment.
 
-    label      the row's
     method     a Method; a mapping from category to Method; or a file (viewnet.evaluation.submitted_predictions)
     alignment  none, procrustes, robust, linear or per_angle (viewnet.evaluation.alignment), fitted on calibration
                images; "none" is for methods that predict in the annotated frame, as those do that are fitted in it
@@ -120,11 +119,7 @@ class Submission:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The images of one category that a table aligns on, split "val", and scores, split "test".
-
-    ids     a row an image (predictions.ID_COLUMNS)
-    stores  the view stores of the two splits, and which of their rows
-    """
+    """The images of one category that a table aligns on, split "val", and scores, "test"; ids have a row an image."""
 
     ids: pd.DataFrame
     stores: Rows
@@ -284,7 +279,7 @@ def _entry(submission: Submission, images: HeldOut, category: str, calibration: 
 def digest(predictions: Predictions) -> str:
     """16 hex digits that identify predictions: which images, and every number."""
     content = hashlib.sha256(predictions.ids.to_csv(index=False, lineterminator="\n").encode())
-    arrays = [predictions.hypotheses, predictions.logits]
-    for values in arrays if predictions.ups is None else [*arrays, predictions.ups]:
+    arrays = (predictions.hypotheses, predictions.logits, predictions.ups)
+    for values in (array for array in arrays if array is not None):
         content.update(json.dumps(values.shape).encode() + np.ascontiguousarray(values, dtype="<f8").tobytes())
     return content.hexdigest()[:16]

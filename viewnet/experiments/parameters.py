@@ -50,12 +50,9 @@ def folder_named(value: str, what: str) -> str | None:
     """The full path of a folder, None for "". Raises ViewnetError where there is none."""
     if not isinstance(value, str):
         raise ViewnetError(f"{what} {value!r}: expected a folder")
-    if not value:
-        return None
-    folder = _path(value, what).resolve()
-    if not folder.is_dir():
+    if value and not (folder := _path(value, what).resolve()).is_dir():
         raise ViewnetError(f"{what} {value}: no such folder")
-    return str(folder)
+    return str(folder) if value else None
 
 
 def _path(value: str, what: str) -> Path:
@@ -135,7 +132,7 @@ def _one_of(default: str, choices: Collection[str], help: str, label: str = "{}"
 
 
 def _one_name(default: str, choices: Collection[str], help: str, field: str, label: str = "") -> Parameter:
-    """Fills a field of several names with one."""
+    """Of a field of several names."""
     return Parameter(default, lambda value, what: (known(value, choices, what),), help, label, field=field)
 
 
@@ -143,69 +140,50 @@ def _folder(name: str, help: str) -> Parameter:
     return Parameter("", folder_named, help, name)
 
 
+# fmt: off
 PARAMETERS: dict[str, Parameter] = {
     "profile": _one_of("default", PROFILES, "smoke, tiny, small or paper; default: $VIEWNET_PROFILE or the notebook's"),
     "recipe": _one_of("default", RECIPES, "how models are trained (viewnet.recipes); default: the profile's"),
-    "variant": _one_name(
-        "", (*VARIANTS, *baselines.UNTRAINED), "the row of a figure; empty: the notebook's", "variants", "{0[0]}"
-    ),
-    "categories": Parameter(
-        "all",
-        _categories,
-        "car, or car,chair, or a list; all: the notebook's; everything: all twelve of PASCAL3D+",
-        "{}",
-        lambda names: "everything" if set(names) == set(CATEGORIES) else "-".join(names),
-    ),
+    "variant": _one_name("", (*VARIANTS, *baselines.UNTRAINED), "the row of a figure; empty: the notebook's",
+                         "variants", "{0[0]}"),
+    "categories": Parameter("all", _categories,
+                            "car, or car,chair, or a list; all: the notebook's; everything: all twelve of PASCAL3D+",
+                            "{}", lambda names: "everything" if set(names) == set(CATEGORIES) else "-".join(names)),
     "category": _one_name("chair", objectron.CLASSES, "of Objectron: chair, bicycle or bottle", "categories"),
     "seeds": Parameter(1, _seeds, "how many (3: seeds 0, 1, 2), or which (0,2 or a list)"),
     "video_root": _folder("video_root", "the videos to train on; empty: a stand-in is made"),
     # Within video_root or anywhere, so that it is looked for with the videos.
-    "weak_masks": Parameter(
-        "", lambda value, what: value, "weak masks, laid out as masks/; empty: the stand-in's", "weak_masks"
-    ),
+    "weak_masks": Parameter("", lambda value, what: value, "weak masks, laid out as masks/; empty: the stand-in's",
+                            "weak_masks"),
     "data_root": _folder("data_root", "photographs, empty: a stand-in; or ShapeNetCore, empty: the built-in models"),
     "cad_root": _folder("cad_root", "ShapeNetCore to train on; empty: the built-in models"),
     "eval_root": _folder("eval_root", "ShapeNetCore to score on; empty: the run's own test models"),
     "extra_cad": _folder("extra_cad", "a second ShapeNetCore, all of whose models join training; empty: none"),
-    "splits": Parameter("", folder_named, "<synset>_{train,val,test}.txt lists for CAD models; empty: their own"),
-    "split_rule": _one_of(
-        "all", ("all", "45/2/rest"), "Freiburg's sequences to train on: all or 45/2/rest", "held_out"
-    ),
+    "splits": _folder("", "<synset>_{train,val,test}.txt lists for CAD models; empty: their own"),
+    "split_rule": _one_of("all", ("all", "45/2/rest"), "Freiburg's sequences to train on: all or 45/2/rest",
+                          "held_out"),
     "masks": _one_of("files", ("files", "alpha", "maskrcnn", "deeplabv3"), "files (in masks/), alpha, maskrcnn ..."),
-    "start": Parameter(
-        "",
-        lambda value, what: value if value in ("", SHAPENET) else str(checkpoint.locate(value)),
-        "weights to start from; empty: random; shapenet: trained on CAD models; else a run's key or folder",
-        "{}",
-        lambda start: start if start == SHAPENET else f"start_{Path(start).parent.name}",
-    ),
-    "viewpoints": Parameter(
-        "",
-        lambda value, what: _path(value, what) if value else None,
-        "a CSV of viewpoints (viewnet.data.annotated_viewpoints); empty: a stand-in",
-        "viewpoints",
-    ),
-    "backgrounds": Parameter(
-        "",
-        lambda value, what: value if value == "drawn" else folder_named(value, what) or "drawn",
-        "a folder of images (SUN397) to composite training views over; empty: generated ones",
-        "backgrounds",
-    ),
+    "start": Parameter("", lambda value, what: value if value in ("", SHAPENET) else str(checkpoint.locate(value)),
+                       "weights to start from; empty: random; shapenet: trained on CAD models; else a run's key or "
+                       "folder",
+                       "{}", lambda start: start if start == SHAPENET else f"start_{Path(start).parent.name}"),
+    "viewpoints": Parameter("", lambda value, what: _path(value, what) if value else None,
+                            "a CSV of viewpoints (viewnet.data.annotated_viewpoints); empty: a stand-in", "viewpoints"),
+    "backgrounds": Parameter("", lambda value, what: folder_named("" if value == "drawn" else value, what) or "drawn",
+                             "a folder of images (SUN397) to composite training views over; empty: generated ones",
+                             "backgrounds"),
     "subset": _one_of("imagenet", SUBSETS, "of PASCAL3D+: imagenet, pascal or both"),
     "keep": _one_of("all", ("all", "easy", "first"), "all, easy (not truncated or occluded), first (of an image)"),
-    "margin": _number(
-        0.0, lambda x: 0 <= x <= 2, "0 to 2 sides of the box", "cropped beyond a box's longer side", "margin{:g}"
-    ),
+    "margin": _number(0.0, lambda x: 0 <= x <= 2, "0 to 2 sides of the box", "cropped beyond a box's longer side",
+                      "margin{:g}"),
     "backbone": Parameter("auto", _backbone, "of the view regression: vgg16, pixels ...; or auto", "{}"),
     "ridge": _number(baselines.RIDGE, lambda x: 0 < x < math.inf, "more than 0", "of the view regression", "ridge{:g}"),
-    "calibration": _count(
-        4, " from 4, or 0 for all", "photographs to align and fit on; 0: all there are", "calibration{}"
-    ),
-    "output": Parameter(
-        "", lambda value, what: _path(value, what) if value else paths.tables(), "for tables; empty: paper_tables"
-    ),
-    "workers": _count(
-        1, ", 0 for what the machine has room for", "parallel trainings; 0: as many as the machine has room for"
-    ),
+    "calibration": _count(4, " from 4, or 0 for all", "photographs to align and fit on; 0: all there are",
+                          "calibration{}"),
+    "output": Parameter("", lambda value, what: _path(value, what) if value else paths.tables(),
+                        "for tables; empty: paper_tables"),
+    "workers": _count(1, ", 0 for what the machine has room for",
+                      "parallel trainings; 0: as many as the machine has room for"),
 }
+# fmt: on
 """Every parameter, in the order of the parts of a folder's name."""

@@ -29,12 +29,8 @@ from viewnet.training import other_views
 SMOKE_MODELS, SMOKE_COUNT = 8, 80
 """The size of the stand-in for photographs at the smallest profile."""
 CODE = (
-    "evaluation/alignment.py",
-    "evaluation/baselines.py",
-    "evaluation/features.py",
-    "evaluation/predictions.py",
-    "geometry.py",
-    "runtime/torchvision_weights.py",
+    *(f"evaluation/{module}.py" for module in ("alignment", "baselines", "features", "predictions")),
+    *("geometry.py", "runtime/torchvision_weights.py"),
 )
 """What decides the predictions of untrained predictors."""
 ALIGNED = {"video_regression": "procrustes"}
@@ -70,16 +66,11 @@ class PhotoExperiment(Experiment):
         runs = product(self.trained_variants, self.categories, self.seeds)
         return [self._config(*run, **settings) for run in runs]
 
-    @property
-    def photographs(self) -> PhotoConfig:
-        """Those of the first category: see photo_config."""
-        square = RECIPES[self.recipe]["model"].get("crop") != "stretched"
-        settings = {"subset": self.subset, "keep": self.keep, "margin": self.margin}
-        return photographs(self.categories[0], self.data_root, square, self.smoke, **settings)
-
     def photo_config(self, category: str) -> PhotoConfig:
         """The photographs of a category."""
-        return replace(self.photographs, category=category)
+        square = RECIPES[self.recipe]["model"].get("crop") != "stretched"
+        settings = {"subset": self.subset, "keep": self.keep, "margin": self.margin}
+        return photographs(category, self.data_root, square, self.smoke, **settings)
 
     @property
     def note(self) -> str:
@@ -109,8 +100,8 @@ class PhotoExperiment(Experiment):
         """The table of these runs and of the untrained predictors; `added` and `remarks` as in Experiment."""
         stores = self.stores()
         measured, lines = self.entries(runs, stores), [*self.remarks(stores), *remarks]
-        renamed, unmeasured = self.renamed_rows, self.unmeasured_rows
-        return Table.of(self.name, measured, self.categories, self.note, lines, renamed, unmeasured, added)
+        rows = (self.renamed_rows, self.unmeasured_rows)
+        return Table.of(self.name, measured, self.categories, self.note, lines, *rows, added)
 
     @property
     def unmeasured_rows(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -126,7 +127,7 @@ def audit_viewpoints(viewpoints: pd.DataFrame, left_out: dict[str, int] | None =
     for category in dict.fromkeys(viewpoints["category"]):
         mine = viewpoints[viewpoints["category"] == category]
         for test_set, rows in test_sets(mine):
-            cells += examine(test_set, category, rows, dict(_sources(mine)), ("table3_pascal3d", "table4_dva"))
+            cells += examine(test_set, category, rows, _sources(mine), ("table3_pascal3d", "table4_dva"))
     cells.sort(key=lambda cell: list(TABLES).index(cell["table"]))
     return ConstantAudit(pd.DataFrame(cells), confidence_indices(viewpoints), left_out or {})
 
@@ -164,22 +165,21 @@ def mean_rotation(truth: Floats) -> Floats:
 MEANS = {"mean view vector": mean_view, "mean rotation": mean_rotation}
 
 
-def bounds(errors: Floats, azimuths: Floats, definition: str) -> dict[str, float]:
+def bounds(errors: Floats, azimuths: Floats) -> dict[str, float]:
     """What no level constant passes: acc30 and dva from above, the median from below.
 
-    `errors` (K, N) are geodesic errors of the grid of constants. Any other constant is within COVER of one of them, and
-    by every definition its errors are within COVER of that one's.
+    `errors` (K, N), by any definition, are those of the grid of constants. Any other constant is within COVER of one of
+    them, and by every definition its errors are within COVER of that one's.
     """
-    e = metrics.DEFINITIONS[definition](errors)
     return {
-        "acc30": float((e < 30 + COVER).mean(axis=1).max()) * 100,
-        "median": max(0.0, float(np.median(e, axis=1).min()) - COVER),
-        "dva": float(metrics.bin_accuracies(e, azimuths, 30 + COVER).mean(axis=-1).max()),
+        "acc30": float((errors < 30 + COVER).mean(axis=1).max()) * 100,
+        "median": max(0.0, float(np.median(errors, axis=1).min()) - COVER),
+        "dva": float(metrics.bin_accuracies(errors, azimuths, 30 + COVER).mean(axis=-1).max()),
     }
 
 
 def scores(errors: Floats, azimuths: Floats) -> dict[str, float]:
-    """acc30, median, dva and others of errors (N,) by any definition."""
+    """Statistics of errors (N,) by any definition, and "dva"."""
     return {**metrics.summary(errors), "dva": metrics.dva(errors, azimuths)}
 
 
@@ -190,25 +190,24 @@ def examine(
     truth, azimuths = level_frames(true_vectors(rows)), rows["azimuth"].to_numpy()
     candidates = {
         f"{mean} of {source}": angles(frame(true_vectors(viewpoints))[None], truth)[0]
-        for source, viewpoints in sources.items()
-        for mean, frame in MEANS.items()
+        for (source, viewpoints), (mean, frame) in product(sources.items(), MEANS.items())
     }
     grid = angles(grid_frames(around=bool(category)), truth)
+    reports = [(table, *report) for table in tables for report in reported_scores(table).items()]
     cells = []
     for definition, defined in metrics.DEFINITIONS.items():
-        errors, bound = defined(grid), bounds(grid, azimuths, definition)
+        bound = bounds(errors := defined(grid), azimuths)
         by_candidate = {name: scores(defined(e), azimuths) for name, e in candidates.items()}
-        for table in tables:
-            for column, report in reported_scores(table).items():
-                if category in ("", column):
-                    verdict, closest = _judge(report, by_candidate, bound, errors)
-                    cells.append(
-                        {"table": table, "category": column, "test_set": test_set, "images": len(rows)}
-                        | {"definition": definition, "verdict": verdict}
-                        | {"printed": " / ".join(f"{value:g}" for value in report.values()), "closest": closest}
-                        | {f"closest_{name}": by_candidate[closest][name] for name in report}
-                        | {f"bound_{name}": bound[name] for name in report}
-                    )
+        for table, column, report in reports:
+            if category in ("", column):
+                verdict, closest = _judge(report, by_candidate, bound, errors)
+                cells.append(
+                    {"table": table, "category": column, "test_set": test_set, "images": len(rows)}
+                    | {"definition": definition, "verdict": verdict}
+                    | {"printed": " / ".join(f"{value:g}" for value in report.values()), "closest": closest}
+                    | {f"closest_{name}": by_candidate[closest][name] for name in report}
+                    | {f"bound_{name}": bound[name] for name in report}
+                )
     return cells
 
 
@@ -242,13 +241,11 @@ def _some_constant(errors: Floats, report: dict[str, float]) -> bool:
     return bool((fits & (np.abs(median - report["median"]) <= COVER + REPRODUCED["median"])).any())
 
 
-def _sources(viewpoints: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+def _sources(viewpoints: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """What a constant may be the mean of: main text and supplement differ (validation or training data)."""
-    for (subset, split), rows in viewpoints.groupby(["subset", "split"]):
-        yield f"{subset} {split}", rows
-    if viewpoints["subset"].nunique() > 1:
-        for split, rows in viewpoints.groupby("split"):
-            yield f"both {split}", rows
+    sources = {f"{subset} {split}": rows for (subset, split), rows in viewpoints.groupby(["subset", "split"])}
+    both = viewpoints.groupby("split") if viewpoints["subset"].nunique() > 1 else ()
+    return sources | {f"both {split}": rows for split, rows in both}
 
 
 def confidence_indices(viewpoints: pd.DataFrame) -> pd.DataFrame:

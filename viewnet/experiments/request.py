@@ -57,6 +57,7 @@ _TABLE_KINDS = {"table4_freiburg": "videos", "table3_pascal3d": "photos", "table
 _ABLATION = tuple(variant for variant in LAYOUTS["table2_ablation"].variants if variant in VARIANTS)
 """The trained rows of Table 2."""
 _METHOD_TABLES = ("table1_shapenet", "table3_pascal3d", "table5_dva")
+_METHOD_VARIANTS = tuple(dict.fromkeys(v for table in _METHOD_TABLES for v in LAYOUTS[table].variants))
 
 DESIGNS = {
     **{name: Design(t.variants, _TABLE_KINDS.get(name, "cad"), t.categories) for name, t in LAYOUTS.items()},
@@ -70,12 +71,7 @@ DESIGNS = {
     "failures": Design(("viewnet",)),
     "reconstructions": Design(("viewnet", "viewnet_cycle"), "photos"),
     # It shows how, in a minute.
-    "your_method": Design(
-        tuple(dict.fromkeys(variant for table in _METHOD_TABLES for variant in LAYOUTS[table].variants)),
-        "own_method",
-        profile="smoke",
-        tables=_METHOD_TABLES,
-    ),
+    "your_method": Design(_METHOD_VARIANTS, "own_method", profile="smoke", tables=_METHOD_TABLES),
     # Nothing is trained for these, so the default is the paper's size.
     "architecture": Design(categories=(), profile="paper"),
     "audit_metrics": Design(categories=(), profile="paper"),

@@ -62,14 +62,13 @@ def scores(
 ) -> dict[str, Any]:
     """The scores of a model as JSON values; `where` is a run's key or folder, or what pretrained.load takes.
 
-    model, name  `where`, and the run's name
-    key          of the run, or of the run that the model was saved from
-    on           what was scored, in words; of a folder the last name
-    alignments   alignment -> the result of viewnet.evaluation.evaluate.evaluate; of photographs also for `OWN`
+    model, name, key  `where`; the name and key of the run, or of the run that the model was saved from
+    on                what was scored, in words; of a folder the last name
+    alignments        alignment -> the result of viewnet.evaluation.evaluate.evaluate; of photographs also for `OWN`
 
-    Alignments are fitted on the model's own validation views, or for photographs on their calibration split: on
-    `calibration` images of either (None: all). Raises ViewnetError where there is no model, for data that cannot be
-    scored, for views that are not those that the model was trained with, and as `evaluate` does.
+    Alignments are fitted on `calibration` images (None: all) of the model's own validation views, or of photographs'
+    calibration split. Raises ViewnetError where there is no model, for data that cannot be scored, for views that are
+    not those that the model was trained with, and as `evaluate` does.
     """
     data, steps = data or ScoredData(), steps or make_run.default_steps()
     known(data.subset, SUBSETS, "subset")
@@ -102,9 +101,8 @@ def as_text(scores: dict[str, Any]) -> str:
         f"  {scores['on']}: {first['images']} of {first['objects']} objects; aligned on {fitted['images']} of "
         f"{fitted['objects']}; [95 % intervals over objects]",
     ]
-    for row in (HEADER, *rows):
-        lines.append("  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
-    return "\n".join(lines)
+    padded = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in (HEADER, *rows)]
+    return "\n".join([*lines, *("  " + "  ".join(row).rstrip() for row in padded)])
 
 
 def _run(where: str, cad_root: str | None, folder: Path) -> Run:
@@ -124,9 +122,8 @@ def _run(where: str, cad_root: str | None, folder: Path) -> Run:
 
 def _moved(config: RunConfig, cad_root: str | None) -> RunConfig:
     """The same with the collection it was trained on in `cad_root`, if given."""
-    if cad_root is None:
-        return config
-    return replace(config, data=replace(config.data, root=folder_named(cad_root, "cad_root")))
+    root = config.data.root if cad_root is None else folder_named(cad_root, "cad_root")
+    return replace(config, data=replace(config.data, root=root))
 
 
 def _predictions(run: Run, data: ScoredData, steps: Steps) -> tuple[str, Predictions, bool]:

@@ -118,6 +118,6 @@ class VideoExperiment(PhotoExperiment):
     @property
     def regressed(self) -> VideoConfig:
         """The frames of the view regression: cropped as photographs are, to the box with its background."""
-        photographs = self.photographs
+        photographs = self.photo_config(self.categories[0])
         cut: dict[str, Any] = {"margin": photographs.margin, "square": photographs.square, "size": features.SIZE}
         return replace(self.video, masks="none", count=REGRESSED_FRAMES, pick="evenly", **cut)
