@@ -153,4 +153,4 @@ def test_regressions_that_cannot_be_fitted_are_refused(readable):
         baselines.calibrating(index, 151)
     with pytest.raises(ViewnetError, match="no views of split 'val'"):
         test = (index["split"] == "test").to_numpy()
-        baselines.view_regression(index[test], features[test], splits=("test",))
+        baselines.view_regression(index[test], features[test])

@@ -159,4 +159,4 @@ def test_what_cannot_be_scored_is_said():
         baselines.constant(index[index["split"] != "train"])
     ring = index.iloc[:4].assign(split="train", azimuth=[0.0, 90, 180, 270], elevation=0.0)
     with pytest.raises(ViewnetError, match="cancel out"):
-        baselines.constant(ring, splits=("train",))
+        baselines.constant(ring)

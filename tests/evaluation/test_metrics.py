@@ -77,6 +77,11 @@ def test_thresholds_are_strict_and_flips_are_over_150():
     assert metrics.accuracy(np.array([30.0]), 30) == 0.0
 
 
+def test_bins_are_of_30_degrees_and_the_confidence_index_counts_those_of_more_than_ten():
+    assert list(metrics.azimuth_bins(np.array([0.0, 29.9, 30.0, 359.9]))) == [0, 0, 1, 11]
+    assert metrics.confidence_index(np.repeat([15.0, 45.0, 75.0], [20, 11, 10])) == pytest.approx(2 / 12)
+
+
 def test_bootstrap_resamples_objects_not_images():
     # Ten objects of fifty views that are all right or all wrong: as uncertain as ten coin tosses, not as five hundred.
     objects = np.repeat([f"m{i}" for i in range(10)], 50)

@@ -1,12 +1,8 @@
-"""Predictors that need no training. Each returns Predictions, scored by the same function as those of ViewNet.
-
-Their `index` has the columns of a view store (viewnet.data.store); the rows of `splits` are predicted.
-"""
+"""Predictors that need no training: from the index of a view store to Predictions of its splits "val" and "test"."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -24,9 +20,7 @@ RIDGE = 1e3  # of the view regression, chosen on real cars with SqueezeNet's fea
 SPLITS = ("val", "test")
 
 
-def constant(
-    index: pd.DataFrame, splits: tuple[str, ...] = SPLITS, source: str = "train", mean: str = "vector"
-) -> Predictions:
+def constant(index: pd.DataFrame, source: str = "train", mean: str = "vector") -> Predictions:
     """The mean viewpoint of the split `source`, for every image (the rows "Constant").
 
     The supplement takes the mean over training data, the main text over validation data. There are two means, `mean`,
@@ -38,7 +32,7 @@ def constant(
     Raises ViewnetError for a missing split, an unknown mean, and where view vectors cancel out altogether.
     """
     mean_of = MEANS[known(mean, MEANS, "mean")]
-    return _same_for_all(index, splits, mean_of(true_vectors(_rows(index, (source,)))))
+    return _same_for_all(index, mean_of(true_vectors(_rows(index, (source,)))))
 
 
 def mean_vector(truth: Floats) -> Floats:
@@ -52,9 +46,8 @@ def mean_vector(truth: Floats) -> Floats:
 def mean_level_view(truth: Floats) -> Floats:
     """The view vector (3,) of the level camera frame closest to those of view vectors (N, 3), in squared entries.
 
-    With M the mean of the frames, right, up and back in columns, the closest level frame has the largest sum of
-    products of entries with M. At a given azimuth that sum is a + b cos(e) + c sin(e) of the elevation e, largest at
-    e = atan2(c, b): only the azimuth is searched, to 0.01 degrees.
+    It has the largest sum of products of entries with the mean of the frames, (right, up, back). At a given azimuth
+    it is a + b cos(e) + c sin(e), largest at the elevation atan2(c, b): only the azimuth is searched, to 0.01 degrees.
     """
     right, up, back = geometry.look_at(torch.from_numpy(np.array(truth))).numpy().mean(axis=0).T  # (3,) each
     angles = np.deg2rad(np.arange(0, 360, 0.01))
@@ -70,11 +63,7 @@ MEANS = {"vector": mean_vector, "rotation": mean_level_view}
 
 
 def view_regression(
-    index: pd.DataFrame,
-    features: NDArray[np.float32],
-    ridge: float = RIDGE,
-    splits: tuple[str, ...] = SPLITS,
-    source: str = "val",
+    index: pd.DataFrame, features: NDArray[np.float32], ridge: float = RIDGE, source: str = "val"
 ) -> Predictions:
     """Ridge regression from features (N, D), in the order of `index`, to view vectors (the row "VGG view").
 
@@ -86,13 +75,13 @@ def view_regression(
         raise ViewnetError(f"view regression: features are {features.shape} for {len(index)} images")
     if not ridge > 0:
         raise ViewnetError(f"ridge {ridge}: expected more than 0: features outnumber the images to fit on")
-    ids, fit = _rows(index, splits), (index["split"] == source).to_numpy()
+    ids, fit = _rows(index), (index["split"] == source).to_numpy()
     x, y = features[fit].astype(np.float64), true_vectors(_rows(index, (source,)))  # (n, D), (n, 3)
     x_mean, y_mean = x.mean(axis=0), y.mean(axis=0)  # (D,), (3,)
     x -= x_mean
     # Solved in the space of the images, which are far fewer than features.
     dual = np.linalg.solve(x @ x.T + ridge * np.eye(len(x)), y - y_mean)  # (n, 3)
-    vectors = (features[index["split"].isin(splits).to_numpy()] - x_mean) @ (x.T @ dual) + y_mean
+    vectors = (features[index["split"].isin(SPLITS).to_numpy()] - x_mean) @ (x.T @ dual) + y_mean
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     if (lengths < 1e-12).any():
         raise ViewnetError("view regression: a prediction is the zero vector, which has no direction: use more images")
@@ -110,7 +99,7 @@ def calibrating(index: pd.DataFrame, count: int | None = None, seed: int = 0) ->
     return mask
 
 
-def best_constant(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS) -> Predictions:
+def best_constant(index: pd.DataFrame) -> Predictions:
     """The one viewpoint that is within 30 degrees (geodesic) of the most training views, on a grid of 2 degrees.
 
     The strongest constant: the mean of viewpoints all around an object points to the sky, where no camera was.
@@ -122,48 +111,44 @@ def best_constant(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS) -> Pred
     bound = 1 + 2 * np.cos(np.deg2rad(30))
     frames, flat = geometry.look_at(grid).reshape(-1, 9), truth.reshape(-1, 9).T  # (G, 9), (9, N)
     hits = torch.cat([(part @ flat > bound).double().mean(1) for part in frames.split(500)])  # (G,)
-    return _same_for_all(index, splits, grid[hits.argmax()].numpy())
+    return _same_for_all(index, grid[hits.argmax()].numpy())
 
 
-def random(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS, seed: int = 0) -> Predictions:
+def random(index: pd.DataFrame, seed: int = 0) -> Predictions:
     """One viewpoint per image, uniform in azimuth and in elevation from -20 to 40 degrees, from `seed`."""
-    ids, rng = _rows(index, splits), np.random.default_rng(seed)
+    ids, rng = _rows(index), np.random.default_rng(seed)
     azimuth, elevation = (torch.from_numpy(rng.uniform(*bounds, (len(ids), 1))) for bounds in ((0, 360), (-20, 40)))
     return Predictions(ids, geometry.view_vector(azimuth, elevation).numpy(), rng.standard_normal((len(ids), 1)))
 
 
-def oracle(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS, rotation: Floats | None = None) -> Predictions:
+def oracle(index: pd.DataFrame, rotation: Floats | None = None) -> Predictions:
     """The true viewpoints, in a frame rotated by `rotation` (3, 3): what alignment must undo."""
-    ids = _rows(index, splits)
+    ids = _rows(index)
     vectors = true_vectors(ids) if rotation is None else true_vectors(ids) @ np.asarray(rotation).T  # (N, 3)
     return Predictions(ids, vectors[:, None], np.zeros((len(ids), 1)))
 
 
-def _rows(index: pd.DataFrame, splits: tuple[str, ...]) -> pd.DataFrame:
+def _rows(index: pd.DataFrame, splits: tuple[str, ...] = SPLITS) -> pd.DataFrame:
     if missing := [split for split in splits if not (index["split"] == split).any()]:
         raise ViewnetError(f"view store: no views of split {missing[0]!r}")
     return index[index["split"].isin(splits)]
 
 
-def _same_for_all(index: pd.DataFrame, splits: tuple[str, ...], vector: Floats) -> Predictions:
-    ids = _rows(index, splits)
+def _same_for_all(index: pd.DataFrame, vector: Floats) -> Predictions:
+    ids = _rows(index)
     return Predictions(ids, np.broadcast_to(vector, (len(ids), 1, 3)), np.zeros((len(ids), 1)))
 
 
-@dataclass(frozen=True)
-class Baseline:
-    """A predictor that needs no training, and the alignments it is scored by: that of its row in the tables first."""
-
-    predict: Callable[[pd.DataFrame], Predictions]  # index of a view store -> predictions of "val" and "test"
-    alignments: tuple[str, ...] = ("none", "procrustes")  # what is fitted on labels is in the annotated frame already
-
-
-UNTRAINED = {"constant": Baseline(constant), "best_constant": Baseline(best_constant), "random": Baseline(random)}
-"""Baselines fitted on training views, by variant: runs of the run store (viewnet.training.run_store.untrained)."""
-ON_CALIBRATION = {
-    "constant": Baseline(partial(constant, source="val")),
-    "constant_rotation": Baseline(partial(constant, source="val", mean="rotation")),
-    "photographs": Baseline(oracle),
-    "random": Baseline(random),
+# Fitted on training views, by variant: runs of the run store (viewnet.training.run_store.untrained).
+UNTRAINED: dict[str, Callable[[pd.DataFrame], Predictions]] = {
+    "constant": constant,
+    "best_constant": best_constant,
+    "random": random,
 }
-"""Baselines fitted on calibration photographs, the split "val"; "photographs" is the truth, to describe the set."""
+# Fitted on calibration photographs, the split "val"; "photographs" is the truth, to describe the set.
+ON_CALIBRATION: dict[str, Callable[[pd.DataFrame], Predictions]] = {
+    "constant": partial(constant, source="val"),
+    "constant_rotation": partial(constant, source="val", mean="rotation"),
+    "photographs": oracle,
+    "random": random,
+}

@@ -58,8 +58,7 @@ def extract(store: ViewStore, backbone: str = "auto", size: int = SIZE) -> Featu
     digest = hashlib.sha256(f"{store.identity} {backbone} {size} {code}".encode() + weights).hexdigest()[:16]
     path = paths.data() / "features" / f"{digest}.npy"
     if path.is_file():
-        again = "delete it and it is made again"
-        cached = load_array(path, again)
+        cached = load_array(path, again := "delete it and it is made again")
         if cached.shape[:-1] != (len(store),) or cached.dtype != np.float32 or not np.isfinite(cached).all():
             raise ViewnetError(f"{path}: {cached.dtype} {cached.shape} for {len(store)} images: {again}")
         return cached

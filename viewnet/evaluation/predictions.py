@@ -27,11 +27,6 @@ class Predictions:
 
     Raises ViewnetError for missing columns, no rows, wrong shapes, values that are not finite and vectors whose length
     is not 1.
-
-    >>> ids = pd.DataFrame([["a", "car", "test", 0, 90.0, 0.0]], columns=ID_COLUMNS)
-    >>> predictions = Predictions(ids, np.array([[[1.0, 0, 0], [0, 1, 0]]]), np.array([[0.2, 1.5]]))
-    >>> predictions.choice, predictions.selected, predictions.truth.round(3)
-    (array([1]), array([[0., 1., 0.]]), array([[0., 1., 0.]]))
     """
 
     ids: pd.DataFrame  # a row for each image: `ID_COLUMNS`, text, an integer (view), and the true angles in degrees
@@ -136,8 +131,7 @@ class Predictions:
 
 def joined(parts: Sequence[Predictions]) -> Predictions:
     """Predictions of one predictor, concatenated. ViewnetError where they differ in hypotheses or up vectors."""
-    heads = sorted({part.heads for part in parts})
-    if len(heads) != 1:
+    if len(heads := sorted({part.heads for part in parts})) != 1:
         raise ViewnetError(f"predictions of {' and '.join(map(str, heads))} hypotheses cannot be joined")
     ups = [part.ups for part in parts if part.ups is not None]
     if 0 < len(ups) < len(parts):
@@ -179,11 +173,9 @@ def _checked_ids(ids: pd.DataFrame) -> pd.DataFrame:
         kind = "text" if name in ("model_id", "category", "split") else "numbers"
         if not (is_text(ids[name]).all() if kind == "text" else pd.api.types.is_numeric_dtype(ids[name])):
             raise ViewnetError(f"predictions: column {name!r} holds values that are not {kind}")
-    views = ids["view"].to_numpy(dtype=np.float64)
-    if not (np.abs(views) < 2**53).all() or (views % 1).any():
+    if not (np.abs(views := ids["view"].to_numpy(dtype=np.float64)) < 2**53).all() or (views % 1).any():
         raise ViewnetError("predictions: column 'view' holds values that are not whole numbers")
-    kinds = {"model_id": str, "category": str, "split": str, "view": np.int64}
-    ids = ids.astype({**kinds, "azimuth": np.float64, "elevation": np.float64})
+    ids = ids.astype(dict(zip(ID_COLUMNS, (str, str, str, np.int64, np.float64, np.float64), strict=True)))
     if not np.isfinite(ids[["azimuth", "elevation"]].to_numpy()).all():
         raise ViewnetError("predictions: azimuth or elevation is not finite")
     if not ids["elevation"].between(-90, 90).all():

@@ -16,6 +16,7 @@ from viewnet.runtime.files import read_csv, read_json
 
 NOT_SCORED = "its own views have no annotated val and test split"
 LEARNED_ALIGNMENTS = ("procrustes", "linear")  # without pose labels: the tables' rows, then the paper's starred rows
+FITTED_ALIGNMENTS = ("none", "procrustes")  # what is fitted on labels is in the annotated frame already
 LOG_COLUMNS = ("epoch", "loss", "seconds", "step", "val_accuracy")  # of every training log
 
 
@@ -44,7 +45,7 @@ class Run:
     @property
     def alignments(self) -> tuple[str, ...]:
         """The alignments it is scored by."""
-        return LEARNED_ALIGNMENTS if self.trained else UNTRAINED[self.config.variant].alignments
+        return LEARNED_ALIGNMENTS if self.trained else FITTED_ALIGNMENTS
 
     @property
     def alignment(self) -> str:

@@ -7,18 +7,6 @@ A row is an image. Its columns are those that `Predictions.to_parquet` writes:
     logit_0, logit_1 ...        the hypothesis of the largest is the prediction; required where there are several
     up0_x up0_y up0_z ...       unit up vectors, of methods that predict in-plane rotation
     split, azimuth, elevation   optional; where present they must be the store's
-
-A file may hold several categories.
-
->>> import tempfile
->>> ids = pd.DataFrame({"model_id": "a", "category": "car", "split": ["val", "test"], "view": [0, 1],
-...                     "azimuth": [0.0, 90.0], "elevation": 0.0})
->>> with tempfile.TemporaryDirectory() as folder:
-...     path = Path(folder, "mine.csv")
-...     _ = path.write_text("category,model_id,view,h0_x,h0_y,h0_z\\ncar,a,1,0,1,0\\ncar,a,0,1,0,0\\n")
-...     read(path, ids).selected
-array([[1., 0., 0.],
-       [0., 1., 0.]])
 """
 
 from __future__ import annotations
@@ -43,11 +31,9 @@ def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
     Rows of other categories are ignored; of this one every image must appear once, and no other. True angles are taken
     from `ids`. Raises ViewnetError naming the file and the first row at fault (1 is the first below a header).
     """
-    path = Path(path)
-    frame = _frame(path)
-    for name in (*IMAGE, "h0_x"):
-        if name not in frame.columns:
-            raise ViewnetError(f"{path}: column {name!r} is missing: expected {', '.join(IMAGE)}, h0_x, h0_y, h0_z")
+    frame = _frame(path := Path(path))
+    if missing := [name for name in (*IMAGE, "h0_x") if name not in frame.columns]:
+        raise ViewnetError(f"{path}: column {missing[0]!r} is missing: expected {', '.join(IMAGE)}, h0_x, h0_y, h0_z")
     for name in ("category", "model_id"):
         if (row := _first(frame, ~is_text(frame[name]))) is not None:
             raise ViewnetError(f"{path}: row {row}: {name} {frame.at[row, name]} is no text: write ids as text")

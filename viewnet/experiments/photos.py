@@ -161,4 +161,4 @@ class PhotoExperiment(Experiment):
         if variant == "view_regression":
             settings = {"backbone": self.features, "size": features.SIZE, "ridge": self.ridge}
             return baselines.view_regression(index, features.extract(store, self.features)[rows], self.ridge), settings
-        return baselines.ON_CALIBRATION[variant].predict(index), {}
+        return baselines.ON_CALIBRATION[variant](index), {}

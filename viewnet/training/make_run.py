@@ -102,7 +102,7 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
         if not job.trained:
             if not scored:
                 raise ViewnetError(f"{job.name}: {NOT_SCORED}, and there is nothing to train: use an annotated store")
-            predictions = UNTRAINED[config.variant].predict(views.index)
+            predictions = UNTRAINED[config.variant](views.index)
         else:
             if not ("training" in result and (folder / checkpoint.CHECKPOINT).is_file()):
                 result = {"schema": SCHEMA, "training": _train(job, views, steps, threads, progress)}

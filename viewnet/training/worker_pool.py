@@ -25,9 +25,12 @@ from viewnet.runtime.progress import bar as progress_bar
 from viewnet.training.make_run import Job, Steps, attempt, make, one_line
 
 T = TypeVar("T")
-
 POLL = 1.0  # seconds between looks at the logs
 TRIES = 3  # how often a run is begun on an executor whose workers die
+
+
+class WorkerDied(BrokenExecutor):
+    """A worker process ended in the middle of a job."""
 
 
 def run_all(
@@ -123,25 +126,18 @@ def _is_running(future: Future[Any], job: Job, started: float) -> bool:
 
 def progress_line(job: Job) -> str:
     """A job and the last row of its log in some words: epoch, loss, Acc@30 on validation views."""
-    config = job.config
-    title = f"{config.variant} {config.category} {config.seed}"
-    try:
-        with (job.folder / "log.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, ValueError, csv.Error):  # a damaged log is reported where it is read for results
-        rows = []
-    if not rows or "epoch" not in rows[-1]:
-        return title
-    last = rows[-1]
-    line = f"{title} {str(last['epoch'])[:9].strip()}/{config.train.epochs}"
+    config, last = job.config, dict[str, Any]()
+    line = f"{config.variant} {config.category} {config.seed}"
+    # A damaged log is reported where it is read for results.
+    with contextlib.suppress(OSError, ValueError, csv.Error), (job.folder / "log.csv").open(newline="") as file:
+        last = [{}, *csv.DictReader(file)][-1]
+    if "epoch" not in last:
+        return line
+    line += f" {str(last['epoch'])[:9].strip()}/{config.train.epochs}"
     for column, label in (("loss", "loss"), ("val_accuracy", "acc")):
         with contextlib.suppress(KeyError, TypeError, ValueError):
             line += f" {label} {float(last[column]):.3g}"
     return line
-
-
-class WorkerDied(BrokenExecutor):
-    """A worker process ended in the middle of a job."""
 
 
 class LocalPool(futures.ThreadPoolExecutor):
