@@ -160,10 +160,8 @@ def _row(work: Work, settings: Settings, rates: Rates, device: torch.device) -> 
     row |= {"images": work.images, "floor_s": floor}
     for name in CONTESTANTS:
         row |= _spread(name, "_s", times[name])
-        row[f"{name}_images_per_s"], row[f"{name}_over_floor"] = (
-            work.images / row[f"{name}_s"],
-            row[f"{name}_s"] / floor,
-        )
+        seconds = row[f"{name}_s"]
+        row |= {f"{name}_images_per_s": work.images / seconds, f"{name}_over_floor": seconds / floor}
         if work.memory:
             row[f"{name}_bytes"] = contestants.peak_memory(work, name, device, settings.threads)
     row["memory_ratio"] = _ratio(row["textbook_bytes"], row["viewnet_bytes"])

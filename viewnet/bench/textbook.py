@@ -8,7 +8,7 @@ the same names of weights.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import torch
 import torch.nn.functional as F
@@ -108,8 +108,7 @@ class Generator(nn.Module):
         x = self.code.expand(len(appearance), -1, -1, -1, -1)
         for stage in self.stages:
             x = stage(x, appearance)
-        logits: Tensor = self.last(x)
-        return logits
+        return cast(Tensor, self.last(x))
 
 
 class TextbookViewNet(nn.Module):

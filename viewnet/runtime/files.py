@@ -168,10 +168,7 @@ def read_csv(path: Path, **options: Any) -> Any:
 
 
 def load_array(path: Path, again: str, mmap_mode: Literal["r"] | None = None) -> np.ndarray:
-    """The array of a .npy file, numeric only; ViewnetError, which ends in `again`, for anything else.
-
-    Nothing is unpickled, and no more memory is allocated than the file has bytes.
-    """
+    """The array of numbers in a .npy file, nothing unpickled; ViewnetError, ending in `again`, for anything else."""
     try:
         # Memory-mapped first: the header may claim any size, but a map cannot be longer than its file.
         array = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -185,10 +182,7 @@ def load_array(path: Path, again: str, mmap_mode: Literal["r"] | None = None) ->
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the lock of `folder`, waiting while another process does. The lock of a process that dies is released.
-
-    Raises ViewnetError where the lock's folder cannot be made or written to.
-    """
+    """Hold the lock of `folder`, waiting while a living process does; ViewnetError where it cannot be written."""
     lock = FileLock(folder.with_name(f".{folder.name}.lock"))
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)

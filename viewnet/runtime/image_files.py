@@ -23,8 +23,7 @@ MOST_PIXELS = 100_000_000
 def opened(source: Path | IO[bytes], what: str = "image", formats: tuple[str, ...] = FORMATS) -> Iterator[Image.Image]:
     """An image, its header read, for a block that only decodes it.
 
-    Raises ViewnetError for a file that is missing, of another format or too large, and for any error in the block, as
-    of a damaged file: "`what` does not decode".
+    Raises ViewnetError for a file that is missing, of another format or too large, and for any error in the block.
     """
     try:
         with Image.open(source, formats=formats) as image:

@@ -59,12 +59,9 @@ def follow_parent() -> None:
 
 
 def as_done(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, what: str) -> Iterator[Result]:
-    """The results of `work` on every job, in the order of their completion; with one worker, in this process.
-
-    Raises ViewnetError, saying that it makes `what`, where a process dies.
-    """
+    """The results of `work` on every job, in order of completion; ViewnetError, naming `what`, if a process dies."""
     workers = min(workers, len(jobs))
-    if workers == 1:
+    if workers == 1:  # in this process
         yield from map(work, jobs)
         return
     try:
