@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from helpers.fake_steps import STEPS, calls
 from helpers.photo_data import keep_apart, make_photos
+from helpers.tables import cell_of
 
 from viewnet.config import PhotoConfig, VideoConfig
 from viewnet.data.store import ViewStore
@@ -100,11 +101,11 @@ def test_every_training_has_its_row_beside_what_is_printed(fakes, folders, tmp_p
     table = request.table(runs)
     assert all(table.checks().values()), table.checks()
     assert table.rows == (ROWS[0], *ALIGNED[ROWS[1]], *ALIGNED[ROWS[2]], *ALIGNED[ROWS[3]])
-    assert [table.cell(row, "chair", "acc30")["printed"] for row in ROWS] == ["", "83", "91", "89"]
-    assert [table.cell(row, "chair", "median")["printed"] for row in ROWS] == ["", "", "8.8", "10.1"]
+    assert [cell_of(table, row, "chair", "acc30")["printed"] for row in ROWS] == ["", "83", "91", "89"]
+    assert [cell_of(table, row, "chair", "median")["printed"] for row in ROWS] == ["", "", "8.8", "10.1"]
     for row, mine in zip(ROWS[1:], (runs[:2], runs[2:4], runs[4:]), strict=True):
         for label in ALIGNED[row]:
-            cell = table.cell(label, "chair", "acc30")
+            cell = cell_of(table, label, "chair", "acc30")
             assert cell["seeds"] == 2
             assert {key.partition("/")[0] for key in cell["runs"].split()} == {run.key for run in mine}
     masks = [run.config.data.video and run.config.data.video.mask_folder for run in runs]
@@ -118,7 +119,7 @@ def test_without_weak_masks_their_row_is_left_as_printed(fakes, tmp_path):
     request = experiment("objectron", profile="smoke", video_root=str(root), workers=1)
     table = request.table(request.run(progress=False))
     assert all(table.checks().values()), table.checks()
-    cell = table.cell(ROWS[3], "chair", "acc30")
+    cell = cell_of(table, ROWS[3], "chair", "acc30")
     assert (cell["printed"], cell["seeds"]) == ("89", 0)
     assert any("supervised masks (files in masks): cut out by masks/" in line for line in table.remarks)
     assert not any("weak masks" in line for line in table.remarks)

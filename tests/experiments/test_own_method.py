@@ -12,6 +12,7 @@ from helpers.evaluation_data import make_index, noisy
 from helpers.fake_steps import STEPS
 from helpers.latex import assert_tabular
 from helpers.photo_data import keep_apart, make_photos
+from helpers.tables import cell_of
 
 from viewnet import geometry
 from viewnet.config import CATEGORIES
@@ -153,7 +154,7 @@ def test_the_same_predictions_score_the_same_as_ours_to_the_last_bit(photographs
     table = with_methods(request, runs, [Submission(f"By file, {kind}", file, kind) for kind in kinds.values()])
     for row, kind in kinds.items():
         for metric in ("acc30", "median"):
-            mine, theirs = (table.cell(r, "car", metric) for r in (f"By file, {kind}", row))
+            mine, theirs = (cell_of(table, r, "car", metric) for r in (f"By file, {kind}", row))
             assert [mine[s] for s in SCORES] == [theirs[s] for s in SCORES]
     assert table.rows[-3:] == tuple(f"By file, {kind}" for kind in kinds.values())
     assert all(table.checks().values()), table.checks()
@@ -170,13 +171,13 @@ def test_table_1_scores_views_of_cad_models(drawn, tmp_path):
     mine = [Submission("Straight", Says(straight), "none"), Submission("By file", tmp_path / "said.parquet")]
     table = with_methods(request, runs, mine)
     for metric in ("acc30", "median"):
-        scores = [[table.cell(row, "car", metric)[s] for s in SCORES] for row in ("ViewNet", "By file")]
+        scores = [[cell_of(table, row, "car", metric)[s] for s in SCORES] for row in ("ViewNet", "By file")]
         assert scores[0] == scores[1]
     ids = held_out(request, "car").ids
     expected = np.median(
         align(Predictions(ids, straight(len(ids))[:, None], np.zeros((len(ids), 1))), "none").selected_errors
     )
-    assert table.cell("Straight", "car", "median")["measured"] == pytest.approx(expected)
+    assert cell_of(table, "Straight", "car", "median")["measured"] == pytest.approx(expected)
     assert_tabular(table.latex())
     assert "Straight: added, by predict; alignment none" in table.latex()
 
@@ -187,19 +188,23 @@ def test_another_collection_is_scored_as_a_whole(drawn, tmp_path):
     assert images.ids["split"].value_counts().to_dict() == {"test": 120, "val": 32}
     assert images.ids.loc[images.ids["split"] == "test", "model_id"].str.startswith("other-").all()
     table = with_methods(request, runs, [Submission("Straight", Says(straight))])
-    assert table.cell("Straight", "car", "acc30")["images"] == table.cell("ViewNet", "car", "acc30")["images"] == 120
+    assert (
+        cell_of(table, "Straight", "car", "acc30")["images"]
+        == cell_of(table, "ViewNet", "car", "acc30")["images"]
+        == 120
+    )
 
 
 def test_a_method_without_labels_is_aligned(photographs):
     table = alone("table3_pascal3d", Submission("As is", Brightest(), "none"), Submission("Turned", Brightest()))
-    assert table.cell("As is", "car", "acc30")["measured"] == 0
-    assert table.cell("Turned", "car", "acc30")["measured"] > 95
+    assert cell_of(table, "As is", "car", "acc30")["measured"] == 0
+    assert cell_of(table, "Turned", "car", "acc30")["measured"] > 95
 
 
 def test_the_dva_table_has_its_row_too(photographs):
     table = alone("table5_dva", Submission("Turned", Brightest()))
-    assert table.cell("Turned", "car", "dva")["measured"] > 95
-    assert table.cell("Turned", "car", "confidence_index") is None
+    assert cell_of(table, "Turned", "car", "dva")["measured"] > 95
+    assert cell_of(table, "Turned", "car", "confidence_index") is None
 
 
 @pytest.mark.slow

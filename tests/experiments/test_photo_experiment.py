@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers.fake_steps import STEPS
 from helpers.photo_data import keep_apart, make_photos
+from helpers.tables import cell_of
 
 from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES, PhotoConfig
 from viewnet.errors import ViewnetError
@@ -205,17 +206,17 @@ def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path
     said = on_photographs(car, store)
     for row, kind in (("ViewNet", "procrustes"), ("ViewNet*", "linear")):
         errors = align(said, kind, 30).selected_errors
-        assert table.cell(row, "car", "median")["measured"] == pytest.approx(np.median(errors))
-    keys = {row: table.cell(row, "car", "median")["runs"] for row in table.rows}
+        assert cell_of(table, row, "car", "median")["measured"] == pytest.approx(np.median(errors))
+    keys = {row: cell_of(table, row, "car", "median")["runs"] for row in table.rows}
     assert keys["ViewNet"] == car.key and keys["ViewNet*"] == f"{car.key}/linear"
     assert table.provenance[keys["ViewNet*"]]["alignment"] == "linear"
     assert table.provenance[keys["ViewNet*"]]["photographs"] == store.identity
     regression = table.provenance[keys["VGG view* (pixels)"]]
     assert (regression["backbone"], regression["ridge"], regression["calibration"]) == ("pixels", 1000, 30)
     # Reported numbers stay with their rows, whatever the rows are called.
-    assert table.cell("VGG view* (pixels)", "car", "acc30")["printed"] == "56"
-    assert table.cell("Liao (withdrawn)", "car", "acc30")["printed"] == "93"
-    assert table.cell("SSV*", "car", "acc30")["seeds"] == 0
+    assert cell_of(table, "VGG view* (pixels)", "car", "acc30")["printed"] == "56"
+    assert cell_of(table, "Liao (withdrawn)", "car", "acc30")["printed"] == "93"
+    assert cell_of(table, "SSV*", "car", "acc30")["seeds"] == 0
     assert "80 used, 1 left out" in table.remarks
     assert any("30 calibration photographs" in line for line in table.remarks)
     files = table.write(tmp_path / "written")
@@ -231,15 +232,15 @@ def test_the_dva_table_tells_the_confidence_index_of_the_photographs(photographs
 
     store = request.stores()["car"]
     test = store.index[store.index["split"] == "test"]
-    cell = table.cell("Confidence index", "car", "confidence_index")
+    cell = cell_of(table, "Confidence index", "car", "confidence_index")
     assert cell["measured"] == confidence_index(test["azimuth"].to_numpy())
     assert cell["printed"] == "1"
     frame = table.frame()
     assert frame.loc["Confidence index", ("dva", "car", "ours")] == f"{cell['measured']:.2f}"
     found = align(on_photographs(run(request)[0], store), "linear")
     expected = dva(found.selected_errors, test["azimuth"].to_numpy())
-    assert table.cell("ViewNet*", "car", "dva")["measured"] == pytest.approx(expected)
-    assert table.cell("ViewNet*", "car", "dva")["low"] < expected < table.cell("ViewNet*", "car", "dva")["high"]
+    assert cell_of(table, "ViewNet*", "car", "dva")["measured"] == pytest.approx(expected)
+    assert cell_of(table, "ViewNet*", "car", "dva")["low"] < expected < cell_of(table, "ViewNet*", "car", "dva")["high"]
     assert list(table.measurements().columns) == ["DVA, % [95 %]", "seeds", "objects", "images"]
     assert "Confidence index" not in table.differences().index
 

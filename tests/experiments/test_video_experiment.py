@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers.fake_steps import STEPS, calls
 from helpers.photo_data import keep_apart, make_photos
+from helpers.tables import cell_of
 from helpers.video_data import write_frames, write_freiburg
 from PIL import Image
 
@@ -127,16 +128,16 @@ def test_the_table_scores_photographs_beside_what_is_printed(fakes, freiburg, tm
     assert table.rows == (
         "Constant", "VGG view (pixels)", "VGG view, videos (pixels)", "VpDR-Net + FrC", "ViewNet", "ViewNet + cycle"
     )  # fmt: skip
-    printed = {row: table.cell(row, "car", "acc30")["printed"] for row in table.rows}
+    printed = {row: cell_of(table, row, "car", "acc30")["printed"] for row in table.rows}
     assert list(printed.values()) == ["", "56", "", "50", "61", "59"]
-    assert table.cell("VpDR-Net + FrC", "car", "median")["seeds"] == 0
+    assert cell_of(table, "VpDR-Net + FrC", "car", "median")["seeds"] == 0
     store = request.stores()["car"]
     errors = align(on_photographs(runs[0], store), "procrustes").selected_errors
-    assert table.cell("ViewNet", "car", "median")["measured"] == pytest.approx(np.median(errors))
-    regression = table.provenance[table.cell("VGG view, videos (pixels)", "car", "acc30")["runs"]]
+    assert cell_of(table, "ViewNet", "car", "median")["measured"] == pytest.approx(np.median(errors))
+    regression = table.provenance[cell_of(table, "VGG view, videos (pixels)", "car", "acc30")["runs"]]
     assert (regression["alignment"], regression["backbone"]) == ("procrustes", "pixels")
     assert regression["videos"] == video_views(request.regressed, 1, False).identity
-    assert table.provenance[table.cell("VGG view (pixels)", "car", "acc30")["runs"]]["alignment"] == "none"
+    assert table.provenance[cell_of(table, "VGG view (pixels)", "car", "acc30")["runs"]]["alignment"] == "none"
     assert any("car: 18 views of 3 clips (3 train)" in line and "masks: files" in line for line in table.remarks)
     assert all(line in table.write(tmp_path / "out")[0].read_text() for line in ("VpDR-Net", "80 photographs"))
 

@@ -12,6 +12,7 @@ import pytest
 from helpers.evaluation_data import make_index, noisy
 from helpers.fake_steps import STEPS
 from helpers.latex import assert_tabular
+from helpers.tables import cell_of
 
 from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES
 from viewnet.errors import ViewnetError
@@ -137,7 +138,7 @@ def test_a_run_fills_its_starred_row_too(runs):
     table = Table.of("table3_pascal3d", result)
     for e, kind in ((result[0], "linear"), (result[1], "procrustes")):
         median = np.median(align(e.predictions, kind).selected_errors)
-        assert table.cell(e.row, e.category, "median")["measured"] == pytest.approx(median)
+        assert cell_of(table, e.row, e.category, "median")["measured"] == pytest.approx(median)
 
 
 @pytest.mark.skipif(not any(map(shutil.which, ("pdflatex", "tectonic"))), reason="no TeX engine on this machine")

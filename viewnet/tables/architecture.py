@@ -50,10 +50,9 @@ class Architecture:
 
     def write(self, folder: Path) -> list[Path]:
         """`architecture_<part>.tex` and `.csv`."""
-        files = [folder / f"architecture_{self.part}{suffix}" for suffix in (".tex", ".csv")]
-        write_text(files[0], self.latex())
-        write_text(files[1], self.layers.to_csv(index=False, lineterminator="\n"))
-        return files
+        write_text(tex := folder / f"architecture_{self.part}.tex", self.latex())
+        write_text(csv := tex.with_suffix(".csv"), self.layers.to_csv(index=False, lineterminator="\n"))
+        return [tex, csv]
 
 
 def architectures(config: ModelConfig) -> list[Architecture]:

@@ -141,7 +141,7 @@ def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -
     judge is the category's run of ViewNet, of its first seed; without one nothing is judged. Raises ViewnetError for
     two runs of one variant, category and seed, and as `fidelity` does.
     """
-    if len({(r.config.variant, r.config.category, r.config.seed) for r in runs}) < len(runs):
+    if len({(run.config.variant, run.config.category, run.config.seed) for run in runs}) < len(runs):
         raise ViewnetError("novel views: two runs of one variant and category have the same seed: choose one")
     for run in runs:
         if run.config.variant not in LABELS:
@@ -174,24 +174,20 @@ def frame(cells: pd.DataFrame) -> pd.DataFrame:
     wide = cells.assign(text=texts).pivot(index="row", columns=["category", "metric"], values="text")
     order = pd.MultiIndex.from_product([cells["category"].unique(), NOVEL_VIEWS])
     wide = wide.reindex(index=cells["row"].unique(), columns=order).fillna(DASH)
-    return wide.rename(columns=columns.names(NOVEL_VIEWS), level=1).rename_axis(index=None)
+    return wide.rename(columns=lambda metric: METRICS[metric].name, level=1).rename_axis(index=None)
 
 
 def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
     """`novel_views.tex`, a booktabs tabular, and `novel_views.csv`: every number, with its interval and runs."""
-    files = [folder / "novel_views.tex", folder / "novel_views.csv"]
-    write_text(files[0], latex.measured(cells, NOVEL_VIEWS, note))
-    write_text(files[1], cells.round(4).to_csv(index=False, lineterminator="\n"))
-    return files
+    write_text(tex := folder / "novel_views.tex", latex.measured(cells, NOVEL_VIEWS, note))
+    write_text(csv := folder / "novel_views.csv", cells.round(4).to_csv(index=False, lineterminator="\n"))
+    return [tex, csv]
 
 
 def _lines(
     about: dict[str, str], keys: str, scored: Sequence[pd.DataFrame], errors: dict[str, list[Floats]], draws: int
 ) -> list[dict[str, object]]:
-    """Every metric of the seeds of one row; `about` is the row, variant and category, `keys` those of the runs.
-
-    `scored` is `fidelity` of each seed, `errors` the `consistency` of each by the kind of viewpoint network.
-    """
+    """Every metric of a row: `scored` is `fidelity` of each seed, `errors` its `consistency` by kind of network."""
     objects = [scores["model_id"].to_numpy() for scores in scored]
     values: dict[str, tuple[list[float], tuple[float, float] | None]] = {}
     for metric in FIDELITY:

@@ -21,7 +21,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.runtime.files import write_json, write_text
 from viewnet.tables import columns, latex, reported
-from viewnet.tables.columns import DASH, HEADLINE, text
+from viewnet.tables.columns import DASH, HEADLINE, METRICS, text
 from viewnet.tables.layouts import LAYOUTS, Layout
 
 DRAWS = 1000
@@ -152,7 +152,7 @@ class Table:
         shown = self.layout.metrics
         cells = self.cells.assign(
             print=self.cells["printed"].replace("", DASH),
-            ours=[text(m, metric) for m, metric in zip(self.cells["measured"], self.cells["metric"], strict=True)],
+            ours=list(map(text, self.cells["measured"], self.cells["metric"])),
             metric=self.cells["metric"].where(self.cells["metric"].isin(shown), shown[0]),
         )
         wide = cells.pivot(index="row", columns=["metric", "category"], values=["print", "ours"])
@@ -178,7 +178,7 @@ class Table:
         wide = measured.assign(text=texts).pivot(index=keys, columns="metric", values="text")
         counts = measured.drop_duplicates(keys).set_index(keys)[["seeds", "objects", "images"]]
         wide = wide.join(counts).loc[counts.index, [*shown, *counts.columns]]
-        return wide.rename(columns={metric: f"{name} [95 %]" for metric, name in columns.names(shown).items()})
+        return wide.rename(columns={metric: f"{METRICS[metric].name} [95 %]" for metric in shown})
 
     def checks(self) -> dict[str, bool]:
         """Properties that hold for every table, whatever was trained and for how long."""
@@ -210,10 +210,9 @@ class Table:
 
     def write(self, folder: Path) -> list[Path]:
         """`<name>.tex`, `<name>.csv` (every cell, with interval) and `<name>.json` (where each number comes from)."""
-        files = [folder / f"{self.name}{suffix}" for suffix in (".tex", ".csv", ".json")]
-        write_text(files[0], self.latex())
-        write_text(files[1], self.cells.round(4).to_csv(index=False, lineterminator="\n"))
-        cells = self.cells.round(4).assign(runs=self.cells["runs"].str.split()).astype(object)
+        cells = self.cells.round(4)
+        write_text(tex := folder / f"{self.name}.tex", self.latex())
+        write_text(csv := folder / f"{self.name}.csv", cells.to_csv(index=False, lineterminator="\n"))
         about = {
             "table": self.name,
             "title": self.layout.title,
@@ -222,13 +221,10 @@ class Table:
             "error": "geodesic angle between camera frames, degrees; accuracy: per cent strictly below 30",
             "interval": f"95 % percentile bootstrap over objects, {DRAWS} draws, of the mean over seeds",
         }
-        lines = cells.where(cells.notna(), None).to_dict("records")
-        write_json(files[2], about | {"cells": lines, "runs": self.provenance})
-        return files
-
-    def cell(self, row: str, category: str, metric: str) -> dict[str, Any] | None:
-        """One line of `cells`; None where the row has no such metric."""
-        return columns.by_key(self.cells).get((row, category, metric))
+        plain = cells.assign(runs=cells["runs"].str.split()).astype(object).where(cells.notna(), None)
+        entries = {"cells": plain.to_dict("records"), "runs": self.provenance}
+        write_json(path := folder / f"{self.name}.json", about | entries)
+        return [tex, csv, path]
 
 
 def scores_by_definition(runs: Sequence[Run], table: str, row: str) -> pd.DataFrame:
@@ -241,13 +237,10 @@ def scores_by_definition(runs: Sequence[Run], table: str, row: str) -> pd.DataFr
     lines = {}
     for run in runs:
         scores = run.result["metrics"][run.alignment]
-        definitions = {"geodesic": {m: scores[m] for m in HEADLINE}, **scores["audit"]}
-        for name, values in definitions.items():
+        for name, values in {"geodesic": scores, **scores["audit"]}.items():
             lines[run.config.category, name] = {m: text(values[m], m) for m in HEADLINE}
         lines[run.config.category, "printed"] = {m: paper.get((run.config.category, m), DASH) for m in HEADLINE}
-    frame = pd.DataFrame.from_dict(lines, orient="index")
-    frame.index = pd.MultiIndex.from_tuples(frame.index, names=["category", "definition"])
-    return frame
+    return pd.DataFrame(lines).T.rename_axis(index=["category", "definition"])
 
 
 def _measure(seeds: Sequence[Entry], row_metrics: Sequence[str]) -> dict[str, dict[str, Any]]:
