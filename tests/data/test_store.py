@@ -90,7 +90,7 @@ def test_what_is_written_is_read(store: ViewStore, images: np.ndarray) -> None:
 
 
 def test_a_split_without_views(store: ViewStore) -> None:
-    with pytest.raises(ViewnetError, match=r"no views in split 'full' \(it has test, train, val\)"):
+    with pytest.raises(ViewnetError, match=r"no views in split 'full' \(only test, train, val\)"):
         store.split("full")
 
 

@@ -22,9 +22,8 @@ def read(path: Path) -> tuple[pd.DataFrame, dict[str, int]]:
     """A CSV of viewpoints: category, azimuth_deg, elevation_deg; also subset (imagenet, pascal), split (train, val),
     easy (1: neither difficult nor truncated nor occluded) and annotated (0: only coarsely) where it has them.
 
-    Returns the usable rows, columns category, azimuth (degrees, [0, 360)), elevation, subset, split and easy, and the
-    number of rejected rows by reason. Raises ViewnetError for a file that cannot be read, a missing column, and a list
-    without usable rows.
+    Returns the usable rows, with azimuth in [0, 360), and the number of rejected rows by reason. Raises ViewnetError
+    for a file that cannot be read, a missing column, and a list without usable rows.
     """
     table = read_csv(path, dtype={"category": str, "subset": str, "split": str})
     if missing := [name for name in REQUIRED if name not in table.columns]:

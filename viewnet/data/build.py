@@ -106,10 +106,8 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
         root = Path(config.root)
         reader = next((r.photographs for r in READERS.values() if r.photographs and r.recognises(root)), None)
         if reader is None:
-            raise ViewnetError(
-                f"{root}: no photographs that can be read: expected PASCAL3D+ 1.1 (a folder with Annotations, Images"
-                f" and Image_sets) or a folder with images/ and {LIST}"
-            )
+            expected = f"PASCAL3D+ 1.1 (Annotations, Images and Image_sets) or a folder with images/ and {LIST}"
+            raise ViewnetError(f"{root}: no photographs that can be read: expected {expected}")
         made_by |= reader.describe(config, root)
     assert reader is not None
     folder = _store_folder(f"photos-{config.category}", made_by)
@@ -185,10 +183,7 @@ def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]
 
 
 def video_stand_in(config: VideoConfig, workers: int | None = None, progress: bool = True) -> Path:
-    """The folder of the stand-in for videos that `config` asks for, written if it is not there yet.
-
-    Raises ViewnetError for a category that neither data set has, and for a folder of videos, which has no stand-in.
-    """
+    """The folder of the stand-in for videos that `config` asks for, written if it is not there yet."""
     if config.category == freiburg.CATEGORY and config.kind in ("auto", "freiburg"):
         driven = (config.sequences or freiburg_standin.SEQUENCES, config.frames, config.seed)
         return filled_once(

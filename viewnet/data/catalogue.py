@@ -41,23 +41,15 @@ NETWORKS = {
 
 def weights() -> list[Weights]:
     """The networks whose weights are read, where they are expected, and whether they are there."""
-    return [
-        Weights(
-            network,
-            use,
-            torchvision_weights.variable(network),
-            str(path := torchvision_weights.weights_file(network)),
-            path.is_file(),
-            masks.weights_url(network),
-        )
-        for network, use in NETWORKS.items()
-    ]
+    listed = []
+    for network, use in NETWORKS.items():
+        variable, path = torchvision_weights.variable(network), torchvision_weights.weights_file(network)
+        listed.append(Weights(network, use, variable, str(path), path.is_file(), masks.weights_url(network)))
+    return listed
 
 
 def recognise(folder: Path) -> str:
-    """The key of the data set whose layout a folder has.
-
-    Raises ViewnetError for a missing folder and for no known layout; the message names one that lies a folder deeper.
+    """The key of the data set whose layout a folder has; a ViewnetError otherwise names one that lies a folder deeper.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:

@@ -135,7 +135,8 @@ def describe(
     """What decides a store, as JSON values; files are known by their names and sizes."""
     hashed = hashlib.sha256()
     for clip in sorted(clips, key=lambda clip: clip.id):
-        known_of = [(f.number, _angle(f.azimuth), _angle(f.elevation), f.box) for f in clip.frames]
+        values = [(f.number, f.azimuth, f.elevation, f.box) for f in clip.frames]
+        known_of = [[None if value != value else value for value in row] for row in values]  # JSON has no NaN
         files = [_sizes(clip.source), None if clip.masks is None else _sizes(clip.masks)]
         hashed.update(json.dumps([clip.id, clip.category, clip.split, known_of, files]).encode())
     return {
@@ -233,10 +234,6 @@ def _row(clip: Clip, view: _View, root: Path) -> tuple[Any, ...]:
     frame, source = view.frame, f"{_within(clip.source, root)}#{view.name}"
     azimuth = frame.azimuth % 360 % 360  # NaN stays NaN
     return clip.id, clip.category, clip.split, frame.number, azimuth, frame.elevation, source
-
-
-def _angle(value: float) -> float | None:
-    return None if math.isnan(value) else value
 
 
 def _sizes(path: Path) -> list[Any]:

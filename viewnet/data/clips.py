@@ -75,10 +75,7 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def frame_count(source: Path) -> int:
-    """Number of frames of a source: the images of a folder, or the packets of a video, which are not decoded.
-
-    Raises ViewnetError for a video that cannot be read, and a source without frames.
-    """
+    """The images of a folder, or packets of a video, not decoded. ViewnetError for unreadable videos, and for none."""
     if source.is_dir():
         total = len(images_in(source))
     else:
@@ -95,8 +92,7 @@ def frame_count(source: Path) -> int:
 def pick_frames(total: int, count: int | None, how: Pick, name: str, seed: int = 0) -> list[int]:
     """Ascending numbers of `count` of `total` frames, or of all for None and where there are no more.
 
-    "evenly": the middles of equal stretches of time; "random": by seed and the clip's name. Raises ViewnetError for a
-    count below 1, and another way of picking.
+    "evenly": the middles of equal stretches of time; "random": by seed and the clip's name.
     """
     if count is not None and count < 1:
         raise ViewnetError(f"frames {count}: expected 1 or more a clip, or none for all")
@@ -114,8 +110,7 @@ def pick_frames(total: int, count: int | None, how: Pick, name: str, seed: int =
 def read_frames(source: Path, numbers: Collection[int]) -> Iterator[Still]:
     """The frames with these numbers, ascending, upright as their camera recorded; a video is decoded up to the last.
 
-    An image that does not decode, or a frame that a video turns out not to have, comes as a ViewnetError. Raises
-    ViewnetError for a video that cannot be opened.
+    A frame that does not decode or does not exist comes as a ViewnetError; a video that cannot be opened raises one.
     """
     ascending = sorted(set(numbers))
     return _from_folder(source, ascending) if source.is_dir() else _from_video(source, ascending)

@@ -41,9 +41,8 @@ class Crop:
 def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None = None) -> np.ndarray:
     """Crop an image to `box` (pixels from its left upper corner; None: all of it), (size, size, 4) uint8.
 
-    A `mask` (H, W) uint8 of the image's size becomes alpha, and what is beyond the image's edges is transparent; alpha
-    is straight, and colours are black where it is 0. Raises ViewnetError for a box that has no part in the image, and
-    for more than MOST_PIXELS.
+    A `mask` (H, W) uint8 of the image's size becomes straight alpha, 0 beyond the image's edges; colours are black
+    where it is 0. Raises ViewnetError for a box that has no part in the image, and for more than MOST_PIXELS.
     """
     width, height = image.size
     x0, y0, x1, y1 = box or (0.0, 0.0, float(width), float(height))
@@ -83,10 +82,9 @@ def shrunk(view: np.ndarray, share: float) -> np.ndarray:
     size = len(view)
     side = max(1, round(share * size))
     start = (size - side) // 2
-    padded = np.zeros_like(view)
-    small = Image.fromarray(view).resize((side, side), Image.Resampling.HAMMING)
-    padded[start : start + side, start : start + side] = np.asarray(small)
-    return padded
+    small = np.asarray(Image.fromarray(view).resize((side, side), Image.Resampling.HAMMING))
+    after = size - side - start
+    return np.pad(small, ((start, after), (start, after), (0, 0)))
 
 
 def bounds(mask: np.ndarray) -> Box:

@@ -231,9 +231,7 @@ def _check_room(folder: Path, size: int, open_share: float) -> None:
     needed = int(size * (1 + open_share) * 1.02) + 2**20
     free = shutil.disk_usage(folder.parent).free
     if free < needed:
-        raise ViewnetError(
-            f"{folder}: {needed} bytes needed and {free} free on that disk: make room or use fewer views"
-        )
+        raise ViewnetError(f"{folder}: {needed} bytes needed and {free} free on its disk: make room or use fewer views")
 
 
 def _render(jobs: list[Chunk], total: int, workers: int | None, progress: bool, executor: Executor | None) -> None:

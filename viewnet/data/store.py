@@ -68,15 +68,13 @@ class ViewStore:
         meta = _read_meta(folder / "meta.json")
         images = load_array(folder / "views.npy", _AGAIN, mmap_mode="r")
         if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 4 or min(images.shape) < 1:
-            raise ViewnetError(
-                f"{folder / 'views.npy'}: {images.dtype} {images.shape}: expected uint8 (N, H, W, 4): {_AGAIN}"
-            )
+            wrong = f"{images.dtype} {images.shape}: expected uint8 (N, H, W, 4)"
+            raise ViewnetError(f"{folder / 'views.npy'}: {wrong}: {_AGAIN}")
         try:
             index = pd.read_parquet(folder / "index.parquet")
         except Exception as error:  # The parquet reader raises its own types on damaged files.
-            raise ViewnetError(
-                f"{folder / 'index.parquet'}: cannot be read ({type(error).__name__}): {_AGAIN}"
-            ) from None
+            problem = f"cannot be read ({type(error).__name__})"
+            raise ViewnetError(f"{folder / 'index.parquet'}: {problem}: {_AGAIN}") from None
         check_index(index, len(images), folder / "index.parquet")
         return cls(folder, images, index, meta)
 
@@ -99,9 +97,7 @@ class ViewStore:
         rows = np.flatnonzero((self.index["split"] == name).to_numpy())
         if not len(rows):
             names = ", ".join(sorted(self.index["split"].unique()))
-            raise ViewnetError(
-                f"{self.folder}: no views in split {name!r} (it has {names}): use another, or more models"
-            )
+            raise ViewnetError(f"{self.folder}: no views in split {name!r} (only {names}): use another, or more models")
         return rows
 
     def require_viewpoints(self, splits: Iterable[str], otherwise: str) -> None:
@@ -109,9 +105,8 @@ class ViewStore:
         rows = self.index["split"].isin(list(splits))
         if missing := int(self.index.loc[rows, "azimuth"].isna().sum()):
             names = " and ".join(splits)
-            raise ViewnetError(
-                f"{self.folder}: {missing} of {int(rows.sum())} views of {names} have no viewpoint: {otherwise}"
-            )
+            count = int(rows.sum())
+            raise ViewnetError(f"{self.folder}: {missing} of {count} views of {names} have no viewpoint: {otherwise}")
 
     def __len__(self) -> int:
         return len(self.images)
@@ -160,9 +155,8 @@ def write_store(
 ) -> ViewStore:
     """Write a store to `folder` from batches (n, H, W, 4) uint8 in the order of `index`, and open it.
 
-    `made_by` (JSON values) holds everything that decided the views. The folder appears when it is whole; memory holds
-    one batch at a time. Raises ViewnetError where `folder` exists, the index is not valid, batches and index differ in
-    length, and where the disk is full.
+    `made_by` (JSON values) holds everything that decided the views. Raises ViewnetError where `folder` exists, the
+    index is not valid, batches and index differ in length, and where the disk is full.
     """
     import pandas as pd
 
