@@ -114,10 +114,9 @@ def prepare(work: Work, contestant: str, device: torch.device) -> Call:
 
 def _renderer(work: Work, by_textbook: bool, device: torch.device) -> Call:
     shape = volume.squash(logits(work.occupancy, work.size, work.batch).to(device), None, None)
-    cameras, focal = camera_frames(work.images).to(device), torch.tensor(FOCAL, device=device)
-    size = work.size
-    weights = torch.randn(work.images, 4, size, size, generator=torch.Generator(device).manual_seed(0), device=device)
     shape = shape.contiguous() if by_textbook else shape
+    cameras, focal, size = camera_frames(work.images).to(device), torch.tensor(FOCAL, device=device), work.size
+    weights = torch.randn(work.images, 4, size, size, generator=torch.Generator(device).manual_seed(0), device=device)
 
     def call() -> None:
         # New leaves each time, so that nothing cached of the last volume helps.

@@ -20,8 +20,8 @@ from viewnet.tables.benchmark import CONTESTANTS, HEADINGS, NOT_MEASURED, cells,
 from viewnet.tables.columns import DASH
 
 COLUMN = 3.25  # inches: a column of the paper
-COLOURS = {"textbook": "#d55e00", "viewnet": "#0072b2"}  # told apart by colour-blind readers, and by their markers
-MARKERS = {"textbook": "s", "viewnet": "o"}
+# Marker and colour of each contestant, told apart by colour-blind readers.
+STYLES = {"textbook": ("s", "#d55e00"), "viewnet": ("o", "#0072b2")}
 RATIOS = {"time": "#009e73", "memory": "#e69f00"}
 
 
@@ -115,7 +115,7 @@ def _bars(axes: Axes, rows: list[Row]) -> None:
     axes.legend(handles=handles, frameon=False, fontsize=7, loc="lower right")
 
 
-def _curves(axes: Axes, rows: list[Row], column: str, scale: float, label: str) -> None:
+def _curves(axes: Axes, rows: list[Row], column: str, scale: float, unit: str) -> None:
     """Both contestants over the side, and what grows with its third power, for the eye."""
     rows = [row for row in rows if all(row[f"{name}_{column}"] for name in CONTESTANTS)]
     if not rows:
@@ -123,15 +123,15 @@ def _curves(axes: Axes, rows: list[Row], column: str, scale: float, label: str) 
         axes.set(xticks=[], yticks=[])
         return
     sizes = [row["size"] for row in rows]
-    for name in CONTESTANTS:
+    for name, (marker, colour) in STYLES.items():
         values = [scale * row[f"{name}_{column}"] for row in rows]
-        axes.plot(sizes, values, marker=MARKERS[name], markersize=3.5, linewidth=1, color=COLOURS[name], label=name)
+        axes.plot(sizes, values, marker=marker, markersize=3.5, linewidth=1, color=colour, label=name)
         if column == "s":
             low, high = ([row[f"{name}_{end}"] for row in rows] for end in ("low", "high"))
-            axes.fill_between(sizes, low, high, color=COLOURS[name], alpha=0.2, linewidth=0)
+            axes.fill_between(sizes, low, high, color=colour, alpha=0.2, linewidth=0)
         cubes = [values[-1] * (size / sizes[-1]) ** 3 for size in sizes]
-        axes.plot(sizes, cubes, color="0.6", linewidth=0.8, linestyle=":", zorder=0,
-                  label="third power" if name == CONTESTANTS[-1] else None)  # fmt: skip
+        label = "third power" if name == CONTESTANTS[-1] else None
+        axes.plot(sizes, cubes, color="0.6", linewidth=0.8, linestyle=":", zorder=0, label=label)
     axes.set_xscale("log", base=2)
-    axes.set(yscale="log", ylabel=label)
+    axes.set(yscale="log", ylabel=unit)
     axes.set_xticks(sizes, [str(size) for size in sizes])
