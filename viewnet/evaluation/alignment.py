@@ -86,8 +86,8 @@ class Procrustes(Alignment):
 class Robust(Procrustes):
     """The rotation R of the world with the least sum of distances |R p - t|, not of their squares (L1).
 
-    Where a share of the predictions is off by 180 degrees and viewpoints are one-sided, squares are least for a
-    rotation that tilts the world as a compromise; distances are least for the rotation that most predictions agree on.
+    Where some of one-sided predictions are off by 180 degrees, squares are least for a rotation that tilts the world as
+    a compromise; distances are least for the rotation that most predictions agree on.
     """
 
     kind: ClassVar[str] = "robust"
@@ -143,10 +143,9 @@ class Linear(Alignment):
 
 @dataclass(frozen=True)
 class PerAngle(Alignment):
-    """A linear function of the azimuth and one of the elevation, in degrees, as in SSV.
+    """A linear function of the azimuth in (-180, 180] and one of the elevation, in degrees, as in SSV.
 
-    Azimuths are taken in (-180, 180], and the regression ignores that they wrap around: it suits a narrow range of
-    viewpoints, not a full turn. Elevations are clipped to +-90.
+    That azimuths wrap around is ignored: it suits a narrow range of viewpoints, not a full turn.
     """
 
     azimuth: tuple[float, float]  # slope, intercept

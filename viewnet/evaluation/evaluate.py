@@ -106,11 +106,8 @@ def evaluate(
         "intervals": {name: None if bounds is None else list(bounds) for name, bounds in intervals.items()},
         "oracle": _headline(aligned.errors.min(axis=1)),
         "heads": [
-            {
-                "selected": 100 * float(np.mean(test.choice == m)),
-                "best": 100 * float(np.mean(best == m)),
-                "acc30": metrics.accuracy(aligned.errors[:, m], 30),
-            }
+            {"selected": 100 * float(np.mean(test.choice == m)), "best": 100 * float(np.mean(best == m))}
+            | {"acc30": metrics.accuracy(aligned.errors[:, m], 30)}
             for m in range(test.heads)
         ],
         "audit": {name: _headline(values) for name, values in audit.items()},

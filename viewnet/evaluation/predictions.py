@@ -25,8 +25,7 @@ UNIT_TOLERANCE = 1e-3  # of a view vector's length: float16 and bfloat16 outputs
 class Predictions:
     """N images with M viewpoint hypotheses each.
 
-    Raises ViewnetError for missing columns, no rows, wrong shapes, values that are not finite and vectors whose length
-    is not 1.
+    ViewnetError for missing columns, no rows, wrong shapes, values that are not finite and vectors of a length not 1.
     """
 
     ids: pd.DataFrame  # a row for each image: `ID_COLUMNS`, text, an integer (view), and the true angles in degrees

@@ -75,9 +75,9 @@ class Run:
     @property
     def log(self) -> pd.DataFrame:
         """The training log, see `read_log`. ViewnetError where there is none."""
-        if not (self.folder / "log.csv").is_file():
+        if not (path := self.folder / "log.csv").is_file():
             raise ViewnetError(f"{self.folder}: no log.csv: {self.name} needs no training, or it was removed")
-        return read_log(self.folder / "log.csv")
+        return read_log(path)
 
 
 def run_name(config: RunConfig) -> str:

@@ -23,8 +23,8 @@ def named() -> str:
 def executor(address: str | None = None, timeout: float = 30) -> Iterator[Executor]:
     """The workers of a scheduler: its address (tcp://host:8786) or `scheduler-file:PATH`; default: `named`.
 
-    Dask submits the job of a worker that dies to another, up to three times. Raises ViewnetError where Dask is not
-    installed, or no scheduler answers within `timeout` seconds.
+    Dask submits the job of a worker that dies to another, up to three times. ViewnetError where Dask is not installed,
+    or no scheduler answers within `timeout` seconds.
     """
     if not (address := address or named()):
         raise ViewnetError(f"no cluster: give tcp://HOST:PORT or {FILE}PATH, or set {VARIABLE}")

@@ -130,9 +130,7 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
 
 def is_complete(folder: Path) -> bool:
     """Whether a run is finished, and predicted and evaluated by the present code."""
-    if not (folder / "result.json").is_file():
-        return False
-    result = read_result(folder / "result.json")
+    result = read_result(folder / "result.json") if (folder / "result.json").is_file() else {}
     if not (result.get("schema") == SCHEMA and "metrics" in result and result.get("code") == code_identities()):
         return False
     return result["metrics"] is None or (folder / "predictions.parquet").is_file()

@@ -115,8 +115,12 @@ def _plan(
     missing = [config for config in unique if not make_run.is_complete(folders[config])]
     # The longest first and the shortest last, so that no core waits long at the end.
     missing.sort(key=lambda c: (c.model.decoder != "hologan", not c.train.cycle.on, c.model.heads == 1))
-    # Absolute paths, since another machine's process has another working directory.
-    return folders, [Job(_absolute(c), folders[c].absolute(), Path(stores[c.data].folder).absolute()) for c in missing]
+    jobs = []
+    for config in missing:  # with absolute paths, since another machine's process has another working directory
+        start = config.train.start and str(checkpoint.locate(config.train.start))
+        same = replace(config, train=replace(config.train, start=start))
+        jobs.append(Job(same, folders[config].absolute(), Path(stores[config.data].folder).absolute()))
+    return folders, jobs
 
 
 def _backgrounds_identity(config: RunConfig, progress: bool) -> str:
@@ -127,9 +131,3 @@ def _backgrounds_identity(config: RunConfig, progress: bool) -> str:
 
     backgrounds = augment.made(config.data, config.model.input_size, progress)
     return "" if backgrounds is None else backgrounds.identity
-
-
-def _absolute(config: RunConfig) -> RunConfig:
-    """The same with the full path of the checkpoint it starts from."""
-    start = config.train.start and str(checkpoint.locate(config.train.start))
-    return replace(config, train=replace(config.train, start=start))

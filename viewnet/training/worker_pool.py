@@ -56,10 +56,7 @@ def run_all(
 
 
 def make_together(jobs: Sequence[Job], steps: Steps, progress: bool) -> None:
-    """Make one job after another, each trained by all processes of a torchrun; the first failure ends all.
-
-    The first process does everything else: it holds the run's lock, predicts and evaluates.
-    """
+    """Make one job after another, each trained by all processes of a torchrun; the first failure ends all."""
     threads = max(1, cores() // distributed.local_size())
 
     def train(*arguments: Any, **options: Any) -> None:
@@ -67,7 +64,7 @@ def make_together(jobs: Sequence[Job], steps: Steps, progress: bool) -> None:
         steps.train(*arguments, **options)
 
     for job in jobs:
-        if distributed.rank() == 0:
+        if distributed.rank() == 0:  # holds the run's lock, predicts and evaluates
             make(job, replace(steps, train=train), threads, progress)
             distributed.first(lambda: False)
         else:
@@ -161,14 +158,15 @@ class LocalPool(futures.ThreadPoolExecutor):
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         """As Executor.submit. RuntimeError once the pool is shut down."""
-        return super().submit(self._call, fn, args, kwargs)
 
-    def _call(self, fn: Callable[..., T], args: tuple[Any, ...], kwargs: dict[str, Any]) -> T:
-        worker = self._idle.get()
-        try:
-            return worker.call(fn, args, kwargs)
-        finally:
-            self._idle.put(worker)
+        def on_idle_worker() -> T:
+            worker = self._idle.get()
+            try:
+                return worker.call(fn, *args, **kwargs)
+            finally:
+                self._idle.put(worker)
+
+        return super().submit(on_idle_worker)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """As Executor.shutdown."""
@@ -191,7 +189,7 @@ class _Worker:
         self._gpu, self._context = gpu, _Context()
         self._executor: futures.ProcessPoolExecutor | None = None
 
-    def call(self, fn: Callable[..., T], args: tuple[Any, ...], kwargs: dict[str, Any]) -> T:
+    def call(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> T:
         """The result of a function in the process. WorkerDied where the process ends before it returns."""
         if self._executor is None:
             self._executor = futures.ProcessPoolExecutor(1, self._context, _initialise, (self._gpu,))
