@@ -11,7 +11,7 @@ import sys
 import textwrap
 import traceback
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from viewnet.errors import ViewnetError
 
@@ -64,8 +64,7 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     whole.set_defaults(parser=whole)
-    version = f"viewnet {importlib.metadata.version('viewnet')}"
-    whole.add_argument("--version", action="version", version=version)
+    whole.add_argument("--version", action="version", version=f"viewnet {importlib.metadata.version('viewnet')}")
     commands = whole.add_subparsers(required=True, metavar="COMMAND")
     for name in COMMANDS:
         module = importlib.import_module(f"viewnet.commands.{name}")
@@ -78,7 +77,11 @@ def parser() -> argparse.ArgumentParser:
             epilog="examples:\n" + textwrap.indent(textwrap.dedent(examples), "  "),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        module.add_arguments(command)
+        for each in module.ARGUMENTS:
+            exclusive = isinstance(each, list)
+            place: Any = command.add_mutually_exclusive_group() if exclusive else command
+            for names, settings in each if exclusive else [each]:
+                place.add_argument(*names, **settings)
         command.set_defaults(run=module.run)
     return whole
 

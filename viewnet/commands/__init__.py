@@ -1,6 +1,6 @@
 """The commands of `viewnet`, a module each.
 
-A module's docstring is the command's help: a summary, a description and examples. `add_arguments` adds its options to a
-parser; `run` takes the parsed arguments, prints the results and returns an exit code (None is 0). What takes long to
-import is imported inside of `run`.
+A module's docstring is the command's help: a summary, a description and examples. `ARGUMENTS` are its
+arguments; `run` takes them parsed, prints the results and returns an exit code (None is 0). What takes long to import
+is imported inside of `run`.
 """

@@ -11,15 +11,14 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import Options, Parser, add_json, print_json, records
+from viewnet.commands.options import JSON, Options, argument, print_results, records
 
-
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet audit."""
-    columns = "category, azimuth_deg, elevation_deg, and optionally subset, split, easy, annotated"
-    parser.add_argument("--viewpoints", type=Path, required=True, metavar="FILE", help=f"a CSV with {columns}")
-    parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="write every number there, as CSV files")
-    add_json(parser)
+COLUMNS = "category, azimuth_deg, elevation_deg, and optionally subset, split, easy, annotated"
+ARGUMENTS = (
+    argument("--viewpoints", f"a CSV with {COLUMNS}", type=Path, required=True, metavar="FILE"),
+    argument("-o --output", "write every number there, as CSV files", type=Path, metavar="FOLDER"),
+    JSON,
+)
 
 
 def run(options: Options) -> None:
@@ -28,15 +27,8 @@ def run(options: Options) -> None:
 
     audit = audit_file(options.viewpoints)
     files = audit.write(options.output) if options.output else []
-    if options.json:
-        tables = {"constants": records(audit.constants), "confidence": records(audit.confidence)}
-        names = [str(path) for path in files]
-        print_json({"note": audit.note, "left out": audit.left_out, **tables, "files": names})
-        return
-    print(audit.note)
-    print("\nRows Constant: verdict by each definition of the error, and the test sets where it holds")
-    print(audit.summary().to_string())
-    print("\nConfidence index")
-    print(audit.confidence.to_string(index=False))
-    if files:
-        print(*files, sep="\n")
+    tables = {"constants": records(audit.constants), "confidence": records(audit.confidence)}
+    values = {"note": audit.note, "left out": audit.left_out, **tables, "files": [str(path) for path in files]}
+    verdicts = "\nRows Constant: verdict by each definition of the error, and the test sets where it holds"
+    confidence = ("\nConfidence index", audit.confidence.to_string(index=False))
+    print_results(options, values, audit.note, verdicts, audit.summary().to_string(), *confidence, *files)

@@ -12,22 +12,19 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import Options, Parser, add_json, print_json
+from viewnet.commands.options import JSON, Options, argument, print_results
 
-
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet bench."""
-    add = parser.add_argument
-    add("--sizes", type=int, nargs="+", metavar="N", help="voxels along a side (default: 32 64 128)")
-    add("--batch", type=int, metavar="N", help="targets of a training step (default: 16; 64 on a GPU)")
-    add("--repeat", type=int, metavar="N", help="measurements of each (default: 5)")
-    add("--threads", type=int, metavar="N", help="CPU threads (default: the number of cores)")
-    accuracy = "also train on built-in models with so many seeds: minutes each (default: 0)"
-    add("--accuracy", type=int, default=0, metavar="SEEDS", help=accuracy)
-    add("--quick", action="store_true", help="small sizes, in seconds: checks that it works, measures nothing")
-    files = "where the files go (default: paper_tables/benchmarks)"
-    add("-o", "--output", type=Path, metavar="FOLDER", help=files)
-    add_json(parser)
+TRAINED = "also train on built-in models with so many seeds: minutes each (default: 0)"
+ARGUMENTS = (
+    argument("--sizes", "voxels along a side (default: 32 64 128)", type=int, nargs="+", metavar="N"),
+    argument("--batch", "targets of a training step (default: 16; 64 on a GPU)", type=int, metavar="N"),
+    argument("--repeat", "measurements of each (default: 5)", type=int, metavar="N"),
+    argument("--threads", "CPU threads (default: the number of cores)", type=int, metavar="N"),
+    argument("--accuracy", TRAINED, type=int, default=0, metavar="SEEDS"),
+    argument("--quick", "small sizes, in seconds: checks that it works, measures nothing", action="store_true"),
+    argument("-o --output", "where the files go (default: paper_tables/benchmarks)", type=Path, metavar="FOLDER"),
+    JSON,
+)
 
 
 def run(options: Options) -> None:
@@ -40,7 +37,5 @@ def run(options: Options) -> None:
     settings = measure.Settings.default(sizes=sizes, **{name: getattr(options, name) for name in names})
     measured = measure.measure(settings)
     files = report.write(measured, options.output or paths.tables() / "benchmarks")
-    if options.json:
-        print_json(measured | {"files": [str(path) for path in files]})
-    else:
-        print(report.as_text(measured), *files, sep="\n")
+    values = measured | {"files": [str(path) for path in files]}
+    print_results(options, values, report.as_text(measured), *files)

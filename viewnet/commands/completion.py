@@ -14,21 +14,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from viewnet import paths
-from viewnet.commands.options import Options, Parser
+from viewnet.commands.options import Options, argument
 from viewnet.config import CATEGORIES
 from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS
 
-SHELLS = ("bash", "zsh", "tcsh")
 VALUES = {"categories": CATEGORIES, "variant": VARIANTS, "profile": PROFILES, "recipe": RECIPES}
 """The values of arguments that have few; whatever uses an argument checks it."""
 FILES, FOLDERS = ("FILE", "IMAGE", "WHERE"), ("FOLDER",)
 """Metavars of arguments that take files and folders."""
 
 
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet completion."""
-    parser.add_argument("shell", choices=SHELLS)
+ARGUMENTS = (argument("shell", choices=("bash", "zsh", "tcsh")),)
 
 
 def run(options: Options) -> None:
@@ -47,7 +44,7 @@ def run(options: Options) -> None:
     print(shtab.complete(options.parser, options.shell))
 
 
-def _actions(parser: Parser) -> Iterator[argparse.Action]:
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
     """The arguments of a parser and of its commands."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

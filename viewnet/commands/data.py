@@ -12,15 +12,14 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import Options, Parser, add_json, print_json
+from viewnet.commands.options import JSON, Options, argument, print_results
 from viewnet.errors import ViewnetError
 
-
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet data."""
-    parser.add_argument("what", nargs="?", choices=["check"], help="check: read a folder instead")
-    parser.add_argument("folder", nargs="?", type=Path, metavar="FOLDER", help="the folder to check")
-    add_json(parser)
+ARGUMENTS = (
+    argument("what", "check: read a folder instead", nargs="?", choices=["check"]),
+    argument("folder", "the folder to check", nargs="?", type=Path, metavar="FOLDER"),
+    JSON,
+)
 
 
 def run(options: Options) -> None:
@@ -30,9 +29,6 @@ def run(options: Options) -> None:
     if options.what and options.folder is None:
         raise ViewnetError("data check: name the folder to check")
     report = catalogue.check(options.folder) if options.what else None
-    if options.json:
-        print_json(catalogue.as_dict(report))
-    else:
-        print(catalogue.as_text(report))
+    print_results(options, catalogue.as_dict(report), catalogue.as_text(report))
     if report is not None and report.problems and not any(report.counts.values()):
         raise ViewnetError(f"{report.folder}: nothing in it can be used")

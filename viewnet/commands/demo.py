@@ -13,22 +13,21 @@ Examples:
 import socket
 from typing import Any
 
-from viewnet.commands.options import Options, Parser, add_model
+from viewnet.commands.options import MODEL, Options, argument
 from viewnet.errors import ViewnetError
 
 LAUNCH: dict[str, Any] = {"prevent_thread_lock": True, "quiet": True, "show_error": False, "max_file_size": "20mb"}
 LAUNCH |= {"footer_links": [], "run_history": False, "ssr_mode": False}
 
 
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet demo."""
-    add = parser.add_argument
-    add_model(parser)
-    add("--host", default="127.0.0.1", help="the address to listen at (default: 127.0.0.1, this machine)")
-    add("--port", type=int, default=7860, help="default: 7860")
-    share = "yes: a public address too, by a tunnel through gradio's servers (default: no)"
-    add("--share", choices=["no", "yes"], default="no", help=share)
-    add("--open", action="store_true", help="open the page in the browser")
+SHARED = "yes: a public address too, by a tunnel through gradio's servers (default: no)"
+ARGUMENTS = (
+    *MODEL,
+    argument("--host", "the address to listen at (default: 127.0.0.1, this machine)", default="127.0.0.1"),
+    argument("--port", "default: 7860", type=int, default=7860),
+    argument("--share", SHARED, choices=["no", "yes"], default="no"),
+    argument("--open", "open the page in the browser", action="store_true"),
+)
 
 
 def run(options: Options) -> None:

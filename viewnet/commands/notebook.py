@@ -12,20 +12,17 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import Options, Parser, add_cluster, choose_cluster
+from viewnet.commands.options import CLUSTER, Options, argument, choose_cluster
 from viewnet.errors import ViewnetError
 
-
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet notebook."""
-    add = parser.add_argument
-    add("name", metavar="NOTEBOOK", help="for example table2_ablation")
-    add("-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), dest="values", help="a parameter")
-    copy = "the executed copy (default: runs/notebooks/NOTEBOOK.ipynb)"
-    add("-o", "--output", type=Path, metavar="FILE", help=copy)
-    add("--parameters", action="store_true", help="list the parameters and stop")
-    add("--refresh", action="store_true", help="run with the defaults and overwrite the committed notebook's outputs")
-    add_cluster(parser)
+ARGUMENTS = (
+    argument("name", "for example table2_ablation", metavar="NOTEBOOK"),
+    argument("-p", "a parameter", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), dest="values"),
+    argument("-o --output", "the executed copy (default: runs/notebooks/NOTEBOOK.ipynb)", type=Path, metavar="FILE"),
+    argument("--parameters", "list the parameters and stop", action="store_true"),
+    argument("--refresh", "run with the defaults and keep the outputs in place", action="store_true"),
+    CLUSTER,
+)
 
 
 def run(options: Options) -> None:

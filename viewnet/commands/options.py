@@ -1,4 +1,4 @@
-"""Options and output that several commands share."""
+"""Arguments and output that several commands share."""
 
 import argparse
 import json
@@ -10,53 +10,49 @@ from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS, make_config
 from viewnet.training.dask_cluster import VARIABLE
 
-Parser = argparse.ArgumentParser
-"""What a command adds its arguments to."""
 Options = argparse.Namespace
 """The parsed arguments that a command is run with."""
-MODEL = (
+Argument = tuple[list[str], dict[str, Any]]
+"""Names and settings of an argument of a command. A list of arguments excludes each other."""
+
+
+def argument(names: str, help: str | None = None, **settings: Any) -> Argument:
+    """An argument of one or several names, separated by spaces; `settings` are those of argparse's add_argument."""
+    return names.split(), settings | {"help": help}
+
+
+JSON = argument("--json", "print the results as JSON", action="store_true")
+BOX = ("X0", "Y0", "X1", "Y1")
+WHERE = (
     "the category of a model that comes with viewnet, a finished run's key or folder (viewnet train prints it), "
     "a saved model's folder, or NAME/MODEL of the hub"
 )
+MODEL = (
+    argument("--model", WHERE, required=True, metavar="WHERE"),
+    argument("--device", "cpu, cuda, cuda:1 ... (default: a GPU if there is one)"),
+)
+SCHEDULER = "a Dask scheduler that renders and trains: tcp://HOST:PORT or scheduler-file:PATH"
+CLUSTER = argument("--cluster", f"{SCHEDULER} (default: ${VARIABLE})", metavar="ADDRESS")
+CONFIGURATION = (
+    argument("categories", f"of {', '.join(CATEGORIES)}", nargs="+", metavar="CATEGORY"),
+    argument("--variant", f"{', '.join(VARIANTS)} (default: viewnet)", default="viewnet"),
+    argument("--profile", f"{', '.join(PROFILES)} (default: tiny)", default="tiny"),
+    argument("--recipe", f"{', '.join(RECIPES)} (default: the profile's)"),
+    argument("-s --set", "another value, as JSON", action="append", default=[], metavar="NAME=VALUE"),
+    argument("--data-root", "ShapeNetCore, v1 or v2 (default: the built-in models)", metavar="FOLDER"),
+    argument("--splits", "lists <synset>_train.txt, _val.txt and _test.txt for it", metavar="FOLDER"),
+)
+"""The arguments that `configurations` reads."""
 
 
-def add_json(parser: Parser, help: str = "print the results as JSON") -> None:
-    """The option --json."""
-    parser.add_argument("--json", action="store_true", help=help)
-
-
-def print_json(value: Any) -> None:
-    """Print JSON values, indented."""
-    print(json.dumps(value, indent=2, allow_nan=False))
+def print_results(options: Options, values: Any, *texts: object) -> None:
+    """Print values as JSON where --json asks for it, or else texts, each on a line of its own."""
+    print(*([json.dumps(values, indent=2, allow_nan=False)] if options.json else texts), sep="\n")
 
 
 def records(frame: Any) -> list[dict[str, Any]]:
     """The rows of a data frame as JSON values; NaN becomes null."""
     return json.loads(frame.to_json(orient="records"))
-
-
-def add_model(parser: Parser) -> None:
-    """The options --model and --device."""
-    parser.add_argument("--model", required=True, metavar="WHERE", help=MODEL)
-    parser.add_argument("--device", help="cpu, cuda, cuda:1 ... (default: a GPU if there is one)")
-
-
-def add_configuration(parser: Parser) -> None:
-    """The arguments that `configurations` reads."""
-    parser.add_argument("categories", nargs="+", metavar="CATEGORY", help=f"of {', '.join(CATEGORIES)}")
-    parser.add_argument("--variant", default="viewnet", help=f"{', '.join(VARIANTS)} (default: viewnet)")
-    parser.add_argument("--profile", default="tiny", help=f"{', '.join(PROFILES)} (default: tiny)")
-    parser.add_argument("--recipe", help=f"{', '.join(RECIPES)} (default: the profile's)")
-    parser.add_argument(
-        "-s",
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="override a setting of viewnet.config: epochs=3 (JSON)",
-    )
-    parser.add_argument("--data-root", metavar="FOLDER", help="ShapeNetCore, v1 or v2 (default: the built-in models)")
-    parser.add_argument("--splits", metavar="FOLDER", help="lists <synset>_train.txt, _val.txt and _test.txt for it")
 
 
 def configurations(options: Options, seed: int = 0) -> list[RunConfig]:
@@ -80,16 +76,6 @@ def _setting(text: str) -> tuple[str, Any]:
         return name, json.loads(value)
     except (ValueError, RecursionError):
         return name, value
-
-
-def add_cluster(parser: Parser) -> None:
-    """The option --cluster."""
-    address = "tcp://HOST:PORT or scheduler-file:PATH"
-    parser.add_argument(
-        "--cluster",
-        metavar="ADDRESS",
-        help=f"a Dask scheduler that renders and trains: {address} (default: ${VARIABLE})",
-    )
 
 
 def choose_cluster(options: Options) -> None:

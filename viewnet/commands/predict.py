@@ -15,20 +15,17 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import Options, Parser, add_json, add_model, print_json
+from viewnet.commands.options import BOX, MODEL, Options, argument, print_results
 
-BOX = ("X0", "Y0", "X1", "Y1")
-
-
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet predict."""
-    parser.add_argument("images", nargs="+", type=Path, metavar="IMAGE")
-    parser.add_argument("--masks", nargs="+", type=Path, metavar="FILE", help="one for each image, in their order")
-    edges = "the object's edges in pixels; once for all images, or once for each"
-    parser.add_argument("--box", nargs=4, type=float, action="append", dest="boxes", metavar=BOX, help=edges)
-    parser.add_argument("--all", action="store_true", help="every hypothesis, not only the most probable")
-    add_json(parser, "every hypothesis, as JSON")
-    add_model(parser)
+EDGES = "the object's edges in pixels; once for all images, or once for each"
+ARGUMENTS = (
+    argument("images", nargs="+", type=Path, metavar="IMAGE"),
+    argument("--masks", "one for each image, in their order", nargs="+", type=Path, metavar="FILE"),
+    argument("--box", EDGES, nargs=4, type=float, action="append", dest="boxes", metavar=BOX),
+    argument("--all", "every hypothesis, not only the most probable", action="store_true"),
+    argument("--json", "every hypothesis, as JSON", action="store_true"),
+    *MODEL,
+)
 
 
 def run(options: Options) -> None:
@@ -43,7 +40,7 @@ def run(options: Options) -> None:
     if options.json:
         rows = viewpoints.to_frame().to_dict("records")
         pictures = [{"file": str(path), **row} for path, row in zip(images, rows, strict=True)]
-        print_json({"frame": "annotated" if viewpoints.aligned else "own", "pictures": pictures})
+        print_results(options, {"frame": "annotated" if viewpoints.aligned else "own", "pictures": pictures})
         return
     width = max(len(str(path)) for path in images)
     print(f"{'':{width}}  azimuth  elevation  confidence")

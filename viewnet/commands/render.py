@@ -15,17 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from viewnet.commands import options as shared
-from viewnet.commands.options import Options, Parser
+from viewnet.commands.options import Options, argument
 from viewnet.config import RunConfig
 
-
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet render."""
-    shared.add_configuration(parser)
-    processes = "processes that render (default: the machine's cores)"
-    parser.add_argument("--workers", type=int, metavar="N", help=processes)
-    shared.add_cluster(parser)
-    shared.add_json(parser)
+ARGUMENTS = (
+    *shared.CONFIGURATION,
+    argument("--workers", "processes that render (default: the machine's cores)", type=int, metavar="N"),
+    shared.CLUSTER,
+    shared.JSON,
+)
 
 
 def run(options: Options) -> None:
@@ -40,16 +38,15 @@ def run(options: Options) -> None:
             _described(config, views(config.data, workers=options.workers, progress=True, executor=executor))
             for config in configs
         ]
-    if options.json:
-        shared.print_json(stores)
-        return
+    lines = []
     for store in stores:
         splits = [f"{part['views']} {split} ({part['models']} models)" for split, part in store["splits"].items()]
-        print(f"{store['category']}: {store['folder']}\n  {store['views']} views: {', '.join(splits)}")
+        lines += [f"{store['category']}: {store['folder']}", f"  {store['views']} views: {', '.join(splits)}"]
         if store["backgrounds"]:
-            print(f"  {store['backgrounds']} backgrounds")
+            lines.append(f"  {store['backgrounds']} backgrounds")
         if store["rejected"]:
-            print(f"  {len(store['rejected'])} models left out: {Path(store['folder']) / 'rejected.csv'}")
+            lines.append(f"  {len(store['rejected'])} models left out: {Path(store['folder']) / 'rejected.csv'}")
+    shared.print_results(options, stores, *lines)
 
 
 def _described(config: RunConfig, store: Any) -> dict[str, Any]:

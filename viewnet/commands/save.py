@@ -13,19 +13,18 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import Options, Parser
+from viewnet.commands.options import Options, argument
 
-
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet save."""
-    parser.add_argument("model", metavar="WHERE", help="a finished run's key or folder, or another saved model's")
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where to write it")
-    parser.add_argument("--half", action="store_true", help="weights in 16 bits, at half the size")
-    licence = "of the weights, in the hub's words (default: mit if trained on built-in models, else other)"
-    parser.add_argument("--license", help=licence)
-    scores = "output of viewnet evaluate --json on this model, for the card"
-    parser.add_argument("--scores", nargs="+", type=Path, default=[], metavar="FILE", help=scores)
-    parser.add_argument("--push", metavar="NAME/MODEL", help="send the folder to the Hugging Face hub")
+LICENCE = "of the weights, in the hub's words (default: mit if trained on built-in models, else other)"
+SCORES = "output of viewnet evaluate --json on this model, for the card"
+ARGUMENTS = (
+    argument("model", "a finished run's key or folder, or another saved model's", metavar="WHERE"),
+    argument("folder", "where to write it", type=Path, metavar="FOLDER"),
+    argument("--half", "weights in 16 bits, at half the size", action="store_true"),
+    argument("--license", LICENCE),
+    argument("--scores", SCORES, nargs="+", type=Path, default=[], metavar="FILE"),
+    argument("--push", "send the folder to the Hugging Face hub", metavar="NAME/MODEL"),
+)
 
 
 def run(options: Options) -> None:

@@ -13,20 +13,19 @@ Examples:
     viewnet tables --cluster tcp://HOST:8786                        rendered and trained on a Dask cluster
 """
 
-from viewnet.commands.options import Options, Parser, add_cluster, add_json, choose_cluster, print_json
+from viewnet.commands.options import CLUSTER, Options, argument, choose_cluster, print_results
 from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES
 
-
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet tables."""
-    add = parser.add_argument
-    add("--profile", help=f"{', '.join(PROFILES)}, for every notebook that trains (default: each notebook's own)")
-    add("--seeds", metavar="N", help="how many (3), or which (0,2), for every notebook that takes them")
-    add("--only", nargs="+", metavar="NOTEBOOK", help="these and no others")
-    add("--page", action="store_true", help="only write the page, from existing files")
-    add_cluster(parser)
-    add_json(parser, "what was made, and what failed, as JSON")
+PROFILE = f"{', '.join(PROFILES)}, for every notebook that trains (default: each notebook's own)"
+ARGUMENTS = (
+    argument("--profile", PROFILE),
+    argument("--seeds", "how many (3), or which (0,2), for every notebook that takes them", metavar="N"),
+    argument("--only", "these and no others", nargs="+", metavar="NOTEBOOK"),
+    argument("--page", "run nothing: write the page from what is there", action="store_true"),
+    CLUSTER,
+    argument("--json", "what was made, and what failed, as JSON", action="store_true"),
+)
 
 
 def run(options: Options) -> int:
@@ -47,10 +46,7 @@ def run(options: Options) -> int:
                 print(outcome, flush=True)
     written = page.write(paths.tables())
     failed = [outcome.name for outcome in done if outcome.error]
-    if options.json:
-        print_json({"notebooks": [outcome.as_dict() for outcome in done], "page": str(written)})
-    else:
-        print(written)
-        if failed:
-            print(f"{len(failed)} of {len(done)} notebooks failed: {', '.join(failed)}")
+    failures = [f"{len(failed)} of {len(done)} notebooks failed: {', '.join(failed)}"] if failed else []
+    values = {"notebooks": [outcome.as_dict() for outcome in done], "page": str(written)}
+    print_results(options, values, written, *failures)
     return 1 if failed else 0

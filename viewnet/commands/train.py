@@ -13,16 +13,15 @@ Examples:
 """
 
 from viewnet.commands import options as shared
-from viewnet.commands.options import Options, Parser
+from viewnet.commands.options import Options, argument
 
-
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet train."""
-    shared.add_configuration(parser)
-    parser.add_argument("--seed", type=int, default=0, metavar="N")
-    parser.add_argument("--workers", type=int, metavar="N", help="parallel runs (default: one per GPU or core)")
-    shared.add_cluster(parser)
-    shared.add_json(parser)
+ARGUMENTS = (
+    *shared.CONFIGURATION,
+    argument("--seed", type=int, default=0, metavar="N"),
+    argument("--workers", "runs side by side (default: what there is room for)", type=int, metavar="N"),
+    shared.CLUSTER,
+    shared.JSON,
+)
 
 
 def run(options: Options) -> None:
@@ -36,13 +35,11 @@ def run(options: Options) -> None:
     shared.choose_cluster(options)
     runs = run_store.ensure(configs, options.workers)
     if distributed.rank() == 0:
-        if options.json:
-            shared.print_json([{"folder": str(run.folder), **run.result} for run in runs])
-        for run in runs if not options.json else ():
-            print(f"{run.name}: {run.folder}")
-            if not run.scored:
-                print(f"  not scored: {NOT_SCORED}")
-                continue
-            score = run.result["metrics"][run.alignment]
-            print(f"  test: within 30 degrees {score['acc30']:.1f} %, median {score['median']:.1f} degrees")
+        lines = []
+        for run in runs:
+            lines += [f"{run.name}: {run.folder}", f"  not scored: {NOT_SCORED}"]
+            if run.scored:
+                score = run.result["metrics"][run.alignment]
+                lines[-1] = f"  test: within 30 degrees {score['acc30']:.1f} %, median {score['median']:.1f} degrees"
+        shared.print_results(options, [{"folder": str(run.folder), **run.result} for run in runs], *lines)
     distributed.stop()

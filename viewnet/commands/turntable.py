@@ -11,18 +11,17 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import Options, Parser, add_model
+from viewnet.commands.options import BOX, MODEL, Options, argument
 
-
-def add_arguments(parser: Parser) -> None:
-    """The arguments of viewnet turntable."""
-    parser.add_argument("image", type=Path, metavar="IMAGE")
-    parser.add_argument("--mask", type=Path, metavar="FILE")
-    parser.add_argument("--box", nargs=4, type=float, metavar=("X0", "Y0", "X1", "Y1"))
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="ends in .gif or .mp4")
-    parser.add_argument("--size", type=int, default=192, help="pixels along a side of an image (default: 192)")
-    parser.add_argument("--steps", type=int, default=48, help="number of viewpoints of the turn (default: 48)")
-    add_model(parser)
+ARGUMENTS = (
+    argument("image", type=Path, metavar="IMAGE"),
+    argument("--mask", type=Path, metavar="FILE"),
+    argument("--box", nargs=4, type=float, metavar=BOX),
+    argument("-o --output", "ends in .gif or .mp4", type=Path, required=True, metavar="FILE"),
+    argument("--size", "pixels along a side of an image (default: 192)", type=int, default=192),
+    argument("--steps", "number of viewpoints of the turn (default: 48)", type=int, default=48),
+    *MODEL,
+)
 
 
 def run(options: Options) -> None:
