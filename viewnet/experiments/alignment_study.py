@@ -75,8 +75,7 @@ class Study:
     collapse  a row for each predictor that needs alignment, category, seed and concentration: photographs that
               calibrate (calibrating) and score (scored), side (share of the commonest azimuth bin), confidence_index,
               weights and bias (norms of the linear map), spread_rigid and spread_linear (of the aligned predictions, as
-              a share of the true viewpoints': 0 is a constant), and acc30 and dva by rigid and by linear alignment, and
-              of the constant
+              a share of the true viewpoints': 0 is a constant), acc30 and dva by either and of the constant
     """
 
     note: str
@@ -104,8 +103,8 @@ class Study:
         means = self.collapse.drop(columns="seed").groupby(keys, sort=False).mean()
         for metric in ("acc30", "dva"):
             means[f"{metric}_gain"] = means[f"{metric}_linear"] - means[f"{metric}_rigid"]
-        digits = dict.fromkeys(("side", "confidence_index", "spread_rigid", "spread_linear", "weights", "bias"), 2)
-        return means.round({name: digits.get(name, 1) for name in means.columns})
+        finer = ("side", "confidence_index", "spread_rigid", "spread_linear", "weights", "bias")
+        return means.round({name: 2 if name in finer else 1 for name in means.columns})
 
     def verdict(self) -> pd.DataFrame:
         """For each category and predictor, rank correlations over subsets of one-sidedness with what the paper says.
@@ -199,10 +198,9 @@ def collapse_rows(predictor: Predictor, concentrations: Sequence[float] = CONCEN
         constant = baselines.constant(subset.ids, source="val")
         kinds = (("rigid", subset, "procrustes"), ("linear", subset, "linear"), ("constant", constant, "none"))
         for name, predicted, kind in kinds:
-            aligned = align(predicted, kind)
+            scores = _scores(aligned := align(predicted, kind))
             if name != "constant":
                 row[f"spread_{name}"] = spread(aligned.selected) / spread(test.truth)
-            scores = _scores(aligned)
             row |= {f"{metric}_{name}": scores[metric] for metric in ("acc30", "dva")}
         yield row
 

@@ -95,9 +95,8 @@ def run(name: str, values: Values = (), output: Path | None = None) -> Path:
 
     source = find(name)
     typed, request = check(source, values)
-    if output is None:
-        stem = f"{source.stem}-{request.label}" if request.label else source.stem
-        output = paths.runs() / "notebooks" / f"{stem}.ipynb"
+    stem = f"{source.stem}-{request.label}" if request.label else source.stem
+    output = output or paths.runs() / "notebooks" / f"{stem}.ipynb"
     if output.resolve() == source.resolve():
         raise ViewnetError(f"{output}: is the notebook itself: choose another output")
     output.parent.mkdir(parents=True, exist_ok=True)
@@ -170,7 +169,7 @@ def plan(only: Sequence[str] | None = None, profile: str | None = None, seeds: s
     """
     names = {known(name.removesuffix(".ipynb"), ORDER, "notebook") for name in only or ORDER}
     planned: dict[str, Values] = {}
-    for name in (name for name in ORDER if name in names):
+    for name in sorted(names, key=ORDER.index):
         declared = parameters(path := find(name))
         given = {"profile": profile if DESIGNS[name].variants else None, "seeds": seeds}
         planned[name] = [(key, value) for key, value in given.items() if value is not None and key in declared]

@@ -24,8 +24,8 @@ from viewnet.training.run_store import ensure
 
 FRAMES = 10
 """Of every video, sampled at random, as reported."""
-STAND_IN = {"videos": 160, "frames": 30}
-SMOKE_VIDEOS, SMOKE_FRAMES = 6, 6
+STAND_IN: dict[str, Any] = {"videos": 160, "frames": 30}
+SMOKE: dict[str, Any] = {"videos": 6, "frames": 6, "size": SMOKE_SIZE}
 _NAMES = {row.label: row.name for row in LAYOUTS["objectron"].rows_of("viewnet")}
 """Label -> name without the alignment."""
 _ROWS = tuple(dict.fromkeys(_NAMES.values()))
@@ -45,8 +45,7 @@ class ObjectronExperiment(VideoExperiment):
     def video(self) -> VideoConfig:
         """The videos with their supervised masks."""
         settings: dict[str, Any] = {"kind": "objectron", "count": FRAMES, "masks": self.masks}
-        settings |= {"videos": SMOKE_VIDEOS, "frames": SMOKE_FRAMES, "size": SMOKE_SIZE} if self.smoke else STAND_IN
-        return VideoConfig(self.categories[0], self.video_root, **settings)
+        return VideoConfig(self.categories[0], self.video_root, **settings, **(SMOKE if self.smoke else STAND_IN))
 
     @property
     def weak(self) -> VideoConfig | None:

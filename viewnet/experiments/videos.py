@@ -24,7 +24,8 @@ from viewnet.experiments.photos import PhotoExperiment
 from viewnet.recipes import make_config
 from viewnet.training.run_store import ensure
 
-SMOKE_SEQUENCES, SMOKE_FRAMES, SMOKE_SIZE = (1, 2, 3, 4), 8, 32
+SMOKE_SIZE = 32
+SMOKE: dict[str, Any] = {"sequences": (1, 2, 3, 4), "frames": 8, "size": SMOKE_SIZE}
 """The stand-in for videos at the smallest profile."""
 REGRESSED_FRAMES = 24
 """Of every clip, for the view regression: frames 15 degrees apart."""
@@ -38,16 +39,14 @@ class VideoExperiment(PhotoExperiment):
 
     def __post_init__(self) -> None:
         if self.cad_root and self.start != SHAPENET:
-            raise ViewnetError(
-                f"cad_root {self.cad_root}: nothing is trained on CAD models: use start={SHAPENET}, or leave it"
-            )
+            what = f"cad_root {self.cad_root}: nothing is trained on CAD models"
+            raise ViewnetError(f"{what}: use start={SHAPENET}, or leave it")
 
     @property
     def video(self) -> VideoConfig:
         """The videos, of the first category."""
-        stand_in: dict[str, Any] = {"sequences": SMOKE_SEQUENCES, "frames": SMOKE_FRAMES, "size": SMOKE_SIZE}
         settings: dict[str, Any] = {"kind": "freiburg", "split_rule": self.split_rule, "masks": self.masks}
-        return VideoConfig(self.categories[0], self.video_root, **settings, **(stand_in if self.smoke else {}))
+        return VideoConfig(self.categories[0], self.video_root, **settings, **(SMOKE if self.smoke else {}))
 
     @property
     def videos(self) -> tuple[VideoConfig, ...]:
