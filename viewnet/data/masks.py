@@ -95,10 +95,7 @@ def from_alpha() -> MaskSource:
 
 
 def from_segmenter(segment: Segmenter, described: dict[str, Any]) -> MaskSource:
-    """Masks by a network: the largest object of the class at first, then the one that overlaps most with the last.
-
-    Followers raise ViewnetError where there is no object of the class.
-    """
+    """Masks by a network: the largest object of the class at first, then the one that overlaps most with the last."""
 
     def follow(clip: Clip) -> Follower:
         last: np.ndarray | None = None
@@ -217,8 +214,7 @@ def load_weights(network: nn.Module, path: Path, full: str) -> None:
                     raise ValueError("it is compressed, and so may claim any size")
         state = torch.load(path, map_location="cpu", weights_only=True)
         # As plain values, without the file's versions, names of all versions are taken.
-        missing = network.load_state_dict(dict(state), strict=False, assign=True).missing_keys
-        if missing:
+        if missing := network.load_state_dict(dict(state), strict=False, assign=True).missing_keys:
             raise ValueError(f"{missing[0]} is missing")
         for name, weight in network.state_dict().items():
             kind = torch.int64 if name.endswith("num_batches_tracked") else torch.float32
