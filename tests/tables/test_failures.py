@@ -24,7 +24,7 @@ def vectors(azimuths, elevations) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("said", "cause"),
+    ("angles", "cause"),
     [
         ((75, 5), ""),
         ((245, 8), "half a turn"),
@@ -35,8 +35,8 @@ def vectors(azimuths, elevations) -> np.ndarray:
         ((160, 10), "other"),
     ],
 )
-def test_causes(said, cause):
-    assert failures.causes(vectors([said[0]], [said[1]]), vectors([65.0], [10.0])).tolist() == [cause]
+def test_causes(angles, cause):
+    assert failures.causes(vectors([angles[0]], [angles[1]]), vectors([65.0], [10.0])).tolist() == [cause]
 
 
 def test_from_the_front_a_mirror_is_half_a_turn():
@@ -49,14 +49,14 @@ def test_from_the_side_a_mirror_is_no_cause_for_an_elevation():
 
 def test_failures_come_by_cause_worst_first():
     ids = make_index(30, 4)
-    said = noisy(ids, heads=1, degrees=2)
-    true = true_vectors(said.ids)
+    predicted = noisy(ids, heads=1, degrees=2)
+    true = true_vectors(predicted.ids)
     hypotheses = true[:, None].copy()
-    test = np.flatnonzero(said.ids["split"] == "test")
+    test = np.flatnonzero(predicted.ids["split"] == "test")
     for row, off in ((3, 40.0), (1, 170.0), (5, 178.0), (7, 75.0)):
-        line = said.ids.iloc[test[row]]
+        line = predicted.ids.iloc[test[row]]
         hypotheses[test[row], 0] = vectors([line["azimuth"] + off], [line["elevation"]])[0]
-    groups = failures.by_cause(align(Predictions(said.ids, hypotheses, said.logits), "none"))
+    groups = failures.by_cause(align(Predictions(predicted.ids, hypotheses, predicted.logits), "none"))
     assert groups[0].cause == "half a turn"
     assert groups[0].rows == [5, 1]
     assert groups[0].views == len(test)

@@ -25,8 +25,8 @@ CAUSES = ("half a turn", "front and back mirrored", "elevation", "other")
 def causes(predicted: Floats, truth: Floats) -> np.ndarray:
     """The cause (N,), one of CAUSES, of each error of aligned view vectors (N, 3); "" where the error is below 30.
 
-    The cause is what explains the predicted azimuth to within 30 degrees: the true azimuth a (then the elevation is
-    wrong), a + 180 (half a turn), or 180 - a (front and back mirrored), the first of these that does.
+    The first that explains the predicted azimuth to within 30 degrees: the true azimuth a (then the elevation is
+    wrong), a + 180 (half a turn), or 180 - a (front and back mirrored).
     """
     azimuth, estimate = angles(truth)[0], angles(predicted)[0]
     # Differences of azimuths in degrees, the short way round.

@@ -73,18 +73,18 @@ def around(
     """
     all_renderers = renderers(runs, stores)
     several = len({r.config.category for r in all_renderers}) > 1
-    angles = torch.tensor([float(a) for a in azimuths])
+    angles = torch.tensor(azimuths, dtype=torch.float32)
     lines, labels = [], []
-    for variant in dict.fromkeys(r.config.variant for r in all_renderers):
-        for renderer in (r for r in all_renderers if r.config.variant == variant):
-            first = renderer.views.first
-            if object_number is not None and not 0 <= object_number < len(first):
-                raise ViewnetError(f"object {object_number}: the test split has {len(first)}: choose one from 0 on")
-            row = int(first[len(first) // 2 if object_number is None else object_number])
-            frames = renderer.level(angles, torch.full_like(angles, elevation))
-            rendered = renderer.displayed(renderer.render(renderer.encode([row]), frames))
-            lines.append([renderer.test_images([row])[0], *rendered])
-            labels.append(_label(renderer, all_renderers) + (f"\n{renderer.config.category}" if several else ""))
+    variants = [r.config.variant for r in all_renderers]
+    for renderer in sorted(all_renderers, key=lambda r: variants.index(r.config.variant)):
+        first = renderer.views.first
+        if object_number is not None and not 0 <= object_number < len(first):
+            raise ViewnetError(f"object {object_number}: the test split has {len(first)}: choose one from 0 on")
+        row = int(first[len(first) // 2 if object_number is None else object_number])
+        frames = renderer.level(angles, torch.full_like(angles, elevation))
+        rendered = renderer.displayed(renderer.render(renderer.encode([row]), frames))
+        lines.append([renderer.test_images([row])[0], *rendered])
+        labels.append(_label(renderer, all_renderers) + (f"\n{renderer.config.category}" if several else ""))
     return image_grid(lines, labels, ["appearance", *(f"{azimuth:g}°" for azimuth in azimuths)], gaps=[1])
 
 
@@ -95,10 +95,7 @@ def volumes(
     columns: int = 7,
     viewpoint: tuple[float, float] = (40.0, 25.0),
 ) -> Figure:
-    """The volumes of many objects, all rendered from one `viewpoint` (azimuth, elevation; degrees).
-
-    In pairs of lines: images of `count` test objects, and below each its volume, turned to the annotated frame.
-    """
+    """Images of `count` test objects, and below each its volume from one annotated `viewpoint` (azimuth, elevation)."""
     lines: list[list[np.ndarray | None]] = []
     labels, gaps = [], []
     for renderer in renderers(runs, stores):
@@ -120,8 +117,7 @@ def volumes(
 def ranked_reconstructions(folder: Path, store: ViewStore, rows: list[int]) -> Ranked:
     """Some test views of a run, each reconstructed by every head, by rising reconstruction error; see Ranked.
 
-    The appearance comes from the next view of the same object, the background is white. Raises ViewnetError as
-    RunRenderer.of does.
+    The appearance comes from the object's next view, the background is white. ViewnetError as of RunRenderer.of.
     """
     renderer = RunRenderer.of(folder, store)
     network, train, views = renderer.network, renderer.config.train, renderer.views

@@ -54,13 +54,12 @@ class Layout:
 
     def extended(self, labels: Iterable[str]) -> Layout:
         """The layout with a row for each of `labels` added at the bottom. ViewnetError for a label that is taken."""
-        rows, taken = list(self.rows), {row.label for row in self.rows} | set(self.reported_as.values())
+        rows = self.rows
         for label in labels:
-            if label in taken:
+            if label in {*self.reported_as.values(), *(row.label for row in rows)}:
                 raise ViewnetError(f"row {label!r}: the table has a row of that name: choose another label")
-            rows.append(Row(label, ADDED))
-            taken.add(label)
-        return replace(self, rows=tuple(rows))
+            rows += (Row(label, ADDED),)
+        return replace(self, rows=rows)
 
 
 def _aligned(name: str, variant: str = "viewnet") -> tuple[Row, ...]:
