@@ -19,8 +19,8 @@ from pathlib import Path
 from viewnet.config import VideoConfig, known
 from viewnet.data.clips import Clip, Frame, images_in, pick_frames
 from viewnet.data.crop import Box
-from viewnet.data.readers.reader import Contents, DataSet, Reader, VideoReader
-from viewnet.data.store import Rejected, in_words, tally
+from viewnet.data.readers.reader import Contents, DataSet, Reader, VideoReader, no_usable, within
+from viewnet.data.store import Rejected
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import size
 
@@ -29,8 +29,6 @@ AZIMUTH = (1.0, 0.0)
 """Sense and offset: our azimuth is sense * theirs + offset. The release does not define its azimuths; PASCAL3D+'s
 convention is assumed, which is ours: 0 shows the front and 90 the left side. Alignment would correct an offset, but not
 the opposite sense (-1)."""
-ELEVATION = 0.0
-"""Degrees."""
 ANNOTATIONS = "annotations"
 MASKS = "masks"
 
@@ -51,35 +49,29 @@ def read(root: Path, split_rule: str = "45/2/rest") -> tuple[list[Clip], list[Re
     if not (root / ANNOTATIONS).is_dir():
         raise ViewnetError(f"{root}: no folder {ANNOTATIONS}: expected that of Freiburg static cars 52, release 1.1")
     folders = {n: path for path in sorted(root.iterdir()) if path.is_dir() and (n := _number(path.name)) is not None}
-    lists = {
-        number: path
-        for path in sorted((root / ANNOTATIONS).iterdir())
-        if (number := _number(path.name.removesuffix("_annot.txt"))) is not None and path.name.endswith("_annot.txt")
-    }
+    files = sorted((root / ANNOTATIONS).glob("*_annot.txt"))
+    lists = {n: path for path in files if (n := _number(path.name.removesuffix("_annot.txt"))) is not None}
     clips: list[Clip] = []
     rejected: list[Rejected] = []
     for number in sorted(folders.keys() | lists.keys()):
         if number not in folders:
-            rejected.append((f"car{number:03d}", _within(lists[number], root), "no frames of the sequence"))
+            rejected.append((f"car{number:03d}", within(lists[number], root), "no frames of the sequence"))
         elif number not in lists:
             rejected.append((f"car{number:03d}", folders[number].name, "no annotations of the sequence"))
         else:
-            name = folders[number].name
-            frames = _frames(lists[number], folders[number], root, rejected)
-            if frames:
-                masks = root / MASKS / name if (root / MASKS / name).is_dir() else None
-                clips.append(Clip(name, CATEGORY, split(number), folders[number], tuple(frames), masks))
+            name, masks = folders[number].name, root / MASKS / folders[number].name
+            if frames := tuple(_frames(lists[number], folders[number], root, rejected)):
+                place = (folders[number], frames, masks if masks.is_dir() else None)
+                clips.append(Clip(name, CATEGORY, split(number), *place))
     if not clips:
-        reasons = in_words(tally(reason for *_, reason in rejected)) or "no sequences"
-        raise ViewnetError(f"{root}: no usable frame ({reasons})")
+        raise no_usable(root, "frame", rejected, "no sequences")
     return clips, rejected
 
 
 def azimuth(theirs: float) -> float:
     """An annotated azimuth as ours, degrees in [0, 360)."""
-    sense, offset = AZIMUTH
     # A tiny negative angle is 360 after rounding.
-    return (sense * theirs + offset) % 360 % 360
+    return (AZIMUTH[0] * theirs + AZIMUTH[1]) % 360 % 360
 
 
 def _number(name: str) -> int | None:
@@ -90,7 +82,7 @@ def _number(name: str) -> int | None:
 
 def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> list[Frame]:
     """The usable frames of one sequence, in the order of time; what cannot be used joins `rejected`."""
-    where = _within(file, root)
+    where = within(file, root)
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -111,12 +103,12 @@ def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> l
             if number in annotated:
                 raise ViewnetError(f"frame annotated twice ({stem})")
             annotated.add(number)
-            frames[number] = Frame(number, azimuth(angle), ELEVATION, _cut(box, files[number]))
+            frames[number] = Frame(number, azimuth(angle), 0.0, _cut(box, files[number]))
         except ViewnetError as error:
             rejected.append((f"{folder.name}:{row}", where, str(error)))
     for number, path in enumerate(files):
         if number not in annotated:
-            rejected.append((f"{folder.name}/{path.stem}", _within(path, root), "frame without a usable annotation"))
+            rejected.append((f"{folder.name}/{path.stem}", within(path, root), "frame without a usable annotation"))
     return [frames[number] for number in sorted(frames)]
 
 
@@ -125,10 +117,10 @@ def _parsed(line: str) -> tuple[str, Box, float]:
     parts = line.split()
     try:
         name, (x0, y0, x1, y1, angle) = parts[0], map(float, parts[1:])
+        if not all(map(math.isfinite, (x0, y0, x1, y1, angle))):
+            raise ValueError
     except ValueError:
         raise ViewnetError(f"annotation is malformed ({line.strip()[:60]!r})") from None
-    if not all(map(math.isfinite, (x0, y0, x1, y1, angle))):
-        raise ViewnetError(f"annotation is malformed ({line.strip()[:60]!r})")
     return Path(name.replace("\\", "/")).stem, (x0, y0, x1, y1), angle
 
 
@@ -139,10 +131,6 @@ def _cut(box: Box, image: Path) -> Box:
     if x1 - x0 < 1 or y1 - y0 < 1:
         raise ViewnetError(f"box has no part in the image ({width} x {height})")
     return x0, y0, x1, y1
-
-
-def _within(path: Path, root: Path) -> str:
-    return path.relative_to(root).as_posix()
 
 
 def _read_videos(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]:

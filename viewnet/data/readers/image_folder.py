@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from viewnet.data.clips import is_image
-from viewnet.data.readers.reader import Contents, DataSet, Reader
+from viewnet.data.readers.reader import Contents, DataSet, Reader, read_text
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import SUFFIXES
 
@@ -23,16 +23,11 @@ def list_images(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, str]
     Raises ViewnetError where there is no such folder or no image in it, and for a line of the list that is no folder.
     """
     if not root.is_dir():
-        raise ViewnetError(
-            f"{root}: no such folder: give one of images, SUN397's, or 'drawn' for backgrounds that are made here"
-        )
+        raise ViewnetError(f"{root}: no such folder: give one of images, SUN397's, or 'drawn' for synthetic scenes")
     classes: dict[str, int] = {}
     missing: list[tuple[str, str]] = []
     if (root / CLASSES).is_file():
-        try:
-            lines = (root / CLASSES).read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise ViewnetError(f"{root / CLASSES}: cannot be read ({error}): expected a folder a line") from None
+        lines = read_text(root / CLASSES, "a text file, one folder a line").splitlines()
         for number, name in enumerate(line.strip() for line in lines if line.strip()):
             inside = Path(name.lstrip("/"))
             if ".." in inside.parts or len(name) > 200 or not name.isprintable():
@@ -64,8 +59,8 @@ def _walk(folder: Path, seen: set[Path]) -> Iterator[Path]:
 
 def _count(root: Path, contents: Contents) -> None:
     images, missing = list_images(root)
-    classes = {number for _, number in images}
-    contents.add("", ["pictures"] * len(images) + ["classes"] * len(classes), [reason for _, reason in missing])
+    usable = ["pictures"] * len(images) + ["classes"] * len({number for _, number in images})
+    contents.add("", usable, [reason for _, reason in missing])
 
 
 READER = Reader(

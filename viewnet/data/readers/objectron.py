@@ -14,7 +14,7 @@ there are some, else of the size that the camera recorded. Whatever else is not 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +22,8 @@ import numpy as np
 from viewnet.config import VideoConfig
 from viewnet.data.clips import Clip, Frame, natural
 from viewnet.data.readers.objectron_record import Record, View, read_record
-from viewnet.data.readers.reader import Contents, DataSet, Reader, VideoReader
-from viewnet.data.store import Rejected, in_words, tally
+from viewnet.data.readers.reader import Contents, DataSet, Reader, VideoReader, no_usable, read_text, within
+from viewnet.data.store import Rejected
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 from viewnet.runtime.progress import bar
@@ -34,7 +34,9 @@ CLASSES = {"bicycle": "bike", "bottle": "bottle", "chair": "chair"}
 VIDEO = "video.MOV"
 MASKS = "masks"
 
-_IMAGES = (".jpg", ".jpeg", ".png")
+_SUFFIXES = (".jpg", ".jpeg", ".png")
+_Images = dict[int, tuple[int, Path]]
+"""Frame number -> place in the order of names, and file."""
 
 
 def read(
@@ -60,21 +62,19 @@ def read(
     listed = _lists(root, name)
     clips: list[Clip] = []
     rejected: list[Rejected] = []
-    for path in bar(progress, iterable=records, desc="records", unit="video"):
-        video = path.relative_to(root / "annotations").with_suffix("").as_posix()
+    videos = {path: within(path.with_suffix(""), root / "annotations") for path in records}
+    for path, video in bar(progress, iterable=videos.items(), desc="records", unit="video"):
         try:
-            split = _split(listed, video)
-            clips.append(_clip(root, path, video, category, split, frames, seed, rejected))
+            clips.append(_clip(root, path, video, category, _split(listed, video), frames, seed, rejected))
         except ViewnetError as error:
-            rejected.append((video, path.relative_to(root).as_posix(), str(error)))
-    known = {path.relative_to(root / "annotations").with_suffix("") for path in records}
+            rejected.append((video, within(path, root), str(error)))
+    known = set(videos.values())
     for place in sorted((root / "videos" / name).glob("*/*"), key=lambda path: natural(path.as_posix())):
-        video = place.relative_to(root / "videos").as_posix()
-        if place.is_dir() and Path(video) not in known:
-            rejected.append((video, place.relative_to(root).as_posix(), "video without a record"))
+        video = within(place, root / "videos")
+        if place.is_dir() and video not in known:
+            rejected.append((video, within(place, root), "video without a record"))
     if not clips:
-        reasons = in_words(tally(reason for *_, reason in rejected))
-        raise ViewnetError(f"{root}: no usable video of {name} ({reasons})")
+        raise no_usable(root, f"video of {name}", rejected, "")
     free = [clip.id for clip in clips if clip.split == "train"]
     splits = seeded_splits(free, seed, {"val": 1, "test": 2}, order=("val", "test") if listed is None else ("val",))
     return [replace(clip, split=splits.get(clip.id, clip.split)) for clip in clips], rejected
@@ -84,47 +84,37 @@ def _clip(
     root: Path, path: Path, video: str, category: str, split: str, count: int, seed: int, rejected: list[Rejected]
 ) -> Clip:
     """One video; what cannot be used joins `rejected`."""
-    where = path.relative_to(root).as_posix()
+    where = within(path, root)
     record = read_record(path)
-    source = _source(root / "videos" / video, record)
+    source, images = _source(root / "videos" / video, record)
     rejected += [(f"{video}/{number}", where, reason) for number, reason in record.rejected]
     rejected += [(f"{video}/object {name}", where, "object smaller than another one") for name in record.others]
     order = np.random.default_rng(list(seeded_rank(seed, "frames", video))).permutation(len(record.views))
     sampled: list[Frame] = []
-    if isinstance(source, _Images):
-        missing = {view.number for view in record.views} - source.places.keys()
-        rejected += [(f"{video}/{number}", where, "no such image") for number in sorted(missing)]
+    missing = {view.number for view in record.views} - images.keys() if images else set()
+    rejected += [(f"{video}/{number}", where, "no such image") for number in sorted(missing)]
     for view in (record.views[place] for place in order):
         if len(sampled) == count:
             break
-        if isinstance(source, _Images) and view.number not in source.places:
+        if view.number in missing:
             continue
         try:
-            sampled.append(_frame(view, source))
+            sampled.append(_frame(view, images))
         except ViewnetError as error:
             rejected.append((f"{video}/{view.number}", where, str(error)))
     if not sampled:
         raise ViewnetError("no usable frame")
     frames = tuple(sorted(sampled, key=lambda frame: frame.number))
     masks = root / MASKS / video
-    place = source.folder if isinstance(source, _Images) else source
-    return Clip(video, category, split, place, frames, masks if masks.is_dir() else None)
+    return Clip(video, category, split, source, frames, masks if masks.is_dir() else None)
 
 
-@dataclass(frozen=True)
-class _Images:
-    """A folder of images: frame number -> place in the order of names, and file."""
-
-    folder: Path
-    places: dict[int, tuple[int, Path]]
-
-
-def _source(folder: Path, record: Record) -> Path | _Images:
-    """The images of a video, or the video file where there are none."""
-    files = sorted(path for path in folder.glob("*") if path.stem.isdecimal() and path.suffix.lower() in _IMAGES)
+def _source(folder: Path, record: Record) -> tuple[Path, _Images]:
+    """The folder of a video's images, with these, or the video file where there are none."""
+    files = sorted(path for path in folder.glob("*") if path.stem.isdecimal() and path.suffix.lower() in _SUFFIXES)
     if not files:
         if (folder / VIDEO).is_file():
-            return folder / VIDEO
+            return folder / VIDEO, {}
         raise ViewnetError("neither video nor images")
     numbers = [int(path.stem) for path in files]
     if len(set(numbers)) < len(numbers):
@@ -133,13 +123,12 @@ def _source(folder: Path, record: Record) -> Path | _Images:
         raise ViewnetError("images' names do not sort by number (write zeros before the numbers)")
     if numbers[0] == 1 and record.frames[0] == 0 and numbers[-1] == record.frames[-1] + 1:
         raise ViewnetError("images are numbered from 1 (the first frame is 0)")
-    places = {number: (place, file) for place, (number, file) in enumerate(zip(numbers, files, strict=True))}
-    return _Images(folder, places)
+    return folder, dict(zip(numbers, enumerate(files), strict=True))
 
 
-def _frame(view: View, source: Path | _Images) -> Frame:
-    if isinstance(source, _Images):
-        number, file = source.places[view.number]
+def _frame(view: View, images: _Images) -> Frame:
+    if images:
+        number, file = images[view.number]
         size = image_files.size(file)
         width, height = view.size if view.size and view.upright is not None else size
         if (size[0] - size[1]) * (width - height) < 0:
@@ -158,16 +147,12 @@ def _frame(view: View, source: Path | _Images) -> Frame:
 def _lists(root: Path, name: str) -> dict[str, set[str]] | None:
     """Split -> videos of the published lists; None where there are none. Raises ViewnetError for half of them."""
     files = {split: root / "index" / f"{name}_annotations_{split}" for split in ("train", "test")}
-    there = {split: file for split, file in files.items() if file.is_file()}
-    if not there:
+    missing = [file for file in files.values() if not file.is_file()]
+    if len(missing) == len(files):
         return None
-    if len(there) < len(files):
-        missing = next(file for split, file in files.items() if split not in there)
-        raise ViewnetError(f"{missing}: no such list: give both lists of {name}, or none")
-    try:
-        return {split: set(file.read_text(encoding="utf-8").split()) for split, file in files.items()}
-    except (OSError, UnicodeDecodeError) as error:
-        raise ViewnetError(f"{root / 'index'}: lists of {name} cannot be read ({error})") from None
+    if missing:
+        raise ViewnetError(f"{missing[0]}: no such list: give both lists of {name}, or none")
+    return {split: set(read_text(file, "one <class>/batch-N/M a line").split()) for split, file in files.items()}
 
 
 def _split(listed: dict[str, set[str]] | None, video: str) -> str:

@@ -21,7 +21,7 @@ keypoints in the camera's frame give the camera's place again: a frame in which 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence as Many
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,41 +54,40 @@ _SLACK = 0.01  # of rotations in single precision, and of what cameras' poses we
 
 @dataclass(frozen=True)
 class View:
-    """A frame in which the object can be used.
-
-    azimuth, elevation  degrees
-    box                 x0, y0, x1, y1 as fractions of the image as it is shown, within it
-    size                width and height of that image, pixels, as the camera recorded it; None where it did not
-    upright             whether the image is the sensor's rotated by a quarter turn; None where that is unknown
-    """
+    """A frame in which the object can be used."""
 
     number: int
-    azimuth: float
+    azimuth: float  # degrees
     elevation: float
-    box: Box
-    size: tuple[int, int] | None
-    upright: bool | None
+    box: Box  # fractions of the image as it is shown, within it
+    size: tuple[int, int] | None  # width and height of that image, pixels, if the camera recorded them
+    upright: bool | None  # whether the image is the sensor's rotated by a quarter turn; None where that is unknown
 
 
 @dataclass(frozen=True)
 class Record:
-    """The views of a record's main object, which is the largest in the image on average.
+    """The views of a record's main object, which is the largest in the image on average."""
 
-    frames      the numbers of all frames in the record
-    views       those that can be used, by number
-    rejected    (frame number, reason) of the others
-    others      ids of the other annotated objects
-    """
-
-    frames: tuple[int, ...]
-    views: tuple[View, ...]
-    rejected: tuple[tuple[int, str], ...]
-    others: tuple[int, ...]
+    frames: tuple[int, ...]  # the numbers of all frames in the record
+    views: tuple[View, ...]  # those that can be used, by number
+    rejected: tuple[tuple[int, str], ...]  # (frame number, reason) of the others
+    others: tuple[int, ...]  # ids of the other annotated objects
 
 
 def read_record(path: Path) -> Record:
     """Read a record file. Raises ViewnetError where nothing of it can be used: unreadable, no frame, no object."""
-    return interpret(_parse(path))
+    try:
+        with path.open("rb") as file:
+            content = file.read(LARGEST + 1)
+    except OSError as error:
+        raise ViewnetError(f"record cannot be read ({type(error).__name__})") from None
+    if len(content) > LARGEST:
+        raise ViewnetError(f"record larger than {LARGEST >> 20} MiB")
+    try:
+        sequence = Sequence.FromString(content)
+    except Exception as error:  # Its class depends on the library's version and back end.
+        raise ViewnetError(f"record is damaged ({type(error).__name__})") from None
+    return interpret(sequence)
 
 
 def interpret(sequence: Any) -> Record:
@@ -98,42 +97,23 @@ def interpret(sequence: Any) -> Record:
         raise ViewnetError(f"record of too many frames ({count})" if count else "record without frames")
     if (objects := sum(len(frame.annotations) for frame in sequence.frame_annotations)) > MOST_FRAMES:
         raise ViewnetError(f"record of too many objects ({objects})")
-    seen: set[int] = set()
-    frames, rejected = [], []
+    frames: dict[int, Any] = {}
+    views, rejected = [], []
     for frame in sequence.frame_annotations:
-        if frame.frame_id in seen or frame.frame_id < 0:
+        if frame.frame_id < 0 or frames.setdefault(frame.frame_id, frame) is not frame:
             reason = "frame number below 0" if frame.frame_id < 0 else "frame annotated twice"
             rejected.append((int(frame.frame_id), reason))
-            continue
-        seen.add(frame.frame_id)
-        frames.append(frame)
-    main, others = _main_object(frames)
+    main, others = _main_object(frames.values())
     rotation, translation = _object_pose(sequence.objects, main)
-    views = []
-    for frame in frames:
+    for number, frame in sorted(frames.items()):
         try:
             views.append(_view(frame, main, rotation, translation))
         except ViewnetError as error:
-            rejected.append((int(frame.frame_id), str(error)))
-    views.sort(key=lambda view: view.number)
-    return Record(tuple(sorted(seen)), tuple(views), tuple(sorted(rejected)), others)
+            rejected.append((int(number), str(error)))
+    return Record(tuple(sorted(frames)), tuple(views), tuple(sorted(rejected)), others)
 
 
-def _parse(path: Path) -> Any:
-    try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST + 1)
-    except OSError as error:
-        raise ViewnetError(f"record cannot be read ({type(error).__name__})") from None
-    if len(content) > LARGEST:
-        raise ViewnetError(f"record larger than {LARGEST >> 20} MiB")
-    try:
-        return Sequence.FromString(content)
-    except Exception as error:  # Its class depends on the library's version and back end.
-        raise ViewnetError(f"record is damaged ({type(error).__name__})") from None
-
-
-def _main_object(frames: Many[Any]) -> tuple[int, tuple[int, ...]]:
+def _main_object(frames: Iterable[Any]) -> tuple[int, tuple[int, ...]]:
     """The id of the object that covers most of the images, and those of all others."""
     covered: dict[int, float] = {}
     for frame in frames:
@@ -150,11 +130,11 @@ def _main_object(frames: Many[Any]) -> tuple[int, tuple[int, ...]]:
     return int(main), tuple(sorted(int(name) for name in covered if name != main))
 
 
-def _object_pose(objects: Many[Any], main: int) -> tuple[np.ndarray, np.ndarray]:
-    found = [item for item in objects if item.id == main]
-    if len(found) != 1:
-        raise ViewnetError(f"object {'without' if not found else 'with more than one'} pose")
-    rotation, translation = (np.array(values, dtype=np.float64) for values in (found[0].rotation, found[0].translation))
+def _object_pose(objects: Iterable[Any], main: int) -> tuple[np.ndarray, np.ndarray]:
+    poses = [(item.rotation, item.translation) for item in objects if item.id == main]
+    if len(poses) != 1:
+        raise ViewnetError(f"object {'without' if not poses else 'with more than one'} pose")
+    rotation, translation = (np.array(values, dtype=np.float64) for values in poses[0])
     if rotation.size != 9 or translation.size != 3 or not np.isfinite(translation).all():
         raise ViewnetError("object's pose is not nine and three finite numbers")
     rotation = rotation.reshape(3, 3)
@@ -190,7 +170,9 @@ def _view(frame: Any, main: int, rotation: np.ndarray, translation: np.ndarray) 
         raise ViewnetError("camera at the object's centre")
     azimuth, elevation = azimuth_elevation(torch.from_numpy(AXES @ place))
     upright = _is_upright(frame.camera, in_camera, points)
-    size = _shown_size(frame.camera, upright)
+    # The image is on its side only where the projection says so.
+    short, long = sorted((int(frame.camera.image_resolution_width), int(frame.camera.image_resolution_height)))
+    size = None if short < 1 else (long, short) if upright is False else (short, long)
     return View(int(frame.frame_id), azimuth.item(), elevation.item(), (x0, y0, x1, y1), size, upright)
 
 
@@ -254,11 +236,3 @@ def _is_upright(camera: Any, in_camera: np.ndarray, points: np.ndarray) -> bool 
     apart = {rotated: float(np.abs(places - points).mean()) for rotated, places in shown.items()}
     best = min(apart, key=lambda rotated: apart[rotated])
     return best if apart[best] < 0.05 else None
-
-
-def _shown_size(camera: Any, upright: bool | None) -> tuple[int, int] | None:
-    """Width and height of the image as shown: on its side only where the projection says so."""
-    short, long = sorted((int(camera.image_resolution_width), int(camera.image_resolution_height)))
-    if short < 1:
-        return None
-    return (long, short) if upright is False else (short, long)

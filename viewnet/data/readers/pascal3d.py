@@ -13,6 +13,7 @@ Whatever is not used is listed with the reason.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -25,8 +26,17 @@ from viewnet.config import CATEGORIES, PhotoConfig, known
 from viewnet.data.crop import Box
 from viewnet.data.photo_store import Photograph
 from viewnet.data.readers import matlab
-from viewnet.data.readers.reader import Contents, DataSet, Photographs, PhotoReader, Reader
-from viewnet.data.store import Rejected, in_words, tally
+from viewnet.data.readers.reader import (
+    Contents,
+    DataSet,
+    Photographs,
+    PhotoReader,
+    Reader,
+    no_usable,
+    read_text,
+    within,
+)
+from viewnet.data.store import Rejected, tally
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
@@ -50,18 +60,13 @@ _SUFFIXES = (".JPEG", ".jpg", ".jpeg", ".JPG", ".png", ".PNG")
 
 @dataclass(frozen=True)
 class Annotation(Photograph):
-    """One object of one photograph; its split is the data set's own, "train" or "val".
-
-    number   which of the record's objects it is, from 0
-    tilt     the camera's in-plane rotation, degrees (`theta`)
-    coarse   whether no closer viewpoint than one of eight azimuths was annotated
-    """
+    """One object of one photograph; its split is the data set's own, "train" or "val"."""
 
     subset: str
     image: str
-    number: int
-    tilt: float
-    coarse: bool
+    number: int  # which of the record's objects it is, from 0
+    tilt: float  # the camera's in-plane rotation, degrees (`theta`)
+    coarse: bool  # whether no closer viewpoint than one of eight azimuths was annotated
     truncated: bool
     occluded: bool
     difficult: bool
@@ -74,21 +79,16 @@ class Annotation(Photograph):
 
 @dataclass
 class Report:
-    """The entries of a list that are not among the annotations as they are.
+    """The entries of a list that are not among the annotations as they are."""
 
-    rejected    objects and images that cannot be used
-    mended      (id, what) of those that are used after a correction
-    others      number of objects of other categories in the same images
-    """
-
-    rejected: list[Rejected] = field(default_factory=list)
-    mended: list[tuple[str, str]] = field(default_factory=list)
-    others: int = 0
+    rejected: list[Rejected] = field(default_factory=list)  # objects and images that cannot be used
+    mended: list[tuple[str, str]] = field(default_factory=list)  # (id, what) of those that are used after a correction
+    others: int = 0  # objects of other categories in the same images
 
     @property
     def counts(self) -> dict[str, int]:
         """Reason -> number of objects or images that cannot be used."""
-        return tally(reason for _, _, reason in self.rejected)
+        return tally(reason for *_, reason in self.rejected)
 
 
 def read(
@@ -113,8 +113,7 @@ def read(
         for image in dict.fromkeys(names):
             annotations += _read_image(root, category, part, split, image, keep, coarse, report)
     if not annotations:
-        reasons = in_words(report.counts) or "the list is empty"
-        raise ViewnetError(f"{root}: no usable {category} in {subset} {split} ({reasons})")
+        raise no_usable(root, f"{category} in {subset} {split}", report.rejected, "the list is empty")
     return annotations, report
 
 
@@ -131,10 +130,8 @@ def listed(root: Path, category: str, subset: str, split: str) -> list[str]:
     path = list_file(root, category, subset, split)
     if not path.is_file():
         raise ViewnetError(f"{path}: no such list: expected the folder of PASCAL3D+ release 1.1")
-    try:
-        lines = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise ViewnetError(f"{path}: cannot be read ({error}): expected a text file, one image a line") from None
+    text = read_text(path, "a text file, one image a line")
+    lines = [line.split() for line in text.splitlines() if line.strip()]
     states = [["-1"], ["0"], ["1"]] if subset == "pascal" else []
     if bad := [" ".join(line) for line in lines if line[1:] not in [[], *states] or not _is_name(line[0])]:
         expected = "an image and -1, 0 or 1" if subset == "pascal" else "the name of one image"
@@ -170,15 +167,14 @@ def _read_image(
     root: Path, category: str, subset: str, split: str, image: str, keep: Keep, coarse: bool, report: Report
 ) -> list[Annotation]:
     """The objects of one image that are requested and can be used; all others go to the report."""
-    path, image_path = annotation_file(root, category, subset, image), image_file(root, category, subset, image)
-    name, where = f"{subset}/{image}", path.relative_to(root).as_posix()
-    file = image_path
+    path, image_path = (locate(root, category, subset, image) for locate in (annotation_file, image_file))
+    name, where = f"{subset}/{image}", within(image_path, root)
     try:
-        size = image_files.size(file)
-        file = path
-        objects, annotated = _record(file)
+        size = image_files.size(image_path)
+        where = within(path, root)
+        objects, annotated = _record(path)
     except ViewnetError as error:
-        report.rejected.append((name, file.relative_to(root).as_posix(), str(error)))
+        report.rejected.append((name, where, str(error)))
         return []
     mine = [(n, item) for n, item in enumerate(objects) if str(getattr(item, "class", "")).strip() == category]
     report.others += len(objects) - len(mine)
@@ -209,12 +205,11 @@ def _record(path: Path) -> tuple[list[Any], tuple[float, float] | None]:
     if not path.is_file():
         raise ViewnetError("no such annotation")
     try:
-        variables = matlab.load(path)
+        record = matlab.load(path).get("record")
     except ViewnetError as error:
         raise ViewnetError(f"annotation cannot be read ({error})") from None
-    if "record" not in variables:
+    if record is None:
         raise ViewnetError("annotation without a record")
-    record = variables["record"]
     if not hasattr(record, "objects"):
         raise ViewnetError("annotation without objects")
     # One object is a structure, several are an array of them, none is an empty array.
@@ -259,8 +254,8 @@ def _annotation(
     if not hasattr(viewpoint, "_fieldnames"):
         raise ViewnetError("object without a viewpoint")
     coarse = _is_coarse(viewpoint)
-    suffix = "_coarse" if coarse else ""
-    azimuth, elevation = (_number(viewpoint, f"{name}{suffix}") for name in ("azimuth", "elevation"))
+    names = ("azimuth_coarse", "elevation_coarse") if coarse else ("azimuth", "elevation")
+    azimuth, elevation = (_number(viewpoint, name) for name in names)
     if abs(elevation) > 90:
         raise ViewnetError(f"elevation beyond 90 degrees ({elevation:g})")
     tilt = 0.0 if coarse else _number(viewpoint, "theta", 0.0)
@@ -321,37 +316,30 @@ def _describe(config: PhotoConfig, root: Path) -> dict[str, Any]:
 
 def _read_both_splits(config: PhotoConfig, root: Path) -> Photographs:
     """Viewpoints are calibrated on the data set's "train" and scored on its "val"."""
-    usable: list[Photograph] = []
-    whole = Report()
-    for split, ours in zip(SPLITS, ("val", "test"), strict=True):
-        annotations, report = read(root, config.category, config.subset, split, config.keep, config.coarse)
-        usable += [replace(annotation, split=ours) for annotation in annotations]
-        whole.rejected += report.rejected
-        whole.mended += report.mended
-        whole.others += report.others
-    notes = {"mended": tally(what for _, what in whole.mended), "objects of other categories": whole.others}
-    return Photographs(usable, whole.rejected, notes)
+    (first, calibrated), (second, scored) = (
+        read(root, config.category, config.subset, split, config.keep, config.coarse) for split in SPLITS
+    )
+    usable: list[Photograph] = [replace(annotation, split="val") for annotation in first]
+    usable += [replace(annotation, split="test") for annotation in second]
+    mended = tally(what for _, what in calibrated.mended + scored.mended)
+    notes = {"mended": mended, "objects of other categories": calibrated.others + scored.others}
+    return Photographs(usable, calibrated.rejected + scored.rejected, notes)
 
 
 def _count(root: Path, contents: Contents) -> None:
-    lists = [
-        (category, subset)
-        for category in CATEGORIES
-        for subset in SUBSETS
-        if any(list_file(root, category, subset, split).is_file() for split in SPLITS)
-    ]
-    if not lists:
+    for category in CATEGORIES:
+        files = {subset: [list_file(root, category, subset, split) for split in SPLITS] for subset in SUBSETS}
+        there = [subset for subset in SUBSETS if any(file.is_file() for file in files[subset])]
+        usable, reasons = [], []
+        for subset, (split, use) in itertools.product(there, zip(SPLITS, ("calibrate", "score"), strict=True)):
+            with contents.error_is_problem():
+                annotations, report = read(root, category, subset, split)
+                usable += [f"{subset} objects to {use}"] * len(annotations)
+                reasons += [reason for _, _, reason in report.rejected]
+        if there:
+            contents.add(category, usable, reasons)
+    if not contents.counts:
         contents.problems.append(f"{root / LISTS}: no list of any category: expected PASCAL3D+ release 1.1")
-    for category in dict.fromkeys(category for category, _ in lists):
-        usable: list[str] = []
-        reasons: list[str] = []
-        for subset in (subset for name, subset in lists if name == category):
-            for split, use in zip(SPLITS, ("calibrate", "score"), strict=True):
-                with contents.error_is_problem():
-                    annotations, report = read(root, category, subset, split)
-                    usable += [f"{subset} objects to {use}"] * len(annotations)
-                    reasons += [reason for _, _, reason in report.rejected]
-        contents.add(category, usable, reasons)
 
 
 READER = Reader(

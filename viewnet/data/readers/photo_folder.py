@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -43,7 +44,7 @@ def read(root: Path, category: str) -> list[Photograph]:
     if table.empty:
         raise ViewnetError(f"{path}: lists no photograph")
     photographs: list[Photograph] = []
-    times: dict[str, int] = {}
+    times = Counter[str]()
     for number, row in enumerate(table.to_dict("records"), start=1):
         where = f"{path}: row {number}"
         file, split = str(row["file"]), row["split"]
@@ -58,10 +59,8 @@ def read(root: Path, category: str) -> list[Photograph]:
         if boxed and not all(pd.isna(row[name]) for name in _CORNERS):
             x0, y0, x1, y1 = (_value(row, name, where) for name in _CORNERS)
             box = (x0, y0, x1, y1)
-        before = times.get(file, 0)
-        times[file] = before + 1
-        name = f"{file}/{before}" if before else file
-        image = Path(root) / "images" / file
+        name, image = f"{file}/{times[file]}" if times[file] else file, Path(root) / "images" / file
+        times[file] += 1
         photographs.append(Photograph(name, category, split, image, box, azimuth % 360, elevation))
     return photographs
 
@@ -110,7 +109,7 @@ READER = Reader(
         title="photographs of your own",
         use="in place of PASCAL3D+",
         named="-p data_root FOLDER",
-        layout=(f"images/ and {LIST}: file, azimuth_deg, elevation_deg, split (val or test); boxes x0, y0, x1, y1"),
+        layout=f"images/ and {LIST}: file, azimuth_deg, elevation_deg, split (val or test); boxes x0, y0, x1, y1",
         terms="yours",
         source="you",
     ),

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from viewnet.config import PhotoConfig, VideoConfig
-from viewnet.data.store import Rejected, tally
+from viewnet.data.store import Rejected, in_words, tally
 from viewnet.errors import ViewnetError
 
 if TYPE_CHECKING:
@@ -21,23 +21,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DataSet:
-    """The catalogue's entry of a data set.
-
-    key      its short name
-    title    its own name
-    use      what for
-    named    how a copy is named to the project
-    layout   what must lie in the folder
-    terms    under what terms it is had, and where they are
-    source   where it is had
-    """
+    """The catalogue's entry of a data set."""
 
     key: str
     title: str
-    use: str
-    named: str
-    layout: str
-    terms: str
+    use: str  # what it serves for
+    named: str  # how a copy is named to the project
+    layout: str  # what must lie in the folder
+    terms: str  # the licence, and where it is
     source: str
 
 
@@ -53,10 +44,8 @@ class Contents:
     def add(self, category: str, usable: Iterable[str], reasons: Iterable[str] = ()) -> None:
         """Count what can be used, by kind, and what cannot, by reason."""
         self.counts[category] = dict(Counter(usable))
-        self.problems += [
-            f"{category + ': ' if category else ''}{count} left out: {reason}"
-            for reason, count in sorted(tally(reasons).items())
-        ]
+        name = f"{category}: " if category else ""
+        self.problems += [f"{name}{count} left out: {reason}" for reason, count in sorted(tally(reasons).items())]
 
     @contextlib.contextmanager
     def error_is_problem(self) -> Iterator[None]:
@@ -69,53 +58,54 @@ class Contents:
 
 @dataclass(frozen=True)
 class Photographs:
-    """The photographs of a data set, split into "val" (calibrated on) and "test" (scored).
-
-    `notes` (JSON values) join what a view store records of its making.
-    """
+    """The photographs of a data set, split into "val" (calibrated on) and "test" (scored)."""
 
     usable: list[Photograph]
     rejected: list[Rejected] = field(default_factory=list)
-    notes: dict[str, Any] = field(default_factory=dict)
+    notes: dict[str, Any] = field(default_factory=dict)  # JSON values that a view store records of its making
 
 
 @dataclass(frozen=True)
 class PhotoReader:
-    """Reads annotated photographs.
+    """Reads annotated photographs, by a configuration and the data set's folder."""
 
-    describe   of a configuration and the data set's folder: what decides the photographs, as JSON values
-    read       the photographs
-    upright    whether boxes are of the image rotated as its camera recorded
-    """
-
-    describe: Callable[[PhotoConfig, Path], dict[str, Any]]
+    describe: Callable[[PhotoConfig, Path], dict[str, Any]]  # what decides the photographs, as JSON values
     read: Callable[[PhotoConfig, Path], Photographs]
-    upright: bool = False
+    upright: bool = False  # whether boxes are of the image rotated as its camera recorded
 
 
 @dataclass(frozen=True)
 class VideoReader:
-    """Reads clips.
+    """Reads clips, by a configuration and the data set's folder."""
 
-    accepts   whether a folder is read in this layout where the configuration does not name one
-    read      of a configuration and the data set's folder: the clips, and what cannot be used
-    """
-
-    accepts: Callable[[Path], bool]
-    read: Callable[[VideoConfig, Path], tuple[list[Clip], list[Rejected]]]
+    accepts: Callable[[Path], bool]  # whether a folder is read in this layout where the configuration does not name one
+    read: Callable[[VideoConfig, Path], tuple[list[Clip], list[Rejected]]]  # clips, and what cannot be used
 
 
 @dataclass(frozen=True)
 class Reader:
-    """A data set that the project reads.
+    """A data set that the project reads."""
 
-    about        its entry in the catalogue; None for a layout that is named in a configuration alone
-    recognises   whether a folder has its layout
-    count        adds what a folder holds to its `Contents`
-    """
-
-    about: DataSet | None
-    recognises: Callable[[Path], bool] = lambda folder: False
-    count: Callable[[Path, Contents], None] = lambda folder, contents: None
+    about: DataSet | None  # its entry in the catalogue; None for a layout that is named in a configuration alone
+    recognises: Callable[[Path], bool] = lambda folder: False  # whether a folder has its layout
+    count: Callable[[Path, Contents], None] = lambda folder, contents: None  # adds what a folder holds to its contents
     photographs: PhotoReader | None = None
     videos: VideoReader | None = None
+
+
+def read_text(path: Path, expected: str) -> str:
+    """The content of a text file. ViewnetError, which says what was `expected`, where it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise ViewnetError(f"{path}: cannot be read ({error}): expected {expected}") from None
+
+
+def within(path: Path, root: Path) -> str:
+    """A path within its data set, as lists of what cannot be used have it."""
+    return path.relative_to(root).as_posix()
+
+
+def no_usable(root: Path, what: str, rejected: Iterable[Rejected], otherwise: str) -> ViewnetError:
+    """The error of a data set of which nothing can be used, with the reasons."""
+    return ViewnetError(f"{root}: no usable {what} ({in_words(tally(reason for *_, reason in rejected)) or otherwise})")

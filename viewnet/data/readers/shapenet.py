@@ -14,13 +14,16 @@ from typing import Literal
 import numpy as np
 
 from viewnet.config import SYNSETS, known
-from viewnet.data.readers.reader import Contents, DataSet, Reader
+from viewnet.data.readers.reader import Contents, DataSet, Reader, read_text
 from viewnet.errors import ViewnetError
 from viewnet.render.mesh import Mesh, UnusableModel
 from viewnet.render.obj import read_obj
 from viewnet.runtime.files import read_csv
 from viewnet.runtime.splits import SPLITS, seeded_rank, seeded_splits
 
+Layout = Literal["v1", "v2"]
+LAYOUTS: dict[Layout, str] = {"v2": "models/model_normalized.obj", "v1": "model.obj"}
+"""Where a model lies in its folder."""
 # world_from_file: rows are world axes (x front, y left, z up) in the file's axes. Both layouts are y up; v1 faces +x,
 # v2 faces -z.
 WORLD_FROM_FILE = {
@@ -36,12 +39,12 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ModelFile:
-    """One CAD model of a collection. `layout` is v1 (`<id>/model.obj`) or v2 (`<id>/models/model_normalized.obj`)."""
+    """One CAD model of a collection."""
 
     id: str
     category: str
     path: Path
-    layout: Literal["v1", "v2"]
+    layout: Layout
     split: str
 
     @property
@@ -74,18 +77,15 @@ def find_models(root: Path | str, category: str, splits: Path | str | None = Non
     there = {model.id for model in models}
     for split in SPLITS:
         names = [name for name, value in listed.items() if value == split]
-        if not names:
-            raise ViewnetError(f"{source}: the {split} split of {category} is empty: list models for it, or use more")
         if not there.intersection(names):
-            raise ViewnetError(
-                f"{source}: the {split} split of {category} is empty: none of its {len(names)} models is in"
-                f" {root / synset}: check that list and collection belong together"
-            )
+            reason = "list models for it, or use more"
+            if names:
+                reason = f"none of its {len(names)} models is in {root / synset}: check that they belong together"
+            raise ViewnetError(f"{source}: the {split} split of {category} is empty: {reason}")
     unlisted, absent = sum(model.id not in listed for model in models), len(listed.keys() - there)
     if unlisted or absent:
-        log.warning(
-            "%s: %d models not in %s left out, %d listed models missing", root / synset, unlisted, source, absent
-        )
+        text = "%s: %d models not in %s left out, %d listed models missing"
+        log.warning(text, root / synset, unlisted, source, absent)
     return [replace(model, split=listed[model.id]) for model in models if model.id in listed]
 
 
@@ -99,9 +99,8 @@ def take(models: Sequence[ModelFile], count: int, seed: int = 0) -> list[ModelFi
     sizes = Counter(model.split for model in models)
     chosen: set[str] = set()
     for split, size in sizes.items():
-        ids = sorted(
-            (model.id for model in models if model.split == split), key=lambda name: seeded_rank(seed, "take", name)
-        )
+        ids = [model.id for model in models if model.split == split]
+        ids.sort(key=lambda name: seeded_rank(seed, "take", name))
         chosen.update(ids[: max(1, round(count * size / len(models)))])
     return [model for model in models if model.id in chosen]
 
@@ -119,12 +118,9 @@ def load_model(model: ModelFile) -> Mesh:
         diagonal = float(np.linalg.norm(high - low))
     if not 1e-30 < diagonal < 1e30:
         raise UnusableModel(model.path, f"size {diagonal:g}")
-    return replace(
-        mesh,
-        vertices=(vertices - (low + high) / 2) / diagonal,
-        faces=faces.reshape(-1, 3).astype(np.int32),
-        colours=None if mesh.colours is None else mesh.colours[used],
-    )
+    colours = None if mesh.colours is None else mesh.colours[used]
+    vertices = (vertices - (low + high) / 2) / diagonal
+    return replace(mesh, vertices=vertices, faces=faces.reshape(-1, 3).astype(np.int32), colours=colours)
 
 
 def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
@@ -133,37 +129,20 @@ def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
         raise ViewnetError(f"{root}: no such folder: give the folder of a ShapeNetCore collection")
     folder = root / synset
     if not folder.is_dir():
-        names = sorted(
-            entry.name for entry in os.scandir(root) if re.fullmatch(r"\d{8}", entry.name) and entry.is_dir()
-        )
+        names = sorted(path.name for path in root.iterdir() if re.fullmatch(r"\d{8}", path.name) and path.is_dir())
         if (root / f"{synset}.zip").exists():
             raise ViewnetError(f"{folder}: not there, but {synset}.zip is: unpack it")
         if not names:
             raise ViewnetError(f"{root}: not a ShapeNetCore collection: expected a folder {synset} ({category}) in it")
         raise ViewnetError(f"{root}: no folder {synset} ({category}); it has {', '.join(names)}")
-    names = sorted(
-        entry.name for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith((".", "_"))
-    )
-    models, missing, layouts = [], [], Counter[str]()
-    for name in names:
-        for layout, file in _paths(folder / name).items():
-            if file.is_file():
-                models.append(ModelFile(name, category, file, layout, ""))
-                layouts[layout] += 1
-                break
-        else:
-            missing.append(name)
-    if not models:
-        raise ViewnetError(
-            f"{folder}: no models: expected <id>/models/model_normalized.obj (ShapeNetCore v2) or <id>/model.obj (v1)"
-        )
-    usual: Literal["v1", "v2"] = "v2" if layouts["v2"] >= layouts["v1"] else "v1"
-    models += [ModelFile(name, category, _paths(folder / name)[usual], usual, "") for name in missing]
-    return sorted(models, key=lambda model: model.id)
-
-
-def _paths(folder: Path) -> dict[Literal["v1", "v2"], Path]:
-    return {"v2": folder / "models" / "model_normalized.obj", "v1": folder / "model.obj"}
+    names = sorted(entry.name for entry in os.scandir(folder) if entry.is_dir() and entry.name[0] not in "._")
+    there = [[key for key, file in LAYOUTS.items() if (folder / name / file).is_file()] for name in names]
+    counts = Counter(layouts[0] for layouts in there if layouts)
+    if not counts["v1"] + counts["v2"]:
+        raise ViewnetError(f"{folder}: no models: expected <id>/{LAYOUTS['v2']} (v2) or <id>/{LAYOUTS['v1']} (v1)")
+    usual: Layout = "v2" if counts["v2"] >= counts["v1"] else "v1"
+    pairs = [(name, (*layouts, usual)[0]) for name, layouts in zip(names, there, strict=True)]
+    return [ModelFile(name, category, folder / name / LAYOUTS[layout], layout, "") for name, layout in pairs]
 
 
 def _read_csv(file: Path, synset: str) -> dict[str, str]:
@@ -184,13 +163,8 @@ def _read_lists(folder: Path, synset: str) -> dict[str, str]:
     for split in SPLITS:
         file = folder / f"{synset}_{split}.txt"
         if not file.is_file():
-            raise ViewnetError(
-                f"{file}: no such list: expected {synset}_train.txt, {synset}_val.txt, {synset}_test.txt"
-            )
-        try:
-            lines = file.read_text(encoding="utf-8").splitlines()
-        except (OSError, ValueError) as error:
-            raise ViewnetError(f"{file}: cannot be read ({error}): expected a text file, one id a line") from None
+            raise ViewnetError(f"{file}: no such list: expected {synset}_{{train,val,test}}.txt")
+        lines = read_text(file, "a text file, one id a line").splitlines()
         pairs += [(name, split) for line in lines if (name := line.strip())]
     counts = Counter(split for _, split in pairs)
     chair, train, val, name = _DPC_CHAIR
@@ -203,9 +177,7 @@ def _unique(source: Path, pairs: list[tuple[str, str]]) -> dict[str, str]:
     listed: dict[str, str] = {}
     for name, split in pairs:
         if listed.setdefault(name, split) != split:
-            raise ViewnetError(
-                f"{source}: model {name[:60]} is in both {listed[name]} and {split}: keep it in one split"
-            )
+            raise ViewnetError(f"{source}: model {name[:60]} is in both {listed[name]} and {split}: keep one")
     return listed
 
 
@@ -228,9 +200,8 @@ READER = Reader(
         title="ShapeNetCore v1 or v2",
         use="CAD models to train on; Tables 1 and 2",
         named="-p data_root FOLDER (Tables 1 and 2), -p cad_root FOLDER (Tables 3 and 4), train --data-root FOLDER",
-        layout=(
-            "<synset>/<id>/model.obj (v1) or <synset>/<id>/models/model_normalized.obj (v2); all.csv if there is one"
-        ),
+        layout="<synset>/<id>/model.obj (v1) or <synset>/<id>/models/model_normalized.obj (v2); "
+        "all.csv if there is one",
         terms="ShapeNet's terms of use: https://shapenet.org/terms",
         source="https://shapenet.org, and on application https://huggingface.co/datasets/ShapeNet",
     ),

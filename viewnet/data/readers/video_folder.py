@@ -64,9 +64,8 @@ def read(
             rejected.append((name, sources[name].name, "in no split"))
             continue
         masks = root / MASKS / name
-        split = known(chosen[name], SPLITS, "split")
-        stills = tuple(map(Frame, numbers))
-        clips.append(Clip(name, category, split, sources[name], stills, masks if masks.is_dir() else None))
+        place = (sources[name], tuple(map(Frame, numbers)), masks if masks.is_dir() else None)
+        clips.append(Clip(name, category, known(chosen[name], SPLITS, "split"), *place))
     if not clips:
         first = f" (the first that was left out: {': '.join(rejected[0][1:])})" if rejected else ""
         raise ViewnetError(f"{root}: no usable video or folder of frames{first}")
@@ -79,9 +78,8 @@ def _listed(root: Path) -> dict[str, str]:
     if not path.is_file():
         return {}
     table = read_csv(path, dtype=str, keep_default_na=False)
-    for column in ("clip", "split"):
-        if column not in table.columns:
-            raise ViewnetError(f"{path}: column {column!r} is missing")
+    if missing := [column for column in ("clip", "split") if column not in table.columns]:
+        raise ViewnetError(f"{path}: column {missing[0]!r} is missing")
     for number, row in enumerate(table.itertuples(), start=1):
         if row.split not in SPLITS:
             raise ViewnetError(f"{path}: row {number}: split {row.split[:60]!r}: expected one of {', '.join(SPLITS)}")
