@@ -67,7 +67,8 @@ def as_training_models(models: list[ModelFile], config: DataConfig) -> list[Mode
     """The models of a second collection, all of them in the training split of the first.
 
     Each is repeated until they are `config.extra_share` of the training models, the first collection's being 70 % of
-    `config.models`; every copy has other viewpoints. Where `config.models` is 0 each comes once.
+    `config.models`; every copy has other viewpoints. Where `config.models` is 0 each comes once. ViewnetError for a
+    share outside (0, 1).
     """
     if not 0 < config.extra_share < 1:
         raise ViewnetError(f"extra_share {config.extra_share}: expected a number between 0 and 1")
@@ -77,7 +78,7 @@ def as_training_models(models: list[ModelFile], config: DataConfig) -> list[Mode
 
 
 def built_in(category: str, models: int, seed: int = 0, progress: bool = True) -> Path:
-    """The folder of a collection of built-in models of one category, written if it is not there yet."""
+    """The folder of built-in models of one category, written if missing. ViewnetError for less than one model."""
     if models < 1:
         raise ViewnetError("models 0 means all of a collection, but built-in ones have no end: give a number or a root")
     root = paths.data() / "cad" / f"{category}-{models}-seed{seed}-v{cad.VERSION}"
@@ -183,7 +184,7 @@ def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]
 
 
 def video_stand_in(config: VideoConfig, workers: int | None = None, progress: bool = True) -> Path:
-    """The folder of the stand-in for videos that `config` asks for, written if it is not there yet."""
+    """The folder of the stand-in for videos of `config`, written if missing. ViewnetError for other categories."""
     if config.category == freiburg.CATEGORY and config.kind in ("auto", "freiburg"):
         driven = (config.sequences or freiburg_standin.SEQUENCES, config.frames, config.seed)
         return filled_once(

@@ -90,7 +90,7 @@ def frame_count(source: Path) -> int:
 
 
 def pick_frames(total: int, count: int | None, how: Pick, name: str, seed: int = 0) -> list[int]:
-    """Ascending numbers of `count` of `total` frames, or of all for None and where there are no more.
+    """Ascending numbers of `count` of `total` frames, all for None or too few. ViewnetError for counts below 1.
 
     "evenly": the middles of equal stretches of time; "random": by seed and the clip's name.
     """

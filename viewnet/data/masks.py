@@ -64,7 +64,10 @@ class MaskSource:
 
 
 def from_files() -> MaskSource:
-    """PNG files (see `crop.coverage`) in each clip's folder of masks, named like its images, or by frame number."""
+    """PNG files (see `crop.coverage`) in each clip's folder of masks, named like its images, or by frame number.
+
+    Its follower raises ViewnetError for a mask that is missing.
+    """
 
     def follow(clip: Clip) -> Follower:
         def read(number: int, name: str, image: Image.Image) -> np.ndarray:
@@ -95,7 +98,7 @@ def from_alpha() -> MaskSource:
 
 
 def from_segmenter(segment: Segmenter, described: dict[str, Any]) -> MaskSource:
-    """Masks by a network: the largest object of the class at first, then the one that overlaps most with the last."""
+    """Masks by a network: the largest object of the class first, then what overlaps most; ViewnetError for none."""
 
     def follow(clip: Clip) -> Follower:
         last: np.ndarray | None = None

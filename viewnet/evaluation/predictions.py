@@ -26,6 +26,11 @@ class Predictions:
     """N images with M viewpoint hypotheses each.
 
     ViewnetError for missing columns, no rows, wrong shapes, values that are not finite and vectors of a length not 1.
+
+    >>> ids = pd.DataFrame([["a", "car", "test", 0, 90.0, 0.0]], columns=ID_COLUMNS)
+    >>> predictions = Predictions(ids, np.array([[[1.0, 0, 0], [0, 1, 0]]]), np.array([[0.2, 1.5]]))
+    >>> predictions.choice, predictions.selected
+    (array([1]), array([[0., 1., 0.]]))
     """
 
     ids: pd.DataFrame  # a row for each image: `ID_COLUMNS`, text, an integer (view), and the true angles in degrees

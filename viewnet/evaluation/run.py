@@ -81,7 +81,12 @@ class Run:
 
 
 def run_name(config: RunConfig) -> str:
-    """What messages call a run: variant, category and seed, profile and recipe."""
+    """What messages call a run.
+
+    >>> from viewnet.recipes import make_config
+    >>> run_name(make_config("viewnet_cycle", "chair", seed=1))
+    'viewnet_cycle chair seed 1 (tiny, matting)'
+    """
     return f"{config.variant} {config.category} seed {config.seed} ({config.profile}, {config.recipe})"
 
 

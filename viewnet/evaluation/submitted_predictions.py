@@ -7,6 +7,16 @@ A row is an image. Its columns are those that `Predictions.to_parquet` writes:
     logit_0, logit_1 ...        the hypothesis of the largest is the prediction; required where there are several
     up0_x up0_y up0_z ...       unit up vectors, of methods that predict in-plane rotation
     split, azimuth, elevation   optional; where present they must be the store's
+
+>>> import tempfile
+>>> ids = pd.DataFrame({"model_id": "a", "category": "car", "split": ["val", "test"], "view": [0, 1],
+...                     "azimuth": [0.0, 90.0], "elevation": 0.0})
+>>> with tempfile.TemporaryDirectory() as folder:
+...     path = Path(folder, "mine.csv")
+...     _ = path.write_text("category,model_id,view,h0_x,h0_y,h0_z\\ncar,a,1,0,1,0\\ncar,a,0,1,0,0\\n")
+...     read(path, ids).selected
+array([[1., 0., 0.],
+       [0., 1., 0.]])
 """
 
 from __future__ import annotations

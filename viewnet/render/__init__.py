@@ -48,7 +48,7 @@ def render_mesh(
 def render_cameras(
     mesh: Mesh, world_from_camera: np.ndarray, lights: np.ndarray, size: int, supersample: int, backend: Backend
 ) -> np.ndarray:
-    """As `render_mesh`, for world_from_camera (V, 3, 3) and a back end that `choose_backend` gave."""
+    """As `render_mesh`, ViewnetErrors too, for world_from_camera (V, 3, 3) and a back end of `choose_backend`."""
     if size < 1 or supersample < 1:
         raise ViewnetError(f"size {size}, supersample {supersample}: expected 1 or more")
     if (reach := float(np.abs(mesh.vertices).max(initial=0))) > RADIUS + 1e-6:
