@@ -1,7 +1,5 @@
 """The command `viewnet`."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import importlib.metadata

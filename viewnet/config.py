@@ -5,8 +5,6 @@ unit, its source in brackets (a section, table or equation of the paper; "releas
 paper is silent; "ours"), and who changes it: P profiles, R recipes, V variants (rows of the tables), U users alone.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
@@ -57,7 +55,7 @@ class DataConfig:
     renderer: Literal["auto", "raycast", "pyrender"] = "auto"  # [ours] (U)
     # Behind both inputs in training, never behind the target: a folder of images (SUN397) or "drawn" [4.3] (R)
     backgrounds: str | None = None
-    video: VideoConfig | None = (
+    video: "VideoConfig | None" = (
         None  # given: views are frames of its clips, and only backgrounds count beside [4.4] (U)
     )
 
@@ -269,7 +267,7 @@ class RunConfig:
         return json.loads(json.dumps(dataclasses.asdict(self)))
 
     @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> RunConfig:
+    def from_dict(cls, values: dict[str, Any]) -> "RunConfig":
         """The inverse of `to_dict`. Unknown or missing keys and wrong types raise ViewnetError.
 
         Configurations written before settings were grouped are read too.

@@ -17,8 +17,6 @@ so `R @ p` takes camera coordinates to world coordinates. The paper writes [v, w
 [[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

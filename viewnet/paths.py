@@ -1,7 +1,5 @@
 """Folders of the project, and the environment variables that move them."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

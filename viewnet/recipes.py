@@ -8,8 +8,6 @@ where each setting is decided: recipe, then profile, then variant, then what the
 (1, 3, 30, 'matting')
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from viewnet.config import CATEGORIES, FORMER_NAMES, RunConfig, build, known, settings

@@ -3,8 +3,6 @@
 A contestant is a function without arguments that does the work once, on the same inputs as the other.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import gc

@@ -3,8 +3,6 @@
 The two take turns on one machine, so that only their ratio is claimed; see `benchmarks/README.md`.
 """
 
-from __future__ import annotations
-
 import datetime
 import math
 import statistics
@@ -76,7 +74,7 @@ class Settings:
             raise ViewnetError(f"sizes {' '.join(map(str, self.sizes))}: name each once, the smallest first")
 
     @classmethod
-    def default(cls, **given: Any) -> Settings:
+    def default(cls, **given: Any) -> "Settings":
         """With the machine's defaults for values that are None or not given."""
         defaults: dict[str, Any] = {"batch": 64} if torch.cuda.is_available() else {}
         if given.get("quick", False):
@@ -102,7 +100,7 @@ class Settings:
         return works
 
 
-def measure(settings: Settings, progress: bool = True) -> dict[str, Any]:
+def measure(settings: "Settings", progress: bool = True) -> dict[str, Any]:
     """Everything, as `bench.json` has it: settings, machine, and rows with the columns COLUMNS."""
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     threads_before, started = torch.get_num_threads(), datetime.datetime.now(datetime.UTC)
@@ -151,7 +149,7 @@ def _empty(kind: str, occupancy: str, size: int | None, device: str, profile: st
     return dict.fromkeys(COLUMNS) | {"work": name, "volume": occupancy, "size": size, "device": device}
 
 
-def _row(work: Work, settings: Settings, rates: Rates, device: torch.device) -> Row:
+def _row(work: Work, settings: "Settings", rates: Rates, device: torch.device) -> Row:
     row = _empty(work.kind, work.occupancy, work.size, device.type, work.profile)
     calls = {name: contestants.prepare(work, name, device) for name in CONTESTANTS}
     times = contestants.in_turn(calls, settings.repeat, device, 0.0 if settings.quick else 0.2)
@@ -206,7 +204,7 @@ def _with_growth(rows: list[Row]) -> list[Row]:
     return rows
 
 
-def time_to_accuracy(settings: Settings, device: torch.device, progress: bool) -> list[Row]:
+def time_to_accuracy(settings: "Settings", device: torch.device, progress: bool) -> list[Row]:
     """A row for each of GOALS: seconds of the package's training, validation after every epoch included.
 
     The median over the seeds, where more than half of them reached the accuracy, and least and most of those that did.

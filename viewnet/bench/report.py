@@ -1,7 +1,5 @@
 """What `viewnet bench` measured: as text, booktabs table, CSV, JSON and figure."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The least time a machine needs: arithmetic counted from shapes, over measured rates of multiplying and copying."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import astuple, dataclass
@@ -30,7 +28,7 @@ class Rates:
     copy: float
 
     @classmethod
-    def measure(cls, device: torch.device, quick: bool = False) -> Rates:
+    def measure(cls, device: torch.device, quick: bool = False) -> "Rates":
         """The best of several tries. bfloat16 is far slower than float32 on CPUs without it."""
         side = 256 if quick else 8192 if device.type == "cuda" else 2048
 
@@ -70,10 +68,10 @@ class Need:
     layer_values: float = 0.0  # in the precision of the layers
     values: float = 0.0  # in float32
 
-    def __add__(self, other: Need) -> Need:
+    def __add__(self, other: "Need") -> "Need":
         return Need(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
-    def seconds(self, rates: Rates) -> float:
+    def seconds(self, rates: "Rates") -> float:
         """At a machine's rates, layers in the faster precision: arithmetic or memory, whichever takes longer."""
         return min(
             max(
@@ -84,7 +82,7 @@ class Need:
         )
 
 
-def network_need(networks: nn.Module, run: Callable[[], Tensor], parameters: int, scale: float) -> Need:
+def network_need(networks: nn.Module, run: Callable[[], Tensor], parameters: int, scale: float) -> "Need":
     """One training pass through `networks` on the device `meta`, `run` giving its outputs, `scale` times over.
 
     Layers read their inputs and write their outputs once; backward they read both again and write the inputs' gradient.
@@ -104,7 +102,7 @@ def network_need(networks: nn.Module, run: Callable[[], Tensor], parameters: int
     return Need(scale * counter.get_total_flops() / 2, 0.0, 3 * scale * moved, 8.0 * parameters)
 
 
-def step_need(config: ModelConfig, batch: int) -> Need:
+def step_need(config: ModelConfig, batch: int) -> "Need":
     """The networks' part of a training step with `batch` targets."""
     with torch.device("meta"):
         net = TextbookViewNet(config)
@@ -117,7 +115,7 @@ def step_need(config: ModelConfig, batch: int) -> Need:
     return network_need(net, run, sum(weight.numel() for weight in net.parameters()), batch / 2)
 
 
-def render_need(samples: float, voxels: int, pixels: int, backward: bool) -> Need:
+def render_need(samples: float, voxels: int, pixels: int, backward: bool) -> "Need":
     """Rendering with so many ray samples: volumes are read once and images written; backward, gradients as well."""
     values = 4 * (voxels + pixels)
     return Need(samples=(3 if backward else 1) * SAMPLE * samples, values=values + (values + 4 * voxels) * backward)

@@ -5,8 +5,6 @@ and rendered with gradients. It computes what the package computes (tests/bench/
 the same names of weights.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any, cast
 

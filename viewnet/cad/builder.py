@@ -4,8 +4,6 @@ Everything is in the object frame (z up, +x front, +y left) and in any unit: the
 made of few triangles on purpose, since ray casting time depends on their number and the images are small.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ The palettes follow what furniture shops and collections of CAD models show: mos
 beige, some saturated colours. A share of the models is left in one pale grey, as many CAD models are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -123,7 +121,7 @@ def pick(rng: np.random.Generator, palette: tuple[Rgb, ...]) -> Rgb:
 class Finishes:
     """The materials of one model. A share `plain` of the models has no colours: everything is pale grey."""
 
-    def __init__(self, builder: Builder, rng: np.random.Generator, plain: float = 0.12) -> None:
+    def __init__(self, builder: "Builder", rng: np.random.Generator, plain: float = 0.12) -> None:
         self._builder = builder
         self._rng = rng
         self._count = 0

@@ -1,7 +1,5 @@
 """Random colours, as frequent as on real objects."""
 
-from __future__ import annotations
-
 import colorsys
 from collections.abc import Mapping
 

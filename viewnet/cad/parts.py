@@ -4,8 +4,6 @@ All take the finish (material) and, with `mirror=True`, also add the copy at -y.
 has a texture, are u = y and v = z - x times the finish's scale: an even texture then looks the same left and right.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -51,7 +49,7 @@ _SECTIONS = {
 
 
 def put(
-    builder: Builder,
+    builder: "Builder",
     vertices: np.ndarray,
     faces: np.ndarray,
     finish: Finish,
@@ -85,7 +83,7 @@ def _grid_faces(rows: int, columns: int, closed: bool) -> np.ndarray:
 
 
 def sweep(
-    builder: Builder,
+    builder: "Builder",
     path: ArrayLike,
     radii: ArrayLike,
     finish: Finish,
@@ -149,7 +147,7 @@ def ring_faces(count: int, sides: int, caps: bool) -> np.ndarray:
 
 
 def bar(
-    builder: Builder,
+    builder: "Builder",
     start: ArrayLike,
     end: ArrayLike,
     half: ArrayLike,
@@ -168,7 +166,7 @@ def bar(
 
 
 def turned(
-    builder: Builder,
+    builder: "Builder",
     start: ArrayLike,
     end: ArrayLike,
     profile: ArrayLike,
@@ -183,7 +181,7 @@ def turned(
 
 
 def block(
-    builder: Builder, center: ArrayLike, size: ArrayLike, finish: Finish, mirror: bool = False, taper: float = 1.0
+    builder: "Builder", center: ArrayLike, size: ArrayLike, finish: Finish, mirror: bool = False, taper: float = 1.0
 ) -> None:
     """An upright box; `taper` scales its top."""
     middle, extent = np.asarray(center, float), np.asarray(size, float)
@@ -207,7 +205,7 @@ def patch(rows: int, columns: int, roundness: float) -> np.ndarray:
 
 
 def shell(
-    builder: Builder,
+    builder: "Builder",
     grid: np.ndarray,
     thickness: float | np.ndarray,
     finish: Finish,
@@ -254,7 +252,7 @@ def pillow(rows: int, columns: int, thickness: float, edge: float = 0.4, power: 
 
 
 def cushion(
-    builder: Builder,
+    builder: "Builder",
     center: ArrayLike,
     size: ArrayLike,
     finish: Finish,
@@ -302,7 +300,7 @@ class BackSurface:
 
 
 def rail(
-    builder: Builder,
+    builder: "Builder",
     surface: BackSurface,
     t: float,
     half: Sequence[float],

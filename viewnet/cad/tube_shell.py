@@ -1,7 +1,5 @@
 """A long body of one cross-section (bus, railway carriage) as one lofted skin with painted cells."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Units: metres. The seat faces +x.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Writes one model in the layout of ShapeNetCore v2: y up, front -z, centred, unit bounding-box diagonal."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

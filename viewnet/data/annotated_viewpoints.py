@@ -1,7 +1,5 @@
 """Lists of annotated viewpoints, without images: what constants, biases and reported numbers are compared with."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

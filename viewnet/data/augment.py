@@ -5,8 +5,6 @@ the networks see is changed, never the target: the model reconstructs the object
 the generator given.
 """
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor

@@ -3,8 +3,6 @@
 Made once and kept under `<paths.data()>/backgrounds/<identity>`: pictures.npy, classes.npy and rejected.csv.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import itertools

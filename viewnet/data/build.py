@@ -1,7 +1,5 @@
 """The view store that a configuration asks for: made when it is missing, reused when it is there."""
 
-from __future__ import annotations
-
 import shutil
 from concurrent.futures import Executor
 from dataclasses import replace

@@ -3,8 +3,6 @@
 Nothing is downloaded. A copy is read by the readers of training and scoring, so problems are theirs, in their words.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@
 A clip is a model of the store and its frames are its views. Viewpoints without annotation are NaN.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Clips, videos of one object each, and their frames: of a video file, or a folder of images in the order of time."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import re

@@ -1,7 +1,5 @@
 """Cutting an image to the object in it: a box, made square, in one size."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

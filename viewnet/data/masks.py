@@ -4,8 +4,6 @@ A mask source makes a follower for each clip, which is called on the clip's fram
 a usable mask raises ViewnetError with a reason that begins with "mask".
 """
 
-from __future__ import annotations
-
 import hashlib
 import zipfile
 from collections.abc import Callable

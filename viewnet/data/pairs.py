@@ -1,7 +1,5 @@
 """Pairs for training: views held in memory, and batches that depend on (seed, step) alone (section 4.1)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

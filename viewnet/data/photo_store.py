@@ -5,8 +5,6 @@
 A photograph has no mask, so its alpha is 1 throughout; what lies beyond its edges is filled with one colour.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 from collections.abc import Iterable, Sequence

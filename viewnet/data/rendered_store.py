@@ -3,8 +3,6 @@
 Models are rendered in chunks. A chunk's file holds what one process has rendered; a killed call resumes from them.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

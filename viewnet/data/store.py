@@ -9,8 +9,6 @@ All views of a model are in consecutive rows, ordered by view. A view without an
 azimuth and elevation: it can be trained on, but not scored.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import platform
@@ -51,11 +49,11 @@ class ViewStore:
 
     folder: Path
     images: np.ndarray
-    index: pd.DataFrame
+    index: "pd.DataFrame"
     meta: dict[str, Any]
 
     @classmethod
-    def open(cls, folder: Path | str) -> ViewStore:
+    def open(cls, folder: Path | str) -> "ViewStore":
         """Open and check a store. Raises ViewnetError naming the file and what is wrong with it."""
         import pandas as pd
 
@@ -84,7 +82,7 @@ class ViewStore:
         return str(self.meta["identity"])
 
     @property
-    def rejected(self) -> pd.DataFrame:
+    def rejected(self) -> "pd.DataFrame":
         """What cannot be used: model_id, path, reason. ViewnetError for a damaged list."""
         path = self.folder / "rejected.csv"
         table = read_csv(path, dtype=str, keep_default_na=False)
@@ -149,10 +147,10 @@ def filled_once(folder: Path, fill: Callable[[Path], object]) -> Path:
 def write_store(
     folder: Path,
     batches: Iterable[np.ndarray],
-    index: pd.DataFrame,
+    index: "pd.DataFrame",
     made_by: dict[str, Any],
     rejected: Iterable[Rejected] = (),
-) -> ViewStore:
+) -> "ViewStore":
     """Write a store to `folder` from batches (n, H, W, 4) uint8 in the order of `index`, and open it.
 
     `made_by` (JSON values) holds everything that decided the views. Raises ViewnetError where `folder` exists, the
@@ -196,7 +194,7 @@ def _write_images(file: Path, batches: Iterable[np.ndarray], count: int, folder:
         raise ViewnetError(f"{folder}: {done} views for the {count} rows of the index")
 
 
-def check_index(index: pd.DataFrame, count: int, file: Path) -> None:
+def check_index(index: "pd.DataFrame", count: int, file: Path) -> None:
     """Raise ViewnetError unless `index` is a valid index of `count` views; `file` is named in the message."""
     import pandas as pd
 

@@ -1,7 +1,5 @@
 """The Hugging Face hub: downloads and uploads of saved models. Needs `pip install "viewnet[hub]"`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Images with masks and boxes, read from files, arrays, tensors and PIL images."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The README.md of a saved model, a model card with the hub's front matter: training, scores, usage."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The viewpoint network as an ONNX file, for use without PyTorch."""
 
-from __future__ import annotations
-
 import logging
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Images cut and scaled to what the networks of a configuration are trained and evaluated on."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Iterator, Sequence
@@ -50,7 +48,7 @@ class Framing:
     whole: Crop  # how an image that is not cut out is cut to the object's box, as scored photographs are
 
     @classmethod
-    def of(cls, config: RunConfig) -> Framing:
+    def of(cls, config: RunConfig) -> "Framing":
         """The framing of a run's networks."""
         data, model, video = config.data, config.model, config.data.video
         masked = video is None or video.masks != "none"
@@ -93,7 +91,7 @@ class Prepared:
         return torch.where(cutout, self.appearance, whole)
 
 
-def crop_to_object(given: InputImage, framing: Framing) -> CroppedImage:
+def crop_to_object(given: InputImage, framing: "Framing") -> CroppedImage:
     """Cut an image as the networks of `framing` see it. ViewnetError for a box that does not overlap the image."""
     image, mask, box = given.image, given.mask, given.box
     if mask is None:
@@ -116,7 +114,7 @@ def crop_to_object(given: InputImage, framing: Framing) -> CroppedImage:
     return CroppedImage(cut(image, box, framing.whole), cutout=False, mask=cut_mask)
 
 
-def prepare(cropped: Sequence[CroppedImage], framing: Framing, device: torch.device) -> Prepared:
+def prepare(cropped: Sequence[CroppedImage], framing: "Framing", device: torch.device) -> Prepared:
     """Scale cropped images to the input of the networks of `framing`."""
     count, size = len(cropped), framing.size
     viewpoint, whole = torch.empty(count, 4, size, size), torch.empty(count, 4, size, size)
@@ -141,7 +139,7 @@ def prepare(cropped: Sequence[CroppedImage], framing: Framing, device: torch.dev
 
 
 def batches(
-    images: ImagesLike, masks: Any, boxes: Any, framing: Framing, device: torch.device, batch_size: int
+    images: ImagesLike, masks: Any, boxes: Any, framing: "Framing", device: torch.device, batch_size: int
 ) -> Iterator[Prepared]:
     """Images with their masks and boxes as the networks of `framing` are shown them, batch by batch.
 
@@ -170,7 +168,7 @@ def batches(
         yield prepared
 
 
-def ready_images(images: Any, framing: Framing) -> Tensor | None:
+def ready_images(images: Any, framing: "Framing") -> Tensor | None:
     """(N, 3, S, S), for `ready_batches`, of an array or tensor of images that need no cutting; None of all else."""
     if isinstance(images, np.ndarray) and images.ndim == 4 and images.dtype in DTYPES:
         # PyTorch takes neither arrays that run backwards nor, without a warning, those that cannot be written.
@@ -180,7 +178,7 @@ def ready_images(images: Any, framing: Framing) -> Tensor | None:
     return images if len(images) and images.shape[1:] == (3, framing.size, framing.size) else None
 
 
-def ready_batches(images: Tensor, framing: Framing, device: torch.device, batch_size: int) -> Iterator[Tensor]:
+def ready_batches(images: Tensor, framing: "Framing", device: torch.device, batch_size: int) -> Iterator[Tensor]:
     """Images of `ready_images` in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does."""
     buffer = None  # A batch is overwritten by the next one: allocating takes several times as long as filling.
     for start in range(0, len(images), _positive(batch_size)):
@@ -211,7 +209,7 @@ def _bright(images: Tensor) -> Tensor:
     return edges.mean((1, 2)) > BRIGHT
 
 
-def _warn(framing: Framing, bright: Tensor, names: Sequence[str]) -> bool:
+def _warn(framing: "Framing", bright: Tensor, names: Sequence[str]) -> bool:
     """Name the first image that is unlike those of training; whether there is one."""
     if not (framing.cutout and bright.any()):
         return False

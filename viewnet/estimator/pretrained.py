@@ -8,8 +8,6 @@ Files and methods are named as in huggingface_hub's ModelHubMixin, but folders n
 pickled file is ever read. Three such folders come with the package (`SHIPPED`), named by their category.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import importlib.metadata

@@ -1,7 +1,5 @@
 """Texts rendered from viewnet/estimator/templates. jinja2 is imported when one is rendered: predicting needs none."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """An animation of an image's object on a turntable, once round from the viewpoint predicted for the image."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -14,8 +14,6 @@
 (1, 16, 16, 3)
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -81,7 +79,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         token: str | bool | None = None,
         force_download: bool = False,
         local_files_only: bool = False,
-    ) -> ViewpointEstimator:
+    ) -> "ViewpointEstimator":
         """Load a model.
 
         `where` is a category whose model comes with the package ("car", see viewnet.estimator.pretrained.shipped), a
@@ -141,7 +139,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
 
     def mesh(
         self, image: ImageLike | Prepared, mask: Any = None, box: Any = None, level: float = 0.5
-    ) -> trimesh.Trimesh:
+    ) -> "trimesh.Trimesh":
         """The surface of `volume` where occupancy passes `level`, in the frame of the predictions.
 
         viewnet.estimator.volume_mesh.write saves it. ViewnetError as `volume` does, and for an empty volume.

@@ -1,7 +1,5 @@
 """Predicted viewpoints of images, with their hypotheses and probabilities."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, overload
@@ -93,7 +91,7 @@ class Viewpoints:
     aligned: bool
 
     @classmethod
-    def of(cls, hypotheses: ArrayLike, logits: ArrayLike, ups: ArrayLike | None, aligned: bool) -> Viewpoints:
+    def of(cls, hypotheses: ArrayLike, logits: ArrayLike, ups: ArrayLike | None, aligned: bool) -> "Viewpoints":
         """From unit view vectors (N, M, 3), logits (N, M) and, with in-plane rotation, unit up vectors (N, M, 3)."""
         vectors, scores = np.array(hypotheses, dtype=np.float64), np.array(logits, dtype=np.float64)
         shares = np.exp(scores - scores.max(1, keepdims=True))
@@ -112,9 +110,9 @@ class Viewpoints:
     def __getitem__(self, rows: int) -> Viewpoint: ...
 
     @overload
-    def __getitem__(self, rows: slice | ArrayLike) -> Viewpoints: ...
+    def __getitem__(self, rows: slice | ArrayLike) -> "Viewpoints": ...
 
-    def __getitem__(self, rows: Any) -> Viewpoint | Viewpoints:
+    def __getitem__(self, rows: Any) -> "Viewpoint | Viewpoints":
         """The viewpoint of one image, or those of a slice, a mask (N,) or a list of positions."""
         single = isinstance(rows, (int, np.integer))
         rows = rows if single or isinstance(rows, slice) else np.asarray(rows)
@@ -127,7 +125,7 @@ class Viewpoints:
     def __iter__(self) -> Iterator[Viewpoint]:
         return (self[row] for row in range(len(self)))
 
-    def to_frame(self) -> pd.DataFrame:
+    def to_frame(self) -> "pd.DataFrame":
         """A row for each image: azimuth, elevation, confidence, choice, and azimuth_m, elevation_m, probability_m."""
         import pandas as pd
 

@@ -4,8 +4,6 @@ The surface lies where occupancy, interpolated between voxel centres, passes a l
 half sides of the volume. Colours are averages weighted by occupancy, as empty voxels have no learned colour.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -10,8 +10,6 @@ least squares, `robust` by least absolute distances; `linear` is the affine map 
 True
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Self

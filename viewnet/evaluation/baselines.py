@@ -1,7 +1,5 @@
 """Predictors that need no training: from the index of a view store to Predictions of its splits "val" and "test"."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

@@ -10,8 +10,6 @@
 [100, 25]
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ A backbone is a network of viewnet.runtime.torchvision_weights, or "pixels": gre
 no weights. "auto" is the first of AUTO whose weights are there.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 

@@ -3,8 +3,6 @@
 The error is the geodesic angle between camera frames. Other definitions are for the audit of reported numbers only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """From a checkpoint to predictions: a row for each image."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Predicted viewpoints for a set of images: what evaluation, tables and figures read."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,7 +82,7 @@ class Predictions:
         """(N,) the object each image shows, see `object_names`: the unit that is drawn and resampled."""
         return object_names(self.ids)
 
-    def subset(self, split: str) -> Predictions:
+    def subset(self, split: str) -> "Predictions":
         """The rows of one split. ViewnetError, naming the splits there are, where it has none."""
         rows = (self.ids["split"] == split).to_numpy()
         if not rows.any():
@@ -92,7 +90,7 @@ class Predictions:
             raise ViewnetError(f"predictions: no rows of split {split!r}, only of {splits}: predict that split too")
         return self.take(rows)
 
-    def take(self, rows: ArrayLike) -> Predictions:
+    def take(self, rows: ArrayLike) -> "Predictions":
         """The rows of a mask (N,) or of a list of positions, in that order."""
         rows = np.asarray(rows)
         ups = None if self.ups is None else self.ups[rows]
@@ -109,7 +107,7 @@ class Predictions:
             pd.concat([self.ids, numbers], axis=1).to_parquet(temporary, index=False)
 
     @classmethod
-    def from_parquet(cls, path: Path) -> Predictions:
+    def from_parquet(cls, path: Path) -> "Predictions":
         """Read what `to_parquet` wrote. ViewnetError, naming the file, where it is missing, damaged or incomplete."""
         try:
             frame = pd.read_parquet(path)
@@ -133,7 +131,7 @@ class Predictions:
             raise ViewnetError(f"{path}: {error}") from error
 
 
-def joined(parts: Sequence[Predictions]) -> Predictions:
+def joined(parts: "Sequence[Predictions]") -> "Predictions":
     """Predictions of one predictor, concatenated. ViewnetError where they differ in hypotheses or up vectors."""
     if len(heads := sorted({part.heads for part in parts})) != 1:
         raise ViewnetError(f"predictions of {' and '.join(map(str, heads))} hypotheses cannot be joined")

@@ -1,7 +1,5 @@
 """A finished run on disk: its configuration, result, predictions and log. Needs nothing that trains."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

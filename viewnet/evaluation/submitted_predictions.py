@@ -19,8 +19,6 @@ array([[1., 0., 0.],
        [0., 1., 0.]])
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 experiment("table2_ablation", profile="smoke", categories="car").run()
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from viewnet.config import known

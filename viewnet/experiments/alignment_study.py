@@ -6,8 +6,6 @@ here, the accuracy that linear alignment adds and the spread of the predictions 
 random predictions, on all photographs and on increasingly one-sided subsets of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial

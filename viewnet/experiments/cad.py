@@ -1,7 +1,5 @@
 """Experiments on CAD models: trained on rendered views of some, scored on views of others (Tables 1 and 2)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 from typing import Any

@@ -1,7 +1,5 @@
 """Files of learned volumes: coloured meshes and turntables of the first test object of each run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

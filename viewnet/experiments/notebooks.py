@@ -1,7 +1,5 @@
 """Running the project's notebooks, one or all: parameters are checked before a kernel starts."""
 
-from __future__ import annotations
-
 import os
 import sys
 import time

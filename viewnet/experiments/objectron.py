@@ -4,8 +4,6 @@ ViewNet is trained on CAD models, and from there on ten frames of every video: o
 was trained on masks, once by those of one that was trained on class names only. All three are scored on photographs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -12,8 +12,6 @@ alignment, scores and bootstrap intervals as every other row. Instead of a metho
 program wrote (viewnet.evaluation.submitted_predictions).
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

@@ -3,8 +3,6 @@
 Values arrive plain, as papermill and the command line give them: names, whole numbers, "car,chair" or lists.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass

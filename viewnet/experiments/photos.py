@@ -3,8 +3,6 @@
 Of the photographs, predictions are aligned and untrained predictors fitted on the split "val"; "test" is scored.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ Given those, a reported score is compared under each definition (viewnet.evaluat
 the constants that the paper may have meant, and with bounds that hold for all constants.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product

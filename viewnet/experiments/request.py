@@ -1,7 +1,5 @@
 """Requests: the checked parameters of a notebook, and what each notebook takes and shows by default."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -4,8 +4,6 @@ A saved model (viewnet.estimator.pretrained) is laid out as the run it was saved
 both are scored by the same functions. Its own views are rendered again where they are missing.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import tempfile

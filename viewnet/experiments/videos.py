@@ -3,8 +3,6 @@
 ViewNet sees no viewpoints of the videos. A linear regression fitted on those viewpoints is scored beside it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 from typing import Any

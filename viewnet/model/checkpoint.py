@@ -4,8 +4,6 @@ A checkpoint is a safetensors file; its metadata holds the run's configuration a
 damaged or foreign file ends in one message that names it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The losses of training: reconstruction by pixels and by features, the choice among heads, cycle consistency."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

@@ -3,8 +3,6 @@
 Where the paper is silent or contradicts itself, docs/decisions.md says what was chosen and why.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Literal

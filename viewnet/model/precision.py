@@ -1,7 +1,5 @@
 """In which number format networks compute."""
 
-from __future__ import annotations
-
 import torch
 
 from viewnet.config import TrainConfig

@@ -3,8 +3,6 @@
 This is all of equations 1 and 2. Training hands in another choice among viewpoints (viewnet.training.pose_search).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

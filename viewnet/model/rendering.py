@@ -1,7 +1,5 @@
 """Rendering by a trained network for people to look at: from any viewpoint, in any size, as uint8 images."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """ViewNet: appearance from one image, viewpoints from another, and the second image reconstructed (figure 2)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -29,7 +27,7 @@ class Hypotheses:
         """Camera frames (N, M, 3, 3): columns right, up and back in world coordinates."""
         return look_at(self.vectors, self.ups)
 
-    def rows(self, rows: slice) -> Hypotheses:
+    def rows(self, rows: slice) -> "Hypotheses":
         """Those of some of the images."""
         return Hypotheses(self.vectors[rows], self.logits[rows], None if self.ups is None else self.ups[rows])
 
@@ -58,7 +56,7 @@ class ViewpointNetwork(nn.Module):
         bands = config.balance_bands
         self.register_buffer("shares", torch.full((12, bands), 1 / (12 * bands)))  # all alike
 
-    def forward(self, images: Tensor) -> Hypotheses:
+    def forward(self, images: Tensor) -> "Hypotheses":
         """The hypotheses for images (N, 3, S, S), as `ViewNet.composite` gives them."""
         out = self.encoder(images).float()  # (N, 4 M), or (N, 7 M) with ups
         logits, rest = out[:, : self.heads], out[:, self.heads :].unflatten(1, (-1, self.heads, 3))  # (N, 1 or 2, M, 3)

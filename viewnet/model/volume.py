@@ -17,8 +17,6 @@ definition where these cannot be used, after a warning that says why. The enviro
 a way: `fused` is the device's own or an error, `reference` the definition, `auto` (or nothing) the choice described.
 """
 
-from __future__ import annotations
-
 import os
 from types import ModuleType
 from typing import Any

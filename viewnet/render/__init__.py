@@ -1,7 +1,5 @@
 """Rendering CAD models from given viewpoints."""
 
-from __future__ import annotations
-
 import logging
 from typing import Literal, get_args
 

@@ -4,8 +4,6 @@ The values are those of the renders the paper's baselines are trained on (a 60 m
 away), where an object's bounding box has a diagonal of 1.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 DISTANCE = 2.0

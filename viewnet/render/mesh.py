@@ -1,7 +1,5 @@
 """A CAD model in memory: triangles with materials, and the error that says why a model cannot be used."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Nothing outside a model's folder is ever opened: an absolute path, or one that leads out, makes the model unusable.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import warnings

@@ -3,8 +3,6 @@
 trimesh, in contrast, ignores missing libraries and textures, opacity and texture options, and is slower.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from pathlib import Path

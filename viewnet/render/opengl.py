@@ -3,8 +3,6 @@
 It needs pyrender and a driver, which not every machine has.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import ctypes.util

@@ -5,8 +5,6 @@ A pixel's colour is the mean of its covered samples (`supersample` each way) and
 with the same corners the first in the file is visible, and of two that face opposite ways the one towards the camera.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache

@@ -4,8 +4,6 @@ The configured batch is that of all processes: each takes its share of the objec
 gradients are averaged over all. A single process (`size()` 1) runs the same code without any communication.
 """
 
-from __future__ import annotations
-
 import atexit
 import datetime
 import os
@@ -151,7 +149,7 @@ class BatchNorm(_BatchNorm):
     """Batch normalisation over the rows of all processes, of which each has as many; SyncBatchNorm needs GPUs."""
 
     @classmethod
-    def of(cls, other: _BatchNorm) -> BatchNorm:
+    def of(cls, other: _BatchNorm) -> "BatchNorm":
         """A replacement of another layer, with its weights and running statistics."""
         layer = cls(other.num_features, other.eps, other.momentum).to(other.weight.device)
         layer.load_state_dict(other.state_dict())

@@ -1,7 +1,5 @@
 """Files and folders that appear complete or not at all, and locks so that one process at a time makes a folder."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

@@ -1,7 +1,5 @@
 """Opening image files safely: known formats, sizes that fit in memory, one kind of error."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Work shared out to processes of this machine."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import threading

@@ -1,7 +1,5 @@
 """Progress bars on the terminal and in notebooks, switched off by TQDM_DISABLE=1."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tqdm import tqdm

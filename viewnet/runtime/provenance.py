@@ -1,7 +1,5 @@
 """Where a number comes from: code, commit, machine and library versions."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import functools

@@ -3,8 +3,6 @@
 Every process draws for the whole batch from the same generator and takes its own rows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial

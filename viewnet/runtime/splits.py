@@ -1,7 +1,5 @@
 """Splits of models and clips into train, val and test, 0.7, 0.1 and 0.2 of them (section 4.2)."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 from collections.abc import Iterable, Mapping

@@ -3,8 +3,6 @@
 Weights are in the file that `VIEWNET_<NAME>_WEIGHTS` names or in torchvision's cache (`$TORCH_HOME/hub/checkpoints`).
 """
 
-from __future__ import annotations
-
 import os
 from collections import OrderedDict
 from pathlib import Path

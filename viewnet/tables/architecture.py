@@ -1,7 +1,5 @@
 """The supplement's architecture tables, read off the networks themselves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The table of `viewnet bench` as text: headings, the cells of a row of `bench.json`, and the notes below."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

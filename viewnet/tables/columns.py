@@ -1,7 +1,5 @@
 """Columns of tables, one a metric: headings and digits for text, LaTeX and the overview page; and measured cells."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

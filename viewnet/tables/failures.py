@@ -1,7 +1,5 @@
 """Failures of a run by cause: how far a wrong viewpoint is explained by a flip, with images of the worst."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

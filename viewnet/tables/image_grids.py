@@ -5,8 +5,6 @@ but novel views of their objects, whose true appearance is unknown. Rendered ima
 HoloGAN decoder on its own black.
 """
 
-from __future__ import annotations
-
 import itertools
 import textwrap
 from collections.abc import Callable, Iterable, Sequence

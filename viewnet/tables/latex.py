@@ -1,7 +1,5 @@
 """Tables as LaTeX (booktabs), to \\input as they stand."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tables of the paper: their rows, categories and metrics."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
@@ -52,7 +50,7 @@ class Layout:
         """The rows that a variant fills."""
         return [row for row in self.rows if row.variant == variant]
 
-    def extended(self, labels: Iterable[str]) -> Layout:
+    def extended(self, labels: Iterable[str]) -> "Layout":
         """The layout with a row for each of `labels` added at the bottom. ViewnetError for a label that is taken."""
         rows = self.rows
         for label in labels:

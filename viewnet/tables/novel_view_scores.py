@@ -14,8 +14,6 @@ The HoloGAN decoder has no mask: whole images on black, no IoU. A network traine
 learns no colours: neither PSNR nor SSIM.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Plots: predicted over true azimuth (figure 3 a-c), training curves, scores by calibration; and saving of figures."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The numbers that the paper reports, as data (`paper_tables/published/*.csv`), apart from the measured ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pandas as pd

@@ -1,7 +1,5 @@
 """A finished run as a renderer of its test objects: from any viewpoint, in the annotated frame."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -41,7 +39,7 @@ class RunRenderer(ObjectRenderer):
     aligned: Aligned
 
     @classmethod
-    def of(cls, folder: Path, store: ViewStore) -> RunRenderer:
+    def of(cls, folder: Path, store: ViewStore) -> "RunRenderer":
         """Of a finished run, aligned on the validation views of `store`. ViewnetError as of load_model and align.
 
         Viewpoints are predicted again unless the views are the run's own.
@@ -132,7 +130,7 @@ Stores = Callable[[Run], ViewStore]
 """The views to use of a run: its own (`own_views`), or photographs."""
 
 
-def renderers(runs: Sequence[Run], stores: Stores = own_views) -> list[RunRenderer]:
+def renderers(runs: Sequence[Run], stores: Stores = own_views) -> "list[RunRenderer]":
     """A renderer for each run. ViewnetError for no runs, and for a run that was not trained."""
     if not runs:
         raise ViewnetError("no runs to render: train some first")

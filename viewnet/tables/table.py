@@ -1,7 +1,5 @@
 """A table of the paper: reported and measured numbers of each row, category and metric."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import operator
@@ -94,7 +92,7 @@ class Table:
         renamed: dict[str, str] | None = None,
         unmeasured: Collection[str] = (),
         added: Sequence[Entry] = (),
-    ) -> Table:
+    ) -> "Table":
         """From entries. Several of one row and category are seeds and are averaged; `renamed`: label -> new label.
 
         Rows in `unmeasured` have reported numbers only. Entries in `added` are of other methods, without reported

@@ -1,7 +1,5 @@
 """Workers of a Dask cluster as a standard executor. Dask is an extra: pip install 'viewnet[cluster]'."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """How far a training is: its log, its best weights so far, and the files that it resumes from."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

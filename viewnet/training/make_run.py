@@ -1,7 +1,5 @@
 """Making one run: train, predict and evaluate whatever of it is missing in its folder."""
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import threading

@@ -1,7 +1,5 @@
 """Muon (Jordan et al. 2024): momentum whose steps have all singular values equal, for the weights of convolutions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any
 

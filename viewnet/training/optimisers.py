@@ -1,7 +1,5 @@
 """The optimisers of a training, and the learning rate over time (section 4.1; Muon and its schedule are ours)."""
 
-from __future__ import annotations
-
 import math
 
 import torch

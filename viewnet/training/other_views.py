@@ -1,7 +1,5 @@
 """Predictions of finished runs for views other than their own: another collection, or photographs."""
 
-from __future__ import annotations
-
 import hashlib
 from typing import Any
 

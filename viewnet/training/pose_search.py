@@ -4,8 +4,6 @@ Early on the viewpoint network answers from what little it has learned, and the 
 inside out, or with two sides folded into one. Viewpoints of a search do not depend on it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -13,8 +13,6 @@ The key is a hash of everything that decides a training: the configuration, the 
 `TRAINING`. Prediction and evaluation are cheap, so a change in their code repeats them and not the training.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Sequence
 from concurrent.futures import Executor

@@ -1,7 +1,5 @@
 """One training step: the terms of the loss on a batch of pairs (sections 3.1 to 3.4)."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -7,8 +7,6 @@ files       log.csv (a row a validation), state.pt (to resume), checkpoint.safet
 Under torchrun all processes train one run (viewnet.runtime.distributed); the first one validates and writes.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass

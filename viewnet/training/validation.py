@@ -1,7 +1,5 @@
 """What training measures on validation views: their reconstruction error, and the accuracy of their viewpoints."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Several runs side by side: on worker processes of this machine, on any executor, or each by all of a torchrun."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import os

@@ -1,7 +1,5 @@
 """Aeroplanes of many kinds: airliners, propeller planes, fighters, business jets, gliders, biplanes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

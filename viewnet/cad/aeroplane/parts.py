@@ -1,7 +1,5 @@
 """Parts of aeroplanes: bodies of revolution with painted cells, lifting surfaces, engines, propellers, wheels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

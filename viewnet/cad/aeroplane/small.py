@@ -1,7 +1,5 @@
 """Small propeller planes, warbirds, biplanes and gliders."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fighters and flying wings."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad import palette

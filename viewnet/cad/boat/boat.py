@@ -1,7 +1,5 @@
 """Boats and ships: rowing, motor and sailing boats, yachts, fishing boats, tugs, freighters, liners, warships."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

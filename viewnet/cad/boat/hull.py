@@ -1,7 +1,5 @@
 """Hulls and the fittings that boats of many kinds share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

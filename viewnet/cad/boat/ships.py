@@ -1,7 +1,5 @@
 """Freighters, liners and warships. Units: metres."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad import palette

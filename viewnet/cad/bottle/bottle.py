@@ -4,8 +4,6 @@ Units: metres. A bottle is nearly a body of revolution: its front (+x) is where 
 trigger or a pump points; a handle, if there is one, is behind.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Walls, labels and colours of bottles. Units: metres."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Buses: city buses, coaches, double deckers, school buses, minibuses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

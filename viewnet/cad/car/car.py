@@ -1,7 +1,5 @@
 """Cars of many kinds: their random dimensions and finishes, and how the parts are assembled."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

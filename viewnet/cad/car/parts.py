@@ -1,7 +1,5 @@
 """Wheels, mirrors, plates, wings, roof signs and the other parts attached to a car's body."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

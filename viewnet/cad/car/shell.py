@@ -1,7 +1,5 @@
 """The body of a car as one lofted skin: windows, lights and grille are its cells, so no surfaces coincide."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Cars that are not one closed body: lorries and ambulances with a box, veterans with fenders, single-seater racers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad import palette

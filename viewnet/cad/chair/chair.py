@@ -1,7 +1,5 @@
 """Chairs with wooden frames; other kinds are in the modules modern, soft and rare. Units: metres."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Legs, seats, back fillings, arms and bases from which the chair generators are put together. Units: metres."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Office, moulded, cantilever, folding and stacking chairs. Units: metres."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad.builder import Builder

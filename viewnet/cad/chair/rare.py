@@ -3,8 +3,6 @@
 Units: metres.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad.builder import Builder

@@ -1,7 +1,5 @@
 """Lounge chairs. Units: metres."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad.builder import Builder

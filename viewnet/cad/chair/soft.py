@@ -1,7 +1,5 @@
 """Armchairs, parsons, wing and tub chairs. Units: metres."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad.builder import Builder

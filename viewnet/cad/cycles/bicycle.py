@@ -1,7 +1,5 @@
 """Bicycles: road, mountain, city, step-through, BMX, folding, cruisers and children's bicycles."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad import palette

@@ -1,7 +1,5 @@
 """Motorbikes: sport bikes, naked bikes, cruisers and choppers, tourers, off-road bikes, scooters."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad import palette

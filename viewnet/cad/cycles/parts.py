@@ -1,7 +1,5 @@
 """Wheels and other parts of bicycles and motorbikes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

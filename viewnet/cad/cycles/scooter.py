@@ -1,7 +1,5 @@
 """The body of a scooter. Units: metres."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad.builder import Builder

@@ -3,8 +3,6 @@
 The long side faces the front. Most tables look the same from the front and from behind; those with drawers do not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

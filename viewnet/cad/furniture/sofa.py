@@ -1,7 +1,5 @@
 """Sofas of one to four seats: upholstered, chesterfield, open frames, without arms, settees, corner sofas. Metres."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

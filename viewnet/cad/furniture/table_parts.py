@@ -1,7 +1,5 @@
 """Tops, materials, sizes and benches of tables. Units: metres."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad.builder import Builder

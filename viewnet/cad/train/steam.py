@@ -1,7 +1,5 @@
 """Steam locomotives with or without a tender."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad import palette

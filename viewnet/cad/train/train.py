@@ -1,7 +1,5 @@
 """Trains: steam, diesel and electric locomotives, high-speed heads, railcars and metro cars, carriages, trams."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad import palette

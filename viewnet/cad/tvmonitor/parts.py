@@ -1,7 +1,5 @@
 """Housings, screens, stands and rear details of televisions and monitors. Units: metres."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad.builder import Builder

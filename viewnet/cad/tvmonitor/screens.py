@@ -1,7 +1,5 @@
 """Images for screens and for labels of bottles. Arrays (H, W, 3) uint8."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from viewnet.cad.finishes import Rgb

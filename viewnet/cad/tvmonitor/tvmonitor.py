@@ -3,8 +3,6 @@
 The screen faces +x; ports, vents, labels and the housing's bulge are behind.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

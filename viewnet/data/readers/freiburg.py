@@ -8,8 +8,6 @@ A name is the frame's path or its file's name; suffixes may differ. Boxes are in
 are not annotated and taken as 0. 48 of the 52 sequences are annotated. Whatever is not used is listed with the reason.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

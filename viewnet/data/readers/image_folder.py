@@ -1,7 +1,5 @@
 """SUN397, or any folder of images: backgrounds, by class where there is a `ClassName.txt`."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

@@ -4,8 +4,6 @@ SciPy believes a file: a kilobyte that says it holds ten gigabytes is unpacked, 
 entered until the process dies.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import struct

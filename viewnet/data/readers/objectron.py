@@ -11,8 +11,6 @@ The lists may name videos that were not downloaded. Boxes are pixels of the upri
 there are some, else of the size that the camera recorded. Whatever else is not used is listed with the reason.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

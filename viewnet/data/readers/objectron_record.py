@@ -18,8 +18,6 @@ Keypoints in the image are fractions of the image as it is shown, upright, and a
 keypoints in the camera's frame give the camera's place again: a frame in which the two disagree is not used.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -12,8 +12,6 @@ when a record is read. Published schema: annotation_data.proto, object.proto and
     ARCamera            row by row: transform (camera to world) and view_matrix (world to camera), projection_matrix
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory

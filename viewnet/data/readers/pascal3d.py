@@ -10,8 +10,6 @@
 Whatever is not used is listed with the reason.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

@@ -4,8 +4,6 @@ images/            the photographs
 viewpoints.csv     file, azimuth_deg, elevation_deg, split and perhaps x0, y0, x1, y1: one object a row
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections import Counter

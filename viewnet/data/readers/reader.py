@@ -1,7 +1,5 @@
 """What every reader of a data set provides, for training, for scoring and for `viewnet data` alike."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -60,7 +58,7 @@ class Contents:
 class Photographs:
     """The photographs of a data set, split into "val" (calibrated on) and "test" (scored)."""
 
-    usable: list[Photograph]
+    usable: "list[Photograph]"
     rejected: list[Rejected] = field(default_factory=list)
     notes: dict[str, Any] = field(default_factory=dict)  # JSON values that a view store records of its making
 
@@ -79,7 +77,7 @@ class VideoReader:
     """Reads clips, by a configuration and the data set's folder."""
 
     accepts: Callable[[Path], bool]  # whether a folder is read in this layout where the configuration does not name one
-    read: Callable[[VideoConfig, Path], tuple[list[Clip], list[Rejected]]]  # clips, and what cannot be used
+    read: "Callable[[VideoConfig, Path], tuple[list[Clip], list[Rejected]]]"  # clips, and what cannot be used
 
 
 @dataclass(frozen=True)

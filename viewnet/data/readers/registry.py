@@ -1,7 +1,5 @@
 """All readers by their keys. A data set is added by one module with a `READER`, and one line here."""
 
-from __future__ import annotations
-
 from viewnet.data.readers import freiburg, image_folder, objectron, pascal3d, photo_folder, shapenet, video_folder
 from viewnet.data.readers.reader import Reader
 

@@ -1,7 +1,5 @@
 """CAD collections in the layouts of ShapeNetCore v1 and v2: their models with their splits, and a model's mesh."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

@@ -8,8 +8,6 @@
 Nothing is left out silently: whatever is not used is listed with the reason.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from viewnet.config import CATEGORIES, known

@@ -3,8 +3,6 @@
 Numbers measured on it are numbers of the stand-in.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

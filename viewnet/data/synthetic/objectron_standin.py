@@ -5,8 +5,6 @@ height, aim, focal length, light and exposure change, and motion blurs. Its fram
 and with two kinds of masks, like those of a supervised (masks/) and of a weakly supervised network (WEAK).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence as Many
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Numbers measured on it are numbers of the stand-in.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ They are varied rather than realistic, so that a network trained on them copes w
 are relative, so the same generator gives the same scene at any resolution.
 """
 
-from __future__ import annotations
-
 import colorsys
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What the stand-ins share: built-in models as meshes, checks of a request, and what decides their bytes."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the page shows of one image, and the facts about the network beside it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ Needs gradio, which is imported here; viewnet.commands.demo explains how to inst
 kept for that visitor alone (gr.State); the network is shared, and used by one event at a time.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator, Sequence
 from html import escape

@@ -1,7 +1,5 @@
 """A visitor's image, and the box that is marked in it by two clicks or typed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,7 +26,7 @@ class BoxPicker:
     corner: tuple[float, float] | None = None  # the first corner of a box, in the image's pixels, once it is begun
 
     @classmethod
-    def of(cls, path: Path, name: str) -> BoxPicker:
+    def of(cls, path: Path, name: str) -> "BoxPicker":
         """Read a file. ViewnetError, which calls it `name`, if it is not an image that can be read."""
         image = read_file(path, f"image {name}")
         display = image.convert("RGBA") if image.has_transparency_data else rgb(image)
@@ -41,7 +39,7 @@ class BoxPicker:
         """The image in full resolution. ViewnetError if the file is gone."""
         return read_file(self.path, f"image {self.name}")
 
-    def click(self, x: float, y: float) -> tuple[BoxPicker, Box | None]:
+    def click(self, x: float, y: float) -> "tuple[BoxPicker, Box | None]":
         """The state after a click at a point of `shown`, and the box if the click completes one."""
         scale = max(self.size) / max(self.display.size)
         point = round(x * scale, 1), round(y * scale, 1)
@@ -50,7 +48,7 @@ class BoxPicker:
         (x0, x1), (y0, y1) = (sorted(pair) for pair in zip(self.corner, point, strict=True))
         return self.clear(), (x0, y0, x1, y1)
 
-    def clear(self) -> BoxPicker:
+    def clear(self) -> "BoxPicker":
         """The same image with no box begun."""
         return replace(self, corner=None)
 

@@ -5,8 +5,6 @@ right. Hypotheses differ by number, width and dashes as well as by colour (Okabe
 have the page's own colour, for light pages and dark ones.
 """
 
-from __future__ import annotations
-
 import math
 
 from viewnet.estimator.templating import rendered

@@ -1,7 +1,5 @@
 """Example images for the page: built-in CAD models that the network was not trained on, from known viewpoints."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

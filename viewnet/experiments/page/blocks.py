@@ -1,7 +1,5 @@
 """What the overview page shows of a section's files: tables of reported and measured numbers, and plain tables."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

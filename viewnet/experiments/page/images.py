@@ -1,7 +1,5 @@
 """Images of a page that is a single file: WebP in data URIs, with captions and alternative texts."""
 
-from __future__ import annotations
-
 import base64
 import io
 import tomllib

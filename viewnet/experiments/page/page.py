@@ -4,8 +4,6 @@ It holds only the content of the folder's files, of the notebooks' first cells a
 give the same page.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import logging

@@ -4,8 +4,6 @@ PyTorch takes a dozen passes for them, forwards and backwards, and in bfloat16 r
 of float32 and what is stored between forward and backward is the input alone.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Calling Numba kernels on tensors: whether that can be done, and on how many threads."""
 
-from __future__ import annotations
-
 import functools
 import warnings
 from typing import Any

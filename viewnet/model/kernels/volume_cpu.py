@@ -6,8 +6,6 @@ Volumes are handled in parallel, each by one thread, so that gradients are summe
 the same bits whatever the number of threads.
 """
 
-from __future__ import annotations
-
 import math
 import weakref
 from typing import Any

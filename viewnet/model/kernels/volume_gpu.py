@@ -8,8 +8,6 @@ Images, and the gradients of frames and focal parameter, are the same bits each 
 the gradient of the same voxel in any order, so its last bits vary from run to run.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import warnings
