@@ -62,15 +62,11 @@ def look_at(v: Tensor, up: Tensor | None = None) -> Tensor:
     right = torch.linalg.cross(up, back)  # u x v: minus the paper's w
     parallel = torch.linalg.vector_norm(right.detach(), dim=-1, keepdim=True) < 1e-6  # (..., 1); a choice: no gradient
     side = torch.linalg.cross(back.new_tensor([0.0, 0.0, 1.0]).expand_as(back), back)  # (..., 3)
-    side = torch.where(torch.linalg.vector_norm(side.detach(), dim=-1, keepdim=True) < 1e-6, _y_axis(back), side)
+    y = back.new_tensor([0.0, 1.0, 0.0]).expand_as(back)  # (..., 3)
+    y = y - (y * back).sum(-1, keepdim=True) * back  # orthogonal to `back`: a Gram-Schmidt step
+    side = torch.where(torch.linalg.vector_norm(side.detach(), dim=-1, keepdim=True) < 1e-6, y, side)
     right = torch.nn.functional.normalize(torch.where(parallel, side, right), dim=-1, eps=1e-12)
     return torch.stack([right, torch.linalg.cross(back, right), back], dim=-1)  # (..., 3, 3)
-
-
-def _y_axis(like: Tensor) -> Tensor:
-    """The world's y made orthogonal to `like` (which is within 1e-6 of the world's z wherever this is used)."""
-    y = like.new_tensor([0.0, 1.0, 0.0]).expand_as(like)  # (..., 3)
-    return y - (y * like).sum(-1, keepdim=True) * like  # (..., 3), a Gram-Schmidt step
 
 
 def rotation_angle(a: Tensor, b: Tensor) -> Tensor:

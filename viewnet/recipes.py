@@ -158,7 +158,7 @@ STARTED: Changes = {"train": {"shared_shape": 0.0, "search": {"share": 0.0}}}
 FILMED: dict[str, Changes] = {
     # All frames of the 48 Freiburg cars, 5800 views: with and without cycles side by side in about ten minutes.
     # So few cars are told front from rear only while they share a shape.
-    "tiny": {"train": {"epochs": 14, "shared_shape": 0.4}},
+    "tiny": {"train": {"epochs": 14, "shared_shape": 0.4}}
 }
 """What a profile changes only for videos."""
 

@@ -10,16 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.estimators import (
-    PHOTOS,
-    SQUARE,
-    STRETCHED,
-    estimator_of,
-    photograph,
-    same,
-    turntable_of,
-    untrained,
-)
+from helpers.estimators import PHOTOS, SQUARE, STRETCHED, estimator_of, photograph, same, turntable_of, untrained
 from helpers.untrained_models import finished_run, turned, untrained_renderer
 from PIL import Image
 

@@ -122,12 +122,7 @@ def test_test_sets_by_name():
         ]
     )
     sets = {name: part["azimuth"].tolist() for name, part in constants.test_sets(frame)}
-    assert sets == {
-        "imagenet val": [0],
-        "pascal val": [1, 2],
-        "pascal val, easy": [2],
-        "both val": [0, 1, 2],
-    }
+    assert sets == {"imagenet val": [0], "pascal val": [1, 2], "pascal val, easy": [2], "both val": [0, 1, 2]}
 
 
 def test_a_list_without_test_viewpoints_is_refused():

@@ -47,13 +47,7 @@ def test_curves_are_the_logs(tmp_path):
     runs = [untrained_run(tmp_path / v, v) for v in ("viewnet", "viewnet_cycle", "hologan_decoder")]
     figure = plots.training_curves(runs)
     titles = [axes.get_title() for axes in figure.axes]
-    assert titles == [
-        "validation accuracy (%)",
-        "validation error",
-        "training loss",
-        "loss: pixels",
-        "loss: masks",
-    ]
+    assert titles == ["validation accuracy (%)", "validation error", "training loss", "loss: pixels", "loss: masks"]
     for axes, values in zip(figure.axes, ([20, 60], [0.4, 0.2], [2.5, 1.5], [0.5, 0.5], [2, 1]), strict=True):
         assert len(axes.lines) == 3
         assert axes.lines[0].get_xydata().tolist() == [[1, values[0]], [2, values[1]]]

@@ -105,13 +105,7 @@ def test_training_twice_gives_the_same_bits(store, tmp_path):
     [
         (
             "viewnet_cycle",
-            {
-                "epochs": 3,
-                "search": 0.5,
-                "pull_weight": 1.0,
-                "cycle_start": 0.2,
-                "targets_per_object": 2,
-            },
+            {"epochs": 3, "search": 0.5, "pull_weight": 1.0, "cycle_start": 0.2, "targets_per_object": 2},
         ),
         pytest.param("single_head", {"epochs": 3, "augment": True}, marks=pytest.mark.slow),
         pytest.param("hologan_decoder", {"epochs": 3, "neighbours": 8.0, "pull_weight": 1.0}, marks=pytest.mark.slow),

@@ -65,10 +65,7 @@ def obj_text(builder: Builder) -> str:
     stacked = {name: np.concatenate(group) for name, group in faces.items()}
     columns = {name: slice(None, None, 2) if f.shape[1] == 6 else slice(None) for name, f in stacked.items()}
     kept = np.unique(np.concatenate([f[:, columns[n]].ravel() for n, f in stacked.items()]))
-    lines = [
-        "mtllib model_normalized.mtl\n",
-        _format("v %.5g %.5g %.5g\n", keys[kept - 1]),
-    ]
+    lines = ["mtllib model_normalized.mtl\n", _format("v %.5g %.5g %.5g\n", keys[kept - 1])]
     if coordinates:
         lines.append(_format("vt %.4g %.4g\n", np.round(np.concatenate(coordinates), 4) + 0.0))
     for name, table in stacked.items():

@@ -126,7 +126,8 @@ def sample_pairs(views: Views, objects: int, targets: int, seed: int, step: int)
     if (views.count < 2).any():
         raise ViewnetError("training needs two views or more of every object: render more views a model")
     places = step * objects + torch.arange(objects)  # (objects,), in an endless row of shuffles
-    rounds = {int(r): _shuffle(total, seed, int(r)) for r in torch.unique(places // total)}  # a step may span two
+    times = torch.unique(places // total).tolist()  # a step may span two rounds
+    rounds = {time: torch.randperm(total, generator=_generator(seed, 0, time)) for time in times}
     chosen = torch.stack([rounds[int(p // total)][p % total] for p in places])  # (objects,)
     keys = torch.rand(objects, int(views.count.max()), generator=_generator(seed, 1, step))  # (objects, most views)
     keys[torch.arange(keys.shape[1]) >= views.count[chosen, None]] = 2.0  # views that there are not come last
@@ -135,10 +136,6 @@ def sample_pairs(views: Views, objects: int, targets: int, seed: int, step: int)
     repeat = 1 + torch.arange(targets)[None] % (views.count[chosen, None] - 1)  # (objects, targets)
     appearance = views.first[chosen] + order[:, 0]  # (objects,)
     return appearance, (views.first[chosen, None] + order.gather(1, repeat)).flatten()  # (objects * targets,)
-
-
-def _shuffle(total: int, seed: int, time: int) -> Tensor:
-    return torch.randperm(total, generator=_generator(seed, 0, time))
 
 
 def _generator(*numbers: int) -> torch.Generator:

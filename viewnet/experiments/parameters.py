@@ -119,12 +119,6 @@ def _number(default: float, accepts: Callable[[float], bool], expected: str, hel
     return Parameter(default, check, help, label)
 
 
-def _backbone(value: Any, what: str) -> str:
-    if value != "auto":
-        features.choose(value)
-    return value
-
-
 def _one_of(default: str, choices: Collection[str], help: str, label: str = "{}") -> Parameter:
     return Parameter(default, lambda value, what: known(value, choices, what), help, label)
 
@@ -174,7 +168,8 @@ PARAMETERS: dict[str, Parameter] = {
     "keep": _one_of("all", ("all", "easy", "first"), "all, easy (not truncated or occluded), first (of an image)"),
     "margin": _number(0.0, lambda x: 0 <= x <= 2, "0 to 2 sides of the box", "cropped beyond a box's longer side",
                       "margin{:g}"),
-    "backbone": Parameter("auto", _backbone, "of the view regression: vgg16, pixels ...; or auto", "{}"),
+    "backbone": Parameter("auto", lambda name, what: name if name == "auto" else features.choose(name),
+                          "of the view regression: vgg16, pixels ...; or auto", "{}"),
     "ridge": _number(baselines.RIDGE, lambda x: 0 < x < math.inf, "more than 0", "of the view regression", "ridge{:g}"),
     "calibration": _count(4, " from 4, or 0 for all", "photographs to align and fit on; 0: all there are",
                           "calibration{}"),

@@ -92,12 +92,7 @@ def best_head(model: ViewNet, objects: Encoded, hypotheses: Hypotheses, target: 
 
 
 def compare(
-    model: ViewNet,
-    objects: Encoded,
-    candidates: Tensor,
-    ups: Tensor | None,
-    target: Tensor,
-    config: TrainConfig,
+    model: ViewNet, objects: Encoded, candidates: Tensor, ups: Tensor | None, target: Tensor, config: TrainConfig
 ) -> tuple[Tensor, Tensor]:
     """How well viewpoints explain targets (N, 4, S, S): T candidates for each head, as view vectors (N, M, T, 3).
 
@@ -113,10 +108,7 @@ def compare(
         rendered = model.render(objects.volume, objects.code, cameras, target.shape[-1])
     rendered = rendered.unflatten(0, (-1, heads * count))  # (N, M T, 4, S, S)
     of_images = config.target == "image"
-    weights = (
-        config.comparison.colours if of_images else 0.0,
-        config.comparison.masks if of_images else 1.0,
-    )
+    weights = (config.comparison.colours if of_images else 0.0, config.comparison.masks if of_images else 1.0)
     errors = rendered.new_zeros(rendered.shape[:2])
     for channels, weight in zip((slice(0, 3), slice(3, 4)), weights, strict=True):
         if weight:

@@ -16,11 +16,12 @@ HEADINGS = (
 def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
     """A row as text, one cell for each of HEADINGS."""
     times = [row[f"{name}_s"] for name in CONTESTANTS]
+    ends = row["speedup_low"], row["speedup_high"]
     ratios = ("memory_ratio", "textbook_images_per_s", "viewnet_images_per_s", "growth_expected")
     return (
         *(row["work"], row["volume"], "" if row["size"] is None else str(row["size"]), row["device"]),
         *(("", NOT_MEASURED) if times == [None, None] else map(_seconds, times)),
-        _range(row["speedup"], row["speedup_low"], row["speedup_high"]),
+        number(row["speedup"]) + (f" ({'-'.join(map(number, ends))})" if ends[0] != ends[1] else ""),
         *(_bytes(row[f"{name}_bytes"]) for name in CONTESTANTS),
         *(number(row[key]) for key in ratios),
         *(_both(row[f"{name}_growth"], row[f"{name}_memory_growth"]) for name in CONTESTANTS),
@@ -62,10 +63,6 @@ def _seconds(value: float | None) -> str:
 
 def _bytes(value: float | None) -> str:
     return "" if value is None else f"{value / 2**20:.{1 if value < 100 * 2**20 else 0}f} MiB"
-
-
-def _range(median: float | None, low: float | None, high: float | None) -> str:
-    return number(median) + (f" ({number(low)}-{number(high)})" if low != high else "")
 
 
 def _both(time: float | None, memory: float | None) -> str:

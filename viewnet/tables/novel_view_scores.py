@@ -5,10 +5,8 @@ the network's own frame by the inverse of the rotation that was fitted on valida
 compared on black: PSNR and SSIM (Wang et al. 2004) of colours, and the intersection over union of masks, cut at one
 half. Empty space counts as right, so the scores are to be compared with the row COPY, the appearance view itself.
 
-Consistency: every object is rendered from a random viewpoint and shown to a viewpoint network, whose error measures how
-well rendered view and viewpoint fit together. The model's own network needs no alignment, but decoder and network may
-share conventions that have nothing to do with viewpoints. So the category's ViewNet judges too, up to a rotation fitted
-on the other half of the objects.
+Consistency: the error of a viewpoint network on objects rendered from random viewpoints. The model's own network may
+share a private code with its decoder, so the category's ViewNet judges too, aligned on the other half of the objects.
 
 The HoloGAN decoder has no mask: whole images on black, no IoU. A network trained on masks alone (segmentation_target)
 learns no colours: neither PSNR nor SSIM.

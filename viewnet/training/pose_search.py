@@ -72,7 +72,9 @@ class PoseSearch:
         winner = score.argmin(1)
         viewpoint = candidates[torch.arange(len(target), device=target.device), winner]  # (N, 3)
         if balance:
-            _count(model.viewpoint.shares, viewpoint, limits)  # after the choice, for the next step
+            shares = model.viewpoint.shares  # (12, bands), moved after the choice, for the next step
+            counts = torch.bincount(_part(viewpoint, limits, shares.shape[1]), minlength=shares.numel())  # (12 bands,)
+            shares.lerp_(distributed.mean(counts / len(viewpoint)).view_as(shares), 0.02)  # averages some 50 steps
         closest = (vectors - viewpoint[:, None]).square().sum(-1).argmin(1)  # (N,)
         head = torch.where(winner < heads, winner, closest)  # a searched winner teaches the nearest head
         # Were the selection taught a choice in which it took part, it would confirm itself.
@@ -132,12 +134,6 @@ def balanced(score: Tensor, views: Tensor, shares: Tensor, limits: tuple[float, 
     smooth = (2 * shares + shares.roll(1, 0) + shares.roll(-1, 0)) / 4  # (12, bands), blurred around the horizon
     excess = torch.log(smooth * smooth.numel() + 0.05).flatten()[_part(views, limits, shares.shape[1])]  # (N, T)
     return score + weight * score.std(1, keepdim=True) * excess  # in units of the errors' spread
-
-
-def _count(shares: Tensor, viewpoint: Tensor, limits: tuple[float, float]) -> None:
-    """Moves the running `shares` (12, bands) towards where viewpoints (N, 3) lie."""
-    counts = torch.bincount(_part(viewpoint, limits, shares.shape[1]), minlength=shares.numel())  # (12 bands,)
-    shares.lerp_(distributed.mean(counts / len(viewpoint)).view_as(shares), 0.02)  # averages some 50 steps
 
 
 def _part(views: Tensor, limits: tuple[float, float], bands: int) -> Tensor:

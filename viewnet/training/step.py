@@ -144,11 +144,7 @@ def selection_loss(hypotheses: Hypotheses, label: Tensor, right: Tensor, angle: 
 
 
 def _cycle(
-    model: ViewNet,
-    result: Reconstruction,
-    config: TrainConfig,
-    generator: RandomSource,
-    backgrounds: Tensor | None,
+    model: ViewNet, result: Reconstruction, config: TrainConfig, generator: RandomSource, backgrounds: Tensor | None
 ) -> Tensor:
     """Section 3.4: the same objects rendered from random viewpoints, which the viewpoint network is to predict."""
     count = len(result.objects.code)

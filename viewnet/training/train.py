@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from viewnet.config import RunConfig, TrainConfig
+from viewnet.config import RunConfig
 from viewnet.data import augment
 from viewnet.data.pairs import Views, model_views, sample_pairs, step_generator
 from viewnet.data.store import ViewStore
@@ -48,7 +48,12 @@ def train(
     if threads:
         torch.set_num_threads(threads)
     writes = distributed.rank() == 0  # files have one writer
-    _check_shares(config.train)  # before anything is read or made
+    settings, processes = config.train, distributed.size()
+    if settings.objects % processes:  # equal shares make a mean of means the batch's mean
+        raise ViewnetError(
+            f"batch_size {settings.batch_size} with targets_per_object {settings.targets_per_object} is "
+            f"{settings.objects} objects a step, which {processes} processes cannot share: choose a multiple"
+        )
     if writes:
         folder.mkdir(parents=True, exist_ok=True)
     if distributed.first((folder / CHECKPOINT).exists):
@@ -103,14 +108,6 @@ class _Training:
     def total(self) -> int:
         """Steps of the whole training."""
         return self.config.train.epochs * self.steps
-
-
-def _check_shares(settings: TrainConfig) -> None:
-    if settings.objects % distributed.size():  # equal shares make a mean of means the batch's mean
-        raise ViewnetError(
-            f"batch_size {settings.batch_size} with targets_per_object {settings.targets_per_object} is "
-            f"{settings.objects} objects a step, which {distributed.size()} processes cannot share: choose a multiple"
-        )
 
 
 def _set_up(config: RunConfig, views: ViewStore) -> _Training:

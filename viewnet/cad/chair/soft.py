@@ -6,16 +6,7 @@ from viewnet.cad.builder import Builder
 from viewnet.cad.chair.frames import four_legs, pedestal_base, seat_grid, star_base
 from viewnet.cad.finishes import Finishes
 from viewnet.cad.parts import BackSurface, block, choose, patch, pillow, shell, sweep
-from viewnet.cad.upholstery import (
-    SOFT,
-    Body,
-    add_arms,
-    add_back,
-    seat_cushions,
-    soft_legs,
-    tufts,
-    upholstered,
-)
+from viewnet.cad.upholstery import SOFT, Body, add_arms, add_back, seat_cushions, soft_legs, tufts, upholstered
 
 
 def armchair(builder: Builder, rng: np.random.Generator, fin: Finishes) -> None:

@@ -45,12 +45,7 @@ def chesterfield(builder: Builder, rng: np.random.Generator, fin: Finishes) -> N
     )
     thick = float(rng.uniform(0.1, 0.16))
     base = body.seat - thick * 0.85
-    block(
-        builder,
-        (0, 0, (base + body.clear) / 2),
-        (body.depth - 0.03, body.inner + 0.02, base - body.clear),
-        cover,
-    )
+    block(builder, (0, 0, (base + body.clear) / 2), (body.depth - 0.03, body.inner + 0.02, base - body.clear), cover)
     add_arms(builder, rng, body, "rolled", cover, cover)
     add_back(builder, rng, body, "straight", cover, body.inner + body.arm)
     roll = body.arm * 0.5

@@ -1,8 +1,7 @@
 """The annotation records of Objectron as protocol buffers: the published fields that are read, by number and type.
 
-The messages are built here, so no compiler and no generated code is needed; fields that are not listed are skipped
-when a record is read. Published schema: annotation_data.proto, object.proto and a_r_capture_metadata.proto
-(Ahmadyan et al. 2020). Packages and names are the published ones, so its tools read records that are written here.
+Built here, so no compiler and no generated code is needed; other fields are skipped. Packages and names are those of
+annotation_data.proto, object.proto and a_r_capture_metadata.proto (Ahmadyan et al. 2020), for whose tools to read them.
 
     Sequence            a video: its objects in the world, and the annotations of each frame
     Object              rotation (9, row by row), translation (3) and scale (3): object to world, metres

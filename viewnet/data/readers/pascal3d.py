@@ -308,10 +308,6 @@ def settings(config: PhotoConfig) -> dict[str, Any]:
     return {"subset": config.subset, "keep": config.keep, "coarse": config.coarse}
 
 
-def _describe(config: PhotoConfig, root: Path) -> dict[str, Any]:
-    return {"pascal3d": digest(root, config.category, config.subset)} | settings(config)
-
-
 def _read_both_splits(config: PhotoConfig, root: Path) -> Photographs:
     """Viewpoints are calibrated on the data set's "train" and scored on its "val"."""
     (first, calibrated), (second, scored) = (
@@ -352,5 +348,8 @@ READER = Reader(
     ),
     recognises=lambda folder: (folder / "Annotations").is_dir(),
     count=_count,
-    photographs=PhotoReader(_describe, _read_both_splits),
+    photographs=PhotoReader(
+        lambda config, root: {"pascal3d": digest(root, config.category, config.subset)} | settings(config),
+        _read_both_splits,
+    ),
 )

@@ -95,7 +95,8 @@ def _write_sequence(job: tuple[Path, int, int, int]) -> None:
         box = visible_box(alpha)
         theirs = round(AZIMUTH[0] * (azimuths[k] - AZIMUTH[1]) % 360) % 360
         lines.append(f"{name}/{k + 1:04d}.png\t{' '.join(map(str, box))}\t{theirs}\n")
-        _save(_exposed(image, exposure[k], rng), root / name / f"{k + 1:04d}.png")
+        pixels = np.asarray(image, dtype=np.float64) / 255 * exposure[k]
+        _save(as_image(pixels + rng.normal(0, 0.015, pixels.shape)), root / name / f"{k + 1:04d}.png")
         mask = _imperfect(alpha, rng)
         if rng.random() >= NO_MASK:
             _save(mask, root / MASKS / name / f"{k + 1:04d}.png")
@@ -158,11 +159,6 @@ def _frame(
     length = int(rng.integers(1, 4))
     moved = ndimage.uniform_filter1d(np.asarray(image, dtype=np.float64), length, axis=1, mode="nearest")
     return Image.fromarray(moved.astype(np.uint8)), np.asarray(cover.getchannel("A"))
-
-
-def _exposed(image: Image.Image, exposure: float, rng: np.random.Generator) -> Image.Image:
-    pixels = np.asarray(image, dtype=np.float64) / 255 * exposure
-    return as_image(pixels + rng.normal(0, 0.015, pixels.shape))
 
 
 def _imperfect(alpha: np.ndarray, rng: np.random.Generator) -> Image.Image:

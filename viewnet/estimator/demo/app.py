@@ -178,9 +178,12 @@ class Page:
             notes.append(f"There is no 3-D model: {error}.")
         viewpoint = result.viewpoint
         azimuth, elevation = round(viewpoint.azimuth) % 360, round(viewpoint.elevation)
-        images = [_enlarged(result.input), result.reconstruction]
+        times = max(1, analysis.SIZE // len(result.input))  # each of the few pixels as a square
+        images = [Image.fromarray(result.input.repeat(times, 0).repeat(times, 1)), result.reconstruction]
         view = self.turn(result.encoded, azimuth, elevation)
-        turned = gr.update(value=model, camera_position=_camera(azimuth, elevation, reach))
+        # The viewer counts azimuths clockwise and elevations from above; the distance suits narrow screens.
+        camera = (-azimuth, min(max(90.0 - elevation, 1.0), 179.0), 3.4 * reach)
+        turned = gr.update(value=model, camera_position=camera)
         hypotheses = compass_svg.table(viewpoint)
         return [result.encoded, answer(result, notes), *images, hypotheses, azimuth, elevation, view, turned]
 
@@ -202,20 +205,6 @@ def answer(result: Analysis, notes: Sequence[str]) -> str:
     above, side = compass_svg.from_above(one), compass_svg.from_the_side(one)
     words = compass_svg.words(one.azimuth, one.elevation)
     return rendered("answer.html", one=one, words=words, above=above, side=side, notes=notes)
-
-
-def _enlarged(pixels: np.ndarray) -> Image.Image:
-    """An image of few pixels, each as a square."""
-    times = max(1, analysis.SIZE // len(pixels))
-    return Image.fromarray(pixels.repeat(times, 0).repeat(times, 1))
-
-
-def _camera(azimuth: float, elevation: float, reach: float) -> tuple[float, float, float]:
-    """Camera position of the browser's 3-D viewer, for an object of this radius.
-
-    It counts azimuths clockwise and elevations from above. The distance suits narrow screens.
-    """
-    return -azimuth, min(max(90.0 - elevation, 1.0), 179.0), 3.4 * reach
 
 
 def _toast(error: ViewnetError) -> gr.Error:

@@ -5,7 +5,7 @@ import torch
 
 from viewnet.model.viewnet import ViewNet
 from viewnet.recipes import make_config
-from viewnet.training.muon import Muon, orthogonal
+from viewnet.training.optimisers import Muon, orthogonal
 from viewnet.training.train import make_optimisers
 
 
