@@ -8,8 +8,7 @@ half. Empty space counts as right, so the scores are to be compared with the row
 Consistency: the error of a viewpoint network on objects rendered from random viewpoints. The model's own network may
 share a private code with its decoder, so the category's ViewNet judges too, aligned on the other half of the objects.
 
-The HoloGAN decoder has no mask: whole images on black, no IoU. A network trained on masks alone (segmentation_target)
-learns no colours: neither PSNR nor SSIM.
+The HoloGAN decoder has no mask: no IoU. A network trained on masks alone learns no colours: neither PSNR nor SSIM.
 """
 
 from collections.abc import Sequence

@@ -14,8 +14,8 @@ lies on its side; this rotates the image and not the camera's place, which alone
 
     place = R^T (c - t),    c = the camera's place in the world
 
-Keypoints in the image are fractions of the image as it is shown, upright, and are used as they are. The nine
-keypoints in the camera's frame give the camera's place again: a frame in which the two disagree is not used.
+Keypoints in the image are fractions of the upright image. The nine keypoints in the camera's frame give the camera's
+place again: a frame in which the two disagree is not used.
 """
 
 import math
