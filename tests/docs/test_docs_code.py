@@ -124,7 +124,7 @@ def run_command(words: list[str], world: Path, monkeypatch) -> None:
         "viewnet.training.run_store.ensure", lambda configs, workers=None: requests.extend(configs) or []
     )
     monkeypatch.setattr("papermill.execute_notebook", lambda source, *_, **__: requests.append(source))
-    monkeypatch.setattr("viewnet.bench.measure.measure", lambda settings: requests.append(settings))
+    monkeypatch.setattr("viewnet.bench.measure.measure", lambda settings: requests.append(settings) or {})
     monkeypatch.setattr("viewnet.bench.report.as_text", lambda found: "measured")
     monkeypatch.setattr("viewnet.bench.report.write", lambda found, folder: [folder])
     monkeypatch.setattr("viewnet.experiments.score_model.photo_views", lambda _: photographs(world))
