@@ -188,7 +188,7 @@ def test_only_what_was_trained_looks_at_photographs(photographs):
 
     request = experiment("table3_pascal3d", profile="smoke", categories="car")
     (constant,) = ensure([untrained("constant", request.configs[0])], progress=False, steps=STEPS)
-    with pytest.raises(ViewnetError, match=r"constant car .* has no network to look at photographs"):
+    with pytest.raises(ViewnetError, match=r"constant car .* has no network to predict photographs with"):
         on_photographs(constant, request.stores()["car"], STEPS)
 
 
@@ -198,7 +198,7 @@ def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path
     runs = run(request)
     table = request.table(runs)
     assert all(table.checks().values()), table.checks()
-    rows = [row for row, variant in LAYOUTS["table3_pascal3d"].rows if variant]
+    rows = [row.label for row in LAYOUTS["table3_pascal3d"].rows if row.variant]
     measured = table.cells[table.cells["seeds"] > 0]
     assert set(measured["row"]) == {*rows, "VGG view* (pixels)"} - {"VGG view*"}
     store = request.stores()["car"]
