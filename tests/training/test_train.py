@@ -387,10 +387,10 @@ def test_training_after_drawing_with_opengl_in_one_process():
     code = """
 import numpy as np, torch
 from helpers.boxes import SYMMETRIC, box_mesh
-from viewnet.render import choose_backend, render
+from viewnet.render import choose_backend, render_mesh
 if choose_backend("pyrender") != "pyrender":
     raise SystemExit(7)
-render(box_mesh(SYMMETRIC), np.zeros(1), np.zeros(1), 16, 1, "pyrender")
+render_mesh(box_mesh(SYMMETRIC), np.zeros(1), np.zeros(1), 16, 1, "pyrender")
 torch.optim.Adam([torch.zeros(1, requires_grad=True)])
 """
     here = Path(__file__).parents[1]
