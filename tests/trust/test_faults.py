@@ -108,7 +108,7 @@ def test_a_store_is_opened_without_a_lock(tmp_path, monkeypatch):
         raise AssertionError(f"{folder}: locked")
 
     monkeypatch.setattr(build, "locked", closed)
-    monkeypatch.setattr("viewnet.data.rendered_store.locked", closed)
+    monkeypatch.setattr("viewnet.data.store.locked", closed)
     assert drawn().identity == store.identity
     assert build.video_views(videos, progress=False).identity == clips.identity
 
