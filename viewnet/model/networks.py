@@ -255,15 +255,26 @@ class HoloGANDecoder(nn.Module):
     def render(self, features: Tensor, appearance: Tensor, world_from_camera: Tensor) -> Tensor:
         """Images (N, 3, S, S) in [0, 1]; N a multiple of the number of feature volumes, as in viewnet.model.volume."""
         share = len(world_from_camera) // len(features)
-        points = ray_points(self.size, self.size, world_from_camera.new_zeros(()))
-        # A volume's K views are one grid (B, K s, s, s, 3), one behind the other: no copy of the volume for each.
-        grid = torch.einsum("nij,dhwj->ndhwi", world_from_camera, points).unflatten(0, (-1, share)).flatten(1, 2)
-        rotated = F.grid_sample(features, grid.to(features.dtype), padding_mode="border", align_corners=False)
-        views = rotated.unflatten(2, (share, self.size)).transpose(1, 2).flatten(0, 1)  # (N, C, s, s, s)
-        x = F.relu(self.fold(views.flatten(1, 2).contiguous(memory_format=torch.channels_last)))  # (N, C s, s, s)
+        views = _rotated(features, world_from_camera)  # (N, s, s, s, C), of a pixel all depths and channels
+        weight = self.fold.weight.unflatten(1, (-1, self.size)).transpose(1, 2).flatten(1, 2)  # (C s, s C, 1, 1)
+        x = F.relu(F.conv2d(views.flatten(3).movedim(-1, 1), weight, self.fold.bias), inplace=True)  # (N, C s, s, s)
         for stage in self.paint:
             x = stage(x, appearance.repeat_interleave(share, dim=0))  # (N, C, h, w)
         return torch.sigmoid(self.last(x))
+
+
+def _rotated(features: Tensor, world_from_camera: Tensor) -> Tensor:
+    """Feature volumes (B, C, s, s, s) as cameras (N, 3, 3) see them: (N, s, s, s, C), depth third, near first."""
+    if norm_relu_cpu.usable(features):
+        from viewnet.model.kernels import rotation_numba  # imported late: Numba takes a second to load
+
+        return rotation_numba.rotated(features, world_from_camera)
+    size, share = features.shape[-1], len(world_from_camera) // len(features)
+    points = ray_points(size, size, world_from_camera.new_zeros(()))
+    # A volume's K views are one grid (B, K s, s, s, 3), one behind the other: no copy of the volume for each.
+    grid = torch.einsum("nij,dhwj->ndhwi", world_from_camera, points).unflatten(0, (-1, share)).flatten(1, 2)
+    rotated = F.grid_sample(features, grid.to(features.dtype), padding_mode="border", align_corners=False)
+    return rotated.unflatten(2, (share, size)).permute(0, 2, 4, 5, 3, 1).flatten(0, 1)  # (N, s, s, s, C)
 
 
 def gaussian_prior(size: int, width: float = 0.05) -> Tensor:

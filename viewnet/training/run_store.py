@@ -36,10 +36,11 @@ TRAINING = (
     "runtime/distributed.py", "runtime/random.py", "runtime/torchvision_weights.py",
     "model/checkpoint.py", "model/losses.py", "model/networks.py", "model/precision.py", "model/reconstruction.py",
     "model/viewnet.py", "model/volume.py", "model/kernels/bfloat16_numba.py", "model/kernels/norm_relu_cpu.py",
-    "model/kernels/norm_relu_numba.py", "model/kernels/numba_call.py", "model/kernels/trilinear_llvm.py",
-    "model/kernels/volume_cpu.py", "model/kernels/volume_gpu.py", "model/kernels/volume_numba.py",
-    "model/kernels/volume_triton.py", "training/history.py", "training/optimisers.py", "training/pose_search.py",
-    "training/step.py", "training/train.py", "training/validation.py",
+    "model/kernels/norm_relu_numba.py", "model/kernels/numba_call.py", "model/kernels/rotation_numba.py",
+    "model/kernels/trilinear_llvm.py", "model/kernels/volume_cpu.py", "model/kernels/volume_gpu.py",
+    "model/kernels/volume_numba.py", "model/kernels/volume_triton.py", "training/history.py",
+    "training/optimisers.py", "training/pose_search.py", "training/step.py", "training/train.py",
+    "training/validation.py",
 )
 # fmt: on
 """The code that decides a training: its statements are part of every key (provenance.code_identity).
