@@ -125,13 +125,19 @@ def measure(settings: "Settings", progress: bool = True) -> dict[str, Any]:
     finally:
         steps.close()
         torch.set_num_threads(threads_before)
-    about = {name: value for name, value in asdict(settings).items() if name != "accuracy"}
-    about |= {"sizes": list(settings.sizes), "volumes": settings.volumes, "views": VIEWS}
+    told = {name: value for name, value in asdict(settings).items() if name != "accuracy"}
+    told |= {"sizes": list(settings.sizes), "volumes": settings.volumes, "views": VIEWS}
+    told |= {"device": device.type, "perceptual": "none"}
+    return about(told, settings.threads, rates, started) | {"rows": _with_growth(rows)}
+
+
+def about(settings: dict[str, Any], threads: int, rates: Rates, started: datetime.datetime) -> dict[str, Any]:
+    """What a measurement's file says of it, beside its rows."""
     return {
         "schema": SCHEMA,
         "started": started.isoformat(timespec="seconds"),
-        "settings": about | {"device": device.type, "perceptual": "none"},
-        "hardware": provenance.hardware(settings.threads),
+        "settings": settings,
+        "hardware": provenance.hardware(threads),
         "rates": {
             "float32_multiply_adds_per_s": rates.float32,
             "bfloat16_multiply_adds_per_s": rates.bfloat16,
@@ -139,7 +145,6 @@ def measure(settings: "Settings", progress: bool = True) -> dict[str, Any]:
         },
         "versions": provenance.versions((*provenance.LIBRARIES, "triton")),
         "git": provenance.commit(),
-        "rows": _with_growth(rows),
     }
 
 

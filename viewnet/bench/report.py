@@ -10,11 +10,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from viewnet.bench import steps
 from viewnet.bench.contestants import BOTH
 from viewnet.bench.measure import COLUMNS, Row
 from viewnet.runtime.files import write_json, write_text
 from viewnet.tables import latex, plots
-from viewnet.tables.benchmark import CONTESTANTS, HEADINGS, NOT_MEASURED, cells, notes, number
+from viewnet.tables.benchmark import CONTESTANTS, HEADINGS, NOT_MEASURED, cells, notes, number, steps_notes
 from viewnet.tables.columns import DASH
 
 COLUMN = 3.25  # inches: a column of the paper
@@ -25,10 +26,37 @@ RATIOS = {"time": "#009e73", "memory": "#e69f00"}
 
 def as_text(result: dict[str, Any]) -> str:
     """One aligned table, and what it was measured on."""
-    lines = [*HEADINGS, *(cells(row) for row in result["rows"])]
+    return "\n".join([*_aligned([*HEADINGS, *(cells(row) for row in result["rows"])], 2), "", *notes(result), ""])
+
+
+def _aligned(lines: list[tuple[str, ...]], left: int) -> list[str]:
+    """Cells below each other, those of the first `left` columns by their left edges."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    form = "  ".join(f"{{:{'<' if place < 2 else '>'}{width}}}" for place, width in enumerate(widths))
-    return "\n".join([*(form.format(*line).rstrip() for line in lines), "", *notes(result), ""])
+    form = "  ".join(f"{{:{'<' if place < left else '>'}{width}}}" for place, width in enumerate(widths))
+    return [form.format(*line).rstrip() for line in lines]
+
+
+def steps_as_text(result: dict[str, Any]) -> str:
+    """A table of what `viewnet.bench.steps` measured, and on what."""
+    lines: list[tuple[str, ...]] = [("step", "part", "ms", "low", "high", "share", "calls", "floor, ms", "x floor")]
+    before = ""
+    for row in result["rows"]:
+        title = f"{row['profile']}, {row['recipe']}, batch {row['batch']}, {row['phase']}"
+        share = "" if row["share"] is None else f"{100 * row['share']:.0f} %"
+        values = (number(row[name]) for name in ("calls", "floor_ms", "over_floor"))
+        times = (number(row[name]) for name in ("ms", "ms_low", "ms_high"))
+        lines.append(("" if title == before else title, row["part"], *times, share, *values))
+        before = title
+    return "\n".join([*_aligned(lines, 2), "", *steps_notes(result), ""])
+
+
+def write_steps(result: dict[str, Any], folder: Path) -> list[Path]:
+    """`steps.json` and `steps.csv`."""
+    files = [folder / "steps.json", folder / "steps.csv"]
+    write_json(files[0], result)
+    table = pd.DataFrame(result["rows"], columns=list(steps.COLUMNS), dtype=object)
+    write_text(files[1], table.to_csv(index=False, lineterminator="\n"))
+    return files
 
 
 def write(result: dict[str, Any], folder: Path) -> list[Path]:

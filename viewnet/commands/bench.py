@@ -8,16 +8,28 @@ Examples:
     viewnet bench                                                   into paper_tables/benchmarks/
     viewnet bench --batch 64 --sizes 64 -o bench64/
     viewnet bench --quick --json                                    checks that it works, in seconds
+    viewnet bench --steps tiny small --recipe matting               where a training step's time goes, part by part
 """
 
 from pathlib import Path
 
-from viewnet.commands.options import JSON, Options, argument, print_results
+from viewnet.commands.options import JSON, RECIPE, VARIANT, Options, argument, print_results
+from viewnet.errors import ViewnetError
 
 TRAINED = "also train on built-in models with so many seeds: minutes each (default: 0)"
+TARGETS = "targets of a training step (default: 16; 64 on a GPU; with --steps the profile's)"
+STEPS = "instead, the parts of a training step at these profiles; --recipe and --variant are of this only"
 ARGUMENTS = (
+    argument("--steps", STEPS, nargs="+", metavar="PROFILE"),
+    RECIPE,
+    VARIANT,
     argument("--sizes", "voxels along a side (default: 32 64 128)", type=int, nargs="+", metavar="N"),
-    argument("--batch", "targets of a training step (default: 16; 64 on a GPU)", type=int, metavar="N"),
+    argument(
+        "--batch",
+        "targets of a training step (default: 16; 64 on a GPU; with --steps the profile's)",
+        type=int,
+        metavar="N",
+    ),
     argument("--repeat", "measurements of each (default: 5)", type=int, metavar="N"),
     argument("--threads", "CPU threads (default: the number of cores)", type=int, metavar="N"),
     argument("--accuracy", TRAINED, type=int, default=0, metavar="SEEDS"),
@@ -28,14 +40,26 @@ ARGUMENTS = (
 
 
 def run(options: Options) -> None:
-    """Measure, write the reports and print them."""
+    """Measure, write the reports and print them. ViewnetError for options that exclude each other."""
     from viewnet import paths
-    from viewnet.bench import measure, report
+    from viewnet.bench import measure, report, steps
 
-    names = ("batch", "repeat", "threads", "accuracy", "quick")
-    sizes = None if options.sizes is None else tuple(options.sizes)
-    settings = measure.Settings.default(sizes=sizes, **{name: getattr(options, name) for name in names})
-    measured = measure.measure(settings)
-    files = report.write(measured, options.output or paths.tables() / "benchmarks")
-    values = measured | {"files": [str(path) for path in files]}
-    print_results(options, values, report.as_text(measured), *files)
+    folder = options.output or paths.tables() / "benchmarks"
+    names = ("repeat", "threads", "quick")
+    given = {name: getattr(options, name) for name in names}
+    if options.steps is not None:
+        if options.sizes is not None or options.accuracy:
+            raise ViewnetError("--steps goes with neither --sizes nor --accuracy: run it twice")
+        settings = measure.Settings.default(batch=options.batch, **given)
+        profiles = dict.fromkeys(options.steps)
+        configs = [steps.configuration(name, options.recipe, options.variant, options.batch) for name in profiles]
+        measured = steps.measure(configs, settings)
+        files, text = report.write_steps(measured, folder), report.steps_as_text(measured)
+    else:
+        if options.recipe or options.variant != "viewnet":
+            raise ViewnetError("--recipe and --variant are of --steps: name its profiles, such as --steps tiny")
+        sizes = None if options.sizes is None else tuple(options.sizes)
+        settings = measure.Settings.default(sizes=sizes, batch=options.batch, accuracy=options.accuracy, **given)
+        measured = measure.measure(settings)
+        files, text = report.write(measured, folder), report.as_text(measured)
+    print_results(options, measured | {"files": [str(path) for path in files]}, text, *files)

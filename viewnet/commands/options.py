@@ -33,11 +33,13 @@ MODEL = (
 )
 SCHEDULER = "a Dask scheduler that renders and trains: tcp://HOST:PORT or scheduler-file:PATH"
 CLUSTER = argument("--cluster", f"{SCHEDULER} (default: ${VARIABLE})", metavar="ADDRESS")
+VARIANT = argument("--variant", f"{', '.join(VARIANTS)} (default: viewnet)", default="viewnet")
+RECIPE = argument("--recipe", f"{', '.join(RECIPES)} (default: the profile's)")
 CONFIGURATION = (
     argument("categories", f"of {', '.join(CATEGORIES)}", nargs="+", metavar="CATEGORY"),
-    argument("--variant", f"{', '.join(VARIANTS)} (default: viewnet)", default="viewnet"),
+    VARIANT,
     argument("--profile", f"{', '.join(PROFILES)} (default: tiny)", default="tiny"),
-    argument("--recipe", f"{', '.join(RECIPES)} (default: the profile's)"),
+    RECIPE,
     argument("-s --set", "another value, as JSON", action="append", default=[], metavar="NAME=VALUE"),
     argument("--data-root", "ShapeNetCore, v1 or v2 (default: the built-in models)", metavar="FOLDER"),
     argument("--splits", "lists <synset>_train.txt, _val.txt and _test.txt for it", metavar="FOLDER"),

@@ -5,6 +5,7 @@ from typing import Any
 
 CONTESTANTS = ("textbook", "viewnet")
 NOT_MEASURED = "not measured"
+QUICK = "quick: a check that everything works, and no measurement"
 HEADINGS = (
     ("", "", "", "", "time", "", "", "memory", "", "", "images/s", "", "growth", "", "", "x floor", ""),
     ("work", "volume", "size", "on", "textbook", "viewnet", "ratio", "textbook", "viewnet", "ratio", "textbook",
@@ -31,21 +32,48 @@ def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 def notes(result: Mapping[str, Any]) -> list[str]:
     """The lines below the table: machine, settings, and what memory, growth and floor mean."""
-    settings, machine, git = result["settings"], result["hardware"], result["git"]
-    rates = {name: f"{value / 1e9:.3g}" for name, value in result["rates"].items()}
-    commit = (git["commit"] or "none")[:12] + (" with changes" if git["dirty"] else "")
+    settings = result["settings"]
     lines = [
-        f"{machine['gpu'] or machine['processor']}, CPU threads: {machine['threads']}; "
-        f"PyTorch {result['versions']['torch']}; commit {commit}",
+        machine(result),
         f"renderer: {settings['volumes']} volumes, {settings['views']} images of each; training step: "
         f"{settings['batch']} targets, pixel loss; medians of {settings['repeat']} measurements in turn",
         "memory: peak in addition to weights and data; growth: over the row of half the size, time / memory; "
         "expected of voxels and of points on rays, while pixels grow by 4",
-        "floor: the multiply-adds and bytes that are needed at least, at this machine's rates: "
-        f"{rates['float32_multiply_adds_per_s']} G/s in float32, {rates['bfloat16_multiply_adds_per_s']} G/s in "
-        f"bfloat16, {rates['copy_bytes_per_s']} GB/s",
+        f"floor: the multiply-adds and bytes that are needed at least, at this machine's rates: {rates(result)}",
     ]
-    return [*lines, "quick: a check that everything works, and no measurement"] if settings["quick"] else lines
+    return [*lines, QUICK] if settings["quick"] else lines
+
+
+def steps_notes(result: Mapping[str, Any]) -> list[str]:
+    """The lines below the table of `viewnet bench --steps`."""
+    settings = result["settings"]
+    lines = [
+        machine(result),
+        f"medians of {settings['repeat']} windows, of steps without the profiler and with it in turn; built-in models, "
+        "volumes as full as a trained car's, no perceptual term",
+        "parts and what is between operations (Python) add up to the profiled step; floors add up to the whole step's",
+        f"floor: multiply-adds or bytes, whichever takes longer, at this machine's rates: {rates(result)}",
+    ]
+    return [*lines, QUICK] if settings["quick"] else lines
+
+
+def machine(result: Mapping[str, Any]) -> str:
+    """Hardware, PyTorch and commit of a measurement."""
+    hardware, git = result["hardware"], result["git"]
+    commit = (git["commit"] or "none")[:12] + (" with changes" if git["dirty"] else "")
+    return (
+        f"{hardware['gpu'] or hardware['processor']}, CPU threads: {hardware['threads']}; "
+        f"PyTorch {result['versions']['torch']}; commit {commit}"
+    )
+
+
+def rates(result: Mapping[str, Any]) -> str:
+    """The rates of a measurement's machine."""
+    values = {name: f"{value / 1e9:.3g}" for name, value in result["rates"].items()}
+    return (
+        f"{values['float32_multiply_adds_per_s']} G/s in float32, {values['bfloat16_multiply_adds_per_s']} G/s in "
+        f"bfloat16, {values['copy_bytes_per_s']} GB/s"
+    )
 
 
 def number(value: float | None) -> str:
