@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import re
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import trimesh
+from helpers.executors import Mortal
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -252,6 +254,16 @@ def test_same_seed_same_bytes_and_other_seeds_other_models(tmp_path):
     b.pop("all.csv")
     assert a == b
     assert not set(a) & set(c) - {"all.csv"}
+
+
+def test_an_executor_writes_the_same_bytes(tmp_path):
+    cad.write_collection(tmp_path / "here", ["bus"], 20, progress=False)
+    with ThreadPoolExecutor(2) as executor:
+        cad.write_collection(tmp_path / "there", ["bus"], 20, progress=False, executor=executor)
+    assert files(tmp_path / "here") == files(tmp_path / "there")
+    with pytest.raises(ViewnetError, match="a process that makes CAD models died"):
+        cad.write_collection(tmp_path / "dead", ["bus"], 20, progress=False, executor=Mortal(1))
+    assert not (tmp_path / "dead" / "all.csv").exists()
 
 
 def test_a_model_does_not_depend_on_how_many_are_made(tmp_path):

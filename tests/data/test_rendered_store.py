@@ -22,5 +22,5 @@ def test_rendering_on_an_executor_gives_the_same_bytes(tmp_path):
         there = render_views(models, tmp_path / "there", views=2, image_size=16, progress=False, executor=executor)
         for name in ("views.npy", "index.parquet", "meta.json", "rejected.csv"):
             assert (here.folder / name).read_bytes() == (there.folder / name).read_bytes()
-    with pytest.raises(ViewnetError, match="a rendering process died"):
+    with pytest.raises(ViewnetError, match=r"a process that makes views .* died"):
         render_views(models, tmp_path / "dead", views=2, image_size=16, progress=False, executor=Mortal(1))

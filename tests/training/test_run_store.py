@@ -33,6 +33,21 @@ def test_a_run_is_made_once_and_then_reused(folders):
     assert (run.folder / "result.json").stat().st_mtime_ns == written
 
 
+@pytest.mark.parametrize(("models", "workers", "shared"), [(1000, 2, True), (1000, 1, False), (30, 2, False)])
+def test_one_pool_renders_all_categories_where_views_are_many(models, workers, shared):
+    configs = [replace(c, data=replace(c.data, models=models, views=5)) for c in (config(), config(category="chair"))]
+    runs = ensure(configs, 1, steps=STEPS)
+    given = []
+
+    def views(data, executor=None, **options):
+        given.append(executor)
+        return fake_steps.views(data, **options)
+
+    assert ensure(configs, workers, steps=replace(STEPS, views=views)) == runs  # nothing to train: no process starts
+    assert len(given) == 2 and given[0] is given[1]
+    assert (given[0] is not None) is shared
+
+
 def test_the_key_follows_config_views_and_code(monkeypatch):
     base = run_store.locate(config(), "views")
     assert base == run_store.locate(config(), "views")

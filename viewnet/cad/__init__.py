@@ -3,6 +3,7 @@
 import hashlib
 import importlib
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from viewnet.cad.writer import write_model
 from viewnet.config import CATEGORIES, SYNSETS
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import replacing
+from viewnet.runtime.parallel import as_done
 from viewnet.runtime.progress import bar
 from viewnet.runtime.splits import split_sizes
 
@@ -22,6 +24,8 @@ Generator = Callable[[np.random.Generator], Builder]
 VERSION = 2
 FOLDERS = {"bicycle": "cycles", "motorbike": "cycles", "diningtable": "furniture", "sofa": "furniture"}
 """Categories that share parts share a folder; any other has one of its own."""
+CHUNK = 16
+"""Models that a process writes in turn."""
 # Each category's module has the function of the same name.
 GENERATORS: dict[str, Generator] = {
     category: getattr(importlib.import_module(f"viewnet.cad.{FOLDERS.get(category, category)}.{category}"), category)
@@ -40,13 +44,20 @@ def make_model(category: str, index: int, seed: int = 0) -> Builder:
     return GENERATORS[category](np.random.default_rng([seed, int(SYNSETS[category]), index]))
 
 
-def write_collection(root: Path, categories: Sequence[str], models: int, seed: int = 0, progress: bool = True) -> None:
+def write_collection(
+    root: Path,
+    categories: Sequence[str],
+    models: int,
+    seed: int = 0,
+    progress: bool = True,
+    executor: Executor | None = None,
+) -> None:
     """Write `models` models of each category, and `all.csv` with their splits, in the layout of ShapeNetCore v2.
 
     `<root>/<synset>/<model id>/models/model_normalized.obj` and `.mtl`, textures in `<model id>/images/`; `all.csv`
     has the columns id, synsetId, subSynsetId, modelId, split (train, val and test by 0.7, 0.1 and 0.2 of a category's
-    models, shuffled by the seed). Models are written atomically and existing
-    ones are kept, so a killed call resumes. The same arguments give the same bytes.
+    models, shuffled by the seed). Models are written atomically and existing ones are kept, so a killed call resumes.
+    The same arguments give the same bytes, in this process as on an executor, whose workers must see `root`.
 
     Raises ViewnetError for an unknown category, no category at all, or a number of models below one.
     """
@@ -56,18 +67,30 @@ def write_collection(root: Path, categories: Sequence[str], models: int, seed: i
         raise ViewnetError(f"models {models}: give the number of models of each category, 1 or more")
     for category in categories:
         _check(category)
-    rows: list[tuple[str, str, str, str, str]] = []
-    jobs = [(category, index) for category in dict.fromkeys(categories) for index in range(models)]
-    splits = {category: split_names(category, models, seed) for category in categories}
-    for category, index in bar(progress, iterable=jobs, desc="models", unit="model"):
-        name, synset = model_id(category, index, seed), SYNSETS[category]
-        folder = root / synset / name
-        if not folder.exists():
-            write_model(make_model(category, index, seed), folder)
-        rows.append((f"{len(rows) + 1:06d}", synset, synset, name, splits[category][index]))
+    chosen = list(dict.fromkeys(categories))
+    jobs = [(root, category, index, seed) for category in chosen for index in range(models)]
+    chunks = [jobs[start : start + CHUNK] for start in range(0, len(jobs), CHUNK)]
+    with bar(progress, total=len(jobs), desc="models", unit="model") as shown:
+        for written in as_done(_write_models, chunks, 1, "CAD models", executor):
+            shown.update(written)
+    names = [
+        (SYNSETS[category], model_id(category, index, seed), split)
+        for category in chosen
+        for index, split in enumerate(split_names(category, models, seed))
+    ]
+    rows = [(f"{i:06d}", synset, synset, name, split) for i, (synset, name, split) in enumerate(names, start=1)]
     table = pd.DataFrame(rows, columns=["id", "synsetId", "subSynsetId", "modelId", "split"])
     with replacing(root / "all.csv") as temporary:
         table.to_csv(temporary, index=False, lineterminator="\n")
+
+
+def _write_models(jobs: Sequence[tuple[Path, str, int, int]]) -> int:
+    """Write models, given as (root, category, index, seed), that are not there; their number."""
+    for root, category, index, seed in jobs:
+        folder = root / SYNSETS[category] / model_id(category, index, seed)
+        if not folder.exists():
+            write_model(make_model(category, index, seed), folder)
+    return len(jobs)
 
 
 def split_names(category: str, models: int, seed: int = 0) -> list[str]:

@@ -245,7 +245,7 @@ class Builder:
         """Lowest and highest corner (2, 3) of everything added so far; raises ValueError for an empty model."""
         if not self.parts:
             raise ValueError("the model is empty: add a part first")
-        used = np.concatenate([p.vertices[np.unique(p.faces)] for p in self.parts])
+        used = np.concatenate([p.vertices[p.faces.ravel()] for p in self.parts])
         return np.stack([used.min(0), used.max(0)])
 
 

@@ -30,8 +30,9 @@ def view_store(
     """Open the views of `config` (section 4.2), making the CAD collection and rendering the views where missing.
 
     Where it names videos, the views are theirs (video_views). Else views are rendered in `workers` processes of this
-    machine, or on an executor whose workers see the same files. Stores lie in `<paths.data()>/views/<category>-<key>`,
-    the key a hash of everything that decides the views. Raises ViewnetError as find_models and render_views do.
+    machine, or models and views made on an executor whose workers see the same files. Stores lie in
+    `<paths.data()>/views/<category>-<key>`, the key a hash of everything that decides the views. Raises ViewnetError
+    as find_models and render_views do.
     """
     if config.video is not None:
         if config.video.category != config.category:
@@ -57,7 +58,8 @@ def view_store(
         shutil.rmtree(partial_folder(folder), ignore_errors=True)
         return ViewStore.open(folder)
     if models is None:
-        models = find_models(built_in(config.category, config.models, config.seed, progress), config.category)
+        root = built_in(config.category, config.models, config.seed, progress, executor)
+        models = find_models(root, config.category)
     return render_views([*models, *extra], folder, **settings, workers=workers, progress=progress, executor=executor)
 
 
@@ -75,14 +77,16 @@ def as_training_models(models: list[ModelFile], config: DataConfig) -> list[Mode
     return [replace(model, id=f"extra{i}-{model.id}", split="train") for i in range(copies) for model in models]
 
 
-def built_in(category: str, models: int, seed: int = 0, progress: bool = True) -> Path:
+def built_in(
+    category: str, models: int, seed: int = 0, progress: bool = True, executor: Executor | None = None
+) -> Path:
     """The folder of built-in models of one category, written if missing. ViewnetError for less than one model."""
     if models < 1:
         raise ViewnetError("models 0 means all of a collection, but built-in ones have no end: give a number or a root")
     root = paths.data() / "cad" / f"{category}-{models}-seed{seed}-v{cad.VERSION}"
     with locked(root):
         if not (root / "all.csv").is_file():  # the list of splits, written last
-            cad.write_collection(root, [category], models, seed, progress=progress)
+            cad.write_collection(root, [category], models, seed, progress, executor)
     return root
 
 

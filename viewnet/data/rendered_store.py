@@ -9,8 +9,7 @@ import json
 import logging
 import shutil
 from collections.abc import Sequence
-from concurrent.futures import BrokenExecutor, Executor, as_completed
-from contextlib import nullcontext
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,13 +23,13 @@ from viewnet.render import VERSION, Backend, choose_backend, render_cameras
 from viewnet.render.camera import DISTANCE, FOCAL, look_from
 from viewnet.render.mesh import UnusableModel
 from viewnet.runtime.files import replacing, write_text
-from viewnet.runtime.parallel import cores, pool
+from viewnet.runtime.parallel import as_done, cores
 from viewnet.runtime.progress import bar as progress_bar
 
 CHUNK = 16
 """Models in a chunk."""
-# Below this many views starting processes takes longer than rendering.
-_WORTH_PROCESSES = 4000
+WORTH_PROCESSES = 4000
+"""Views below which starting processes takes longer than rendering."""
 
 log = logging.getLogger(__name__)
 
@@ -235,27 +234,10 @@ def _check_room(folder: Path, size: int, open_share: float) -> None:
 def _render(jobs: list[Chunk], total: int, workers: int | None, progress: bool, executor: Executor | None) -> None:
     left = sum(len(job.models) for job in jobs)
     if workers is None:
-        workers = 1 if not jobs or left * jobs[0].how.views < _WORTH_PROCESSES else cores()
-    workers = min(workers, len(jobs))
+        workers = 1 if not jobs or left * jobs[0].how.views < WORTH_PROCESSES else cores()
     with progress_bar(progress, total=total, initial=total - left, desc="render", unit="model") as bar:
-        try:
-            if executor is None and workers <= 1:
-                for job in jobs:
-                    bar.update(render_chunk(job))
-                return
-            with pool(workers) if executor is None else nullcontext(executor) as crew:
-                rendering = [crew.submit(render_chunk, job) for job in jobs]
-                try:
-                    for done in as_completed(rendering):
-                        bar.update(done.result())
-                finally:
-                    for waiting in rendering:
-                        waiting.cancel()
-        except BrokenExecutor:
-            raise ViewnetError(
-                "a rendering process died: call again with fewer workers if memory ran out (finished chunks are kept);"
-                " a script must start its work under `if __name__ == '__main__':`"
-            ) from None
+        for models in as_done(render_chunk, jobs, workers, "views (finished chunks are kept)", executor):
+            bar.update(models)
 
 
 def assemble(

@@ -4,9 +4,8 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TypeVar
 
@@ -56,17 +55,27 @@ def follow_parent() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-def as_done(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, what: str) -> Iterator[Result]:
-    """The results of `work` on every job, in order of completion; ViewnetError, naming `what`, if a process dies."""
+def as_done(
+    work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, what: str, executor: Executor | None = None
+) -> Iterator[Result]:
+    """The results of `work` on every job, in order of completion; ViewnetError, naming `what`, if a process dies.
+
+    On an executor, if there is one; otherwise in `workers` processes, or in this one where one is enough.
+    """
     workers = min(workers, len(jobs))
-    if workers == 1:  # in this process
+    if executor is None and workers <= 1:
         yield from map(work, jobs)
         return
     try:
-        with pool(workers) as executor:
-            for future in as_completed([executor.submit(work, job) for job in jobs]):
-                yield future.result()
-    except BrokenProcessPool:
+        with pool(workers) if executor is None else nullcontext(executor) as crew:
+            working = [crew.submit(work, job) for job in jobs]
+            try:
+                for future in as_completed(working):
+                    yield future.result()
+            finally:
+                for waiting in working:
+                    waiting.cancel()
+    except BrokenExecutor:
         advice = "call again with fewer workers if memory ran out; a script must start its work under"
         raise ViewnetError(f"a process that makes {what} died: {advice} `if __name__ == '__main__':`") from None
 

@@ -21,11 +21,13 @@ from pathlib import Path
 
 from viewnet import paths
 from viewnet.config import DataConfig, ModelConfig, RunConfig, TrainConfig, VideoConfig, known
+from viewnet.data.rendered_store import WORTH_PROCESSES
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.run import Run
 from viewnet.model import checkpoint
 from viewnet.runtime import distributed, provenance
+from viewnet.runtime.parallel import cores, pool
 from viewnet.training import dask_cluster, make_run
 from viewnet.training.make_run import Job, Steps
 from viewnet.training.worker_pool import make_together, run_all
@@ -108,7 +110,10 @@ def _plan(
     """Each configuration's folder, and the runs that are not finished. Makes the views of all."""
     unique = list(dict.fromkeys(configs))
     data = dict.fromkeys(config.data for config in unique)
-    stores = {each: steps.views(each, workers=workers, progress=progress, executor=executor) for each in data}
+    views = sum(each.models * each.views for each in data if each.video is None)
+    shared = executor is None and workers != 1 and views >= WORTH_PROCESSES
+    with pool(workers or cores()) if shared else contextlib.nullcontext(executor) as crew:  # started once for all
+        stores = {each: steps.views(each, workers=workers, progress=progress, executor=crew) for each in data}
     folders = {c: locate(c, stores[c.data].identity, _backgrounds_identity(c, progress)) for c in unique}
     missing = [config for config in unique if not make_run.is_complete(folders[config])]
     # The longest first and the shortest last, so that no core waits long at the end.
