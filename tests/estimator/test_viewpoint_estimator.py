@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -101,6 +102,44 @@ def test_images_that_are_ready_are_not_cut(overrides):
     backwards = ready[::-1]
     backwards.flags.writeable = False
     assert same(estimator.predict(backwards), one_by_one[::-1])
+
+
+def test_many_images_are_answered_as_each_alone(tmp_path):
+    estimator, mask = untrained(**SQUARE), np.zeros((60, 80), np.uint8)
+    mask[10:50, 20:70] = 255
+    images, masks, boxes = [], [], []
+    for number in range(45):
+        images.append(photograph(80, 60, number))
+        masks.append(mask if number % 3 == 1 else None)
+        boxes.append((number, 5, 79, 55) if number % 3 == 2 else None)
+    alone = [estimator.predict(image, [m], [box]) for image, m, box in zip(images, masks, boxes, strict=True)]
+    for batch_size in (256, 40, 7):
+        together = estimator.predict(images, masks, boxes, batch_size)
+        assert np.allclose(together.hypotheses, np.concatenate([each.hypotheses for each in alone]), atol=1e-6)
+
+
+def test_images_are_read_a_batch_at_a_time(monkeypatch):
+    estimator, files = untrained(**PHOTOS), []
+
+    def read(image, mask=None, box=None):
+        files.append(image)
+        return read_image(image, mask, box)
+
+    monkeypatch.setattr("viewnet.estimator.preprocess.read_image", read)
+    groups = batches([photograph()] * 50, None, None, estimator.framing, estimator.device, 20)
+    assert [(len(next(groups)), len(files)) for _ in range(3)] == [(20, 20), (20, 40), (10, 50)]
+
+
+def test_reading_images_leaves_the_number_of_threads(tmp_path, one_thread):
+    estimator, found = untrained(**PHOTOS), []
+    torch.set_num_threads(2)
+    estimator.predict([photograph()] * 40)
+    with pytest.raises(ViewnetError, match=r"missing\.png: no such image"):
+        estimator.predict([photograph(), tmp_path / "missing.png"])
+    later = threading.Thread(target=lambda: found.append(torch.get_num_threads()))
+    later.start()
+    later.join()
+    assert [*found, torch.get_num_threads()] == [2, 2]
 
 
 def seen(estimator: ViewpointEstimator, images, masks=None) -> torch.Tensor:

@@ -68,11 +68,13 @@ def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None
         cutout.paste(inside, place)
         # Pillow weights colours by their alpha while it averages them.
         return np.array(cutout.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact))
-    canvas = Image.new("RGB", (right - left, lower - upper), crop.colour)
-    canvas.paste(inside, place)
+    canvas = inside
+    if inside.size != (right - left, lower - upper):
+        canvas = Image.new("RGB", (right - left, lower - upper), crop.colour)
+        canvas.paste(inside, place)
     # Averages over the pixels that become one, without the ringing of sharper filters at the colour's edge.
     small = canvas.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact, reducing_gap=4.0)
-    return np.dstack([np.asarray(small), np.full((crop.size, crop.size), 255, np.uint8)])
+    return np.array(small.convert("RGBA"))
 
 
 def shrunk(view: np.ndarray, share: float) -> np.ndarray:

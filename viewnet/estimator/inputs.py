@@ -106,7 +106,8 @@ def read_file(path: Path, name: str = "image") -> Image.Image:
     """An image file, decoded and upright. ViewnetError, which calls it `name`, if it cannot be read."""
     with image_files.opened(path, name) as file:
         file.load()
-        return ImageOps.exif_transpose(file)
+        ImageOps.exif_transpose(file, in_place=True)
+        return file
 
 
 def _decode(image: ImageLike) -> Image.Image:

@@ -2,13 +2,15 @@
 
 import logging
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from PIL import Image
 from torch import Tensor
 
@@ -20,6 +22,7 @@ from viewnet.estimator.inputs import ImageLike, ImagesLike, InputImage, as_list,
 from viewnet.runtime.parallel import cores
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
 
 DTYPES = (np.uint8, np.float16, np.float32, np.float64)  # that PyTorch takes without conversion
 MARGIN = 0.2
@@ -27,6 +30,8 @@ MARGIN = 0.2
 built-in car's longer side is 0.71 of its view's on average."""
 OPAQUE = (128, 128, 128)
 """Colour in place of transparency, for networks that have always seen a background."""
+CHUNK = 16
+"""Images that a thread takes at once: few enough for a core's cache."""
 BRIGHT = 0.1
 """An image whose edges are brighter than this on average is not black around its object."""
 
@@ -75,13 +80,34 @@ class Prepared:
     """N images as the networks are shown them, in [0, 1]."""
 
     viewpoint: Tensor  # (N, 4, S, S) RGB times alpha and alpha, for the viewpoint network
-    appearance: Tensor  # (N, 4, S, S) the same of the object alone, for the appearance network
-    background: Tensor  # (N, 3, S, S) the background that the appearance network sees
+    whole: Tensor  # (N, 4, S, S) the same, not cut to the object
+    mask: Tensor  # (N, 1, S, S) the object's mask where it is known and the object is not cut out, elsewhere 1
     cutout: np.ndarray  # (N,) bool: whether the object is cut out
     masked: np.ndarray  # (N,) bool: whether the object's mask is known
+    backdrop: float  # grey level around a cut-out object
 
     def __len__(self) -> int:
         return len(self.cutout)
+
+    @classmethod
+    def joined(cls, parts: "Sequence[Prepared]", device: torch.device) -> "Prepared":
+        """The images of all parts, on a device."""
+        viewpoint, whole, mask = (
+            torch.cat([getattr(part, name) for part in parts]).to(device) for name in ("viewpoint", "whole", "mask")
+        )
+        cutout, masked = (np.concatenate([getattr(part, name) for part in parts]) for name in ("cutout", "masked"))
+        return cls(viewpoint, whole, mask, cutout, masked, parts[0].backdrop)
+
+    @property
+    def appearance(self) -> Tensor:
+        """(N, 4, S, S) RGB times alpha and alpha of the object alone, for the appearance network."""
+        return self.whole * self.mask
+
+    @property
+    def background(self) -> Tensor:
+        """(N, 3, S, S) the background that the appearance network sees."""
+        cutout = torch.from_numpy(self.cutout).to(self.whole.device)[:, None, None, None]  # (N, 1, 1, 1)
+        return torch.where(cutout, self.backdrop, self.whole[:, :3])
 
     @property
     def images(self) -> Tensor:
@@ -119,14 +145,17 @@ def prepare(cropped: Sequence[CroppedImage], framing: "Framing", device: torch.d
     count, size = len(cropped), framing.size
     viewpoint, whole = torch.empty(count, 4, size, size), torch.empty(count, 4, size, size)
     masks = torch.ones(count, 1, size, size)
-    for side in {len(image.pixels) for image in cropped}:
-        rows = [i for i, image in enumerate(cropped) if len(image.pixels) == side]
-        straight = torch.from_numpy(np.stack([cropped[i].pixels for i in rows])).permute(0, 3, 1, 2).float()
+    kinds = [(len(image.pixels), not image.cutout) for image in cropped]
+    for kind in set(kinds):
+        rows, opaque = [row for row, each in enumerate(kinds) if each == kind], kind[1]
+        weighted = torch.from_numpy(np.stack([cropped[i].pixels for i in rows])).permute(0, 3, 1, 2).float()
         # The same roundings as in viewnet.data.pairs.load_views, so that networks see the same pixels of an image.
-        weighted = torch.cat([straight[:, :3] * (straight[:, 3:] / 255), straight[:, 3:]], dim=1)  # (n, 4, S, S)
+        if not opaque:
+            weighted[:, :3] *= weighted[:, 3:] / 255  # (n, 4, S, S)
         whole[rows] = resize(weighted, size).round_()
         if framing.crop != "none":
-            viewpoint[rows] = tight_crop(weighted / 255, size, framing.crop == "stretched").mul_(255).round_()
+            crop = _whole_crop if opaque else tight_crop
+            viewpoint[rows] = crop(weighted.div_(255), size, framing.crop == "stretched").mul_(255).round_()
         for i in rows:
             if (mask := cropped[i].mask) is not None:
                 masks[i] = resize(torch.from_numpy(mask).float()[None, None], size)[0] / 255
@@ -134,16 +163,39 @@ def prepare(cropped: Sequence[CroppedImage], framing: "Framing", device: torch.d
     masked = cutout | [image.mask is not None for image in cropped]
     whole /= 255
     viewpoint = whole if framing.crop == "none" else viewpoint.div_(255)
-    background = torch.where(torch.from_numpy(cutout)[:, None, None, None], framing.backdrop, whole[:, :3])
-    return Prepared(viewpoint.to(device), (whole * masks).to(device), background.to(device), cutout, masked)
+    return Prepared(viewpoint.to(device), whole.to(device), masks.to(device), cutout, masked, framing.backdrop)
+
+
+def _whole_crop(images: Tensor, size: int, stretch: bool) -> Tensor:
+    """`tight_crop` of opaque images, which leaves them whole, in a fraction of its time: most samples are pixels."""
+    full = images.shape[-1]
+    if full == size:  # what lies between two pixels by a rounding error is rounded away
+        return images
+    if full != size * max(1, -(-full // size)):  # sampled more finely than their pixels
+        return tight_crop(images, size, stretch)
+    grid = F.affine_grid(torch.eye(2, 3)[None], [1, 1, full, full], align_corners=False)  # (1, H, H, 2)
+    between = (((grid[0, 0, :, 0] + 1) * full - 1) / 2 != torch.arange(full)).nonzero().flatten()
+    grid, sampled = grid.expand(len(images), -1, -1, -1), images.clone()
+    sampled[:, :, between] = F.grid_sample(images, grid[:, between], align_corners=False)
+    sampled[:, :, :, between] = F.grid_sample(images, grid[:, :, between], align_corners=False)
+    return resize(sampled, size)
 
 
 def batches(
     images: ImagesLike, masks: Any, boxes: Any, framing: "Framing", device: torch.device, batch_size: int
 ) -> Iterator[Prepared]:
-    """Images with their masks and boxes as the networks of `framing` are shown them, batch by batch.
+    """Images with their masks and boxes as the networks of `framing` are shown them, batch by batch; see `computed`."""
+    for parts in computed(lambda prepared: prepared, images, masks, boxes, framing, batch_size):
+        yield Prepared.joined(parts, device)
 
-    Warns of the first image that is unlike those of training. ViewnetError names the image at fault.
+
+def computed(
+    work: Callable[[Prepared], T], images: ImagesLike, masks: Any, boxes: Any, framing: "Framing", batch_size: int
+) -> Iterator[list[T]]:
+    """The results of `work` on images as the networks of `framing` are shown them, those of a batch at once.
+
+    Every core takes some images at a time, from their files to the result. Warns of the first image that is unlike
+    those of training. ViewnetError names the image at fault.
     """
     listed, warned = as_list(images), False
     masks, boxes = masks_of(masks, len(listed)), boxes_of(boxes, len(listed))
@@ -157,15 +209,32 @@ def batches(
         except ViewnetError as error:
             raise ViewnetError(f"{_name(listed[row], row)}: {error}") from None
 
+    def compute(rows: Sequence[int]) -> tuple[T, Tensor]:
+        prepared = prepare([crop(row) for row in rows], framing, torch.device("cpu"))
+        return work(prepared), _bright(prepared.viewpoint[:, :3]) & ~torch.from_numpy(prepared.cutout)
+
     for start in range(0, len(listed), _positive(batch_size)):
         rows = range(start, min(start + batch_size, len(listed)))
-        # Images are decoded and resized outside of the interpreter's lock, so threads help.
-        with ThreadPoolExecutor(min(cores(), len(rows))) as pool:
-            prepared = prepare(list(pool.map(crop, rows)), framing, device)
-        if not warned:
-            unlike = _bright(prepared.viewpoint[:, :3]).cpu() & ~torch.from_numpy(prepared.cutout)
-            warned = _warn(framing, unlike, [_name(listed[row], row) for row in rows])
-        yield prepared
+        step = min(CHUNK, -(-len(rows) // cores()))  # a share for each core
+        parts = [rows[first : first + step] for first in range(0, len(rows), step)]
+        with _pool(min(cores(), len(parts))) as pool:
+            results, unlike = zip(*pool.map(compute, parts), strict=True)
+        warned = warned or _warn(framing, torch.cat(unlike), [_name(listed[row], row) for row in rows])
+        yield list(results)
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ThreadPoolExecutor]:
+    """Threads for work that nearly all happens outside of the interpreter's lock.
+
+    PyTorch computes in each of them alone: its own threads wait for each other awake, and on a busy machine for long.
+    """
+    threads = torch.get_num_threads()
+    try:
+        with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+            yield pool
+    finally:
+        torch.set_num_threads(threads)  # what the other threads that start later will have
 
 
 def ready_images(images: Any, framing: "Framing") -> Tensor | None:

@@ -15,9 +15,10 @@
 """
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -113,13 +114,20 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         `masks` and `boxes` are one, or one for each image, None for images without. ViewnetError names the image that
         cannot be read, or whose mask or box does not fit.
         """
+
+        def found(prepared: Prepared) -> Hypotheses:
+            return self._hypotheses(self.network.composite(prepared.viewpoint))
+
+        hypotheses: Iterable[Hypotheses]
         if masks is None and boxes is None and (ready := preprocess.ready_images(images, self.framing)) is not None:
             inputs = preprocess.ready_batches(ready, self.framing, self.device, batch_size)
+            hypotheses = map(self._hypotheses, inputs)
+        elif isinstance(images, Prepared) or self.device.type != "cpu":
+            hypotheses = map(found, self._prepared(images, masks, boxes, batch_size))
         else:
-            batches = self._prepared(images, masks, boxes, batch_size)
-            inputs = (self.network.composite(prepared.viewpoint) for prepared in batches)
+            batches = preprocess.computed(found, images, masks, boxes, self.framing, batch_size)
+            hypotheses = chain.from_iterable(batches)
         # Copied at once: the next batch may overwrite what a batch was computed from.
-        hypotheses = map(self._hypotheses, inputs)
         arrays = [[_array(each.vectors), _array(each.logits), _array(each.ups)] for each in hypotheses]
         joined: Any = [None if parts[0] is None else np.concatenate(parts) for parts in zip(*arrays, strict=True)]
         vectors, logits, ups = joined
