@@ -3,16 +3,19 @@
     python benchmarks/predicting.py [--model car] [--image docs/car.jpg] [--times 9] [-o paper_tables/benchmarks]
 
 Starts `viewnet predict` in fresh interpreters, in turns with ones that only import torch, and gives the same images,
-many at once, to the estimator and, ready on its device, to the bare network, in turns as well. `predicting.csv` has a
-row for each: the median, and the least and the most of all times.
+many at once, to the estimator and, ready on its device, to the bare network, in turns as well. Then 1,000 image files
+are predicted, from the disk's cache to the viewpoints, by the estimator and by the command. `predicting.csv` has a row
+for each: the median, and the least and the most of all times.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -29,10 +32,13 @@ from viewnet.runtime.files import replacing, write_json
 
 IMAGES = 8 * BATCH
 """The number of images predicted at once: several batches."""
+FILES = 1000
+"""The number of image files."""
 PHOTOGRAPH, BOX = (400, 300), (40, 60, 380, 250)
 """Size of an image to crop, and the box, in pixels."""
 BARE, READY = "the bare network", "the estimator, images of just the size"
 CUT = "the estimator, photographs of 400 x 300 cut to a box"
+JPEG, PNG = "1,000 JPEG files of 400 x 300 cut to a box", "1,000 PNG files of just the size"
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -93,6 +99,26 @@ def batched(model: str, times: int) -> list[dict[str, object]]:
     return [*rows, row("the estimator against the bare network, in the same turn", "%", shares)]
 
 
+def from_files(model: str, image: Path, times: int) -> list[dict[str, object]]:
+    """Rows of many image files, each read and decoded: by the estimator, and by a fresh interpreter."""
+    estimator = ViewpointEstimator.from_pretrained(model)
+    photograph, size = Image.open(image).convert("RGB").resize(PHOTOGRAPH), estimator.framing.size
+    edges, works = [str(edge) for edge in BOX], dict[str, Callable[[], object]]()
+    with tempfile.TemporaryDirectory() as folder:
+        jpeg = [Path(folder) / f"{number:04d}.jpg" for number in range(FILES)]
+        png = [path.with_suffix(".png") for path in jpeg]
+        for number, (large, small) in enumerate(zip(jpeg, png, strict=True)):
+            view = Image.fromarray(np.roll(photograph, number, axis=1))  # no two files are the same
+            view.save(large, quality=90)
+            view.crop(BOX).resize((size, size)).save(small)
+        for name, files, boxes, more in ((JPEG, jpeg, [BOX] * FILES, ["--box", *edges]), (PNG, png, None, [])):
+            command = ["-m", "viewnet", "predict", *map(str, files), "--model", model, *more]
+            works[f"the estimator, {name}"] = functools.partial(estimator.predict, files, boxes=boxes)
+            works[f"viewnet predict, {name}"] = fresh(*command)
+        found = in_turns(works, times)
+    return [row(name, "images a second", [FILES / value for value in values]) for name, values in found.items()]
+
+
 def row(name: str, unit: str, values: list[float]) -> dict[str, object]:
     """A line of the table."""
     return {"what": name, "unit": unit, "median": np.median(values), "least": min(values), "most": max(values)}
@@ -107,7 +133,8 @@ def main() -> None:
     parser.add_argument("--times", type=int, default=9)
     parser.add_argument("-o", "--output", type=Path, default=paths.tables() / "benchmarks")
     options = parser.parse_args()
-    rows = cold(options.model, options.image, options.box, options.times) + batched(options.model, options.times)
+    model, image, times = options.model, options.image, options.times
+    rows = cold(model, image, options.box, times) + batched(model, times) + from_files(model, image, times)
     found = pd.DataFrame(rows).round(2)
     print(found.to_string(index=False))
     options.output.mkdir(parents=True, exist_ok=True)
@@ -115,7 +142,7 @@ def main() -> None:
         found.to_csv(temporary, index=False)
     threads = torch.get_num_threads()
     measured = {"hardware": provenance.hardware(threads), "versions": provenance.versions(), "git": provenance.commit()}
-    write_json(options.output / "predicting.json", {"model": options.model, "times": options.times, **measured})
+    write_json(options.output / "predicting.json", {"model": model, "times": times, **measured})
 
 
 if __name__ == "__main__":

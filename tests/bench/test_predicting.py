@@ -27,9 +27,21 @@ def test_rates_are_images_over_seconds(monkeypatch):
     assert all(row["least"] == row["median"] == row["most"] for row in rows)
 
 
+def test_files_are_read_each_time_and_given_to_the_command(monkeypatch):
+    monkeypatch.setattr(predicting, "FILES", 5)
+    started, lasting = [], itertools.cycle([2.0, 4.0])
+    monkeypatch.setattr(predicting, "fresh", lambda *arguments: lambda: started.append(arguments))
+    monkeypatch.setattr(predicting, "seconds", lambda work: (work(), next(lasting))[1])
+    rows = predicting.from_files("car", SCRIPT.parents[1] / "docs" / "car.jpg", 1)
+    assert [row["median"] for row in rows] == [5 / 2, 5 / 4] * 2
+    assert [sum(name.endswith((".jpg", ".png")) for name in arguments) for arguments in started] == [5] * 4
+    assert sum("--box" in arguments for arguments in started) == 2
+
+
 @pytest.mark.slow
 def test_the_report_has_every_row(monkeypatch, tmp_path):
     monkeypatch.setattr(predicting, "IMAGES", 16)
+    monkeypatch.setattr(predicting, "FILES", 20)
     monkeypatch.setattr(sys, "argv", ["predicting.py", "--times", "1", "-o", str(tmp_path / "new")])
     predicting.main()
     result = pd.read_csv(tmp_path / "new" / "predicting.csv")
