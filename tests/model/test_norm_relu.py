@@ -67,15 +67,18 @@ def test_what_is_not_a_number_is_not_hidden():
     assert half[..., 1].isnan().all()
 
 
-def test_the_encoder_is_the_sequence_of_its_layers(monkeypatch):
+@pytest.mark.parametrize("padding", ["zeros", "replicate"])
+def test_the_encoder_is_the_sequence_of_its_layers(padding, monkeypatch):
     torch.manual_seed(0)
-    one = Encoder((4, 8, 8), 6, 8)
-    other = Encoder((4, 8, 8), 6, 8)
+    one = Encoder((4, 4, 8, 8), 6, 16, padding)  # of sizes beside and below that from which products are taken
+    other = Encoder((4, 4, 8, 8), 6, 16, padding)
     other.load_state_dict(one.state_dict())
-    images, weights = torch.rand(5, 3, 8, 8), torch.randn(5, 6)
+    images, weights = torch.rand(5, 3, 16, 16), torch.randn(5, 6)
     fused = one(images)
     monkeypatch.setattr(numba_call, "available", lambda: False)
-    plain = nn.Sequential.forward(other, images)
+    plain = images
+    for layer in other:
+        plain = nn.Conv2d.forward(layer, plain) if isinstance(layer, nn.Conv2d) else layer(plain)
     assert torch.allclose(fused, plain, atol=1e-4)
     (fused * weights).sum().backward()
     (plain * weights).sum().backward()
@@ -83,6 +86,20 @@ def test_the_encoder_is_the_sequence_of_its_layers(monkeypatch):
         assert torch.allclose(value.grad, expected.grad, rtol=1e-3, atol=1e-4), name
     for (name, value), expected in zip(one.state_dict().items(), other.state_dict().values(), strict=True):
         assert torch.allclose(value, expected, atol=1e-5), name  # running statistics too
+
+
+def test_the_encoder_in_half_precision():
+    torch.manual_seed(0)
+    encoder, images = Encoder((8, 8, 8), 6, 8, "zeros"), torch.rand(4, 3, 8, 8)
+
+    def gradients(half):
+        encoder.zero_grad()
+        with torch.autocast("cpu", torch.bfloat16, enabled=half):
+            encoder(images).float().square().sum().backward()
+        return torch.cat([value.grad.flatten() for value in encoder.parameters()])
+
+    exact = gradients(False)
+    assert (gradients(True) - exact).norm() < 0.05 * exact.norm()
 
 
 @pytest.mark.parametrize("value", [-200.0, -20.0, -1.0, 0.0, 1.0, 20.0, 200.0])

@@ -5,11 +5,12 @@ Where the paper is silent or contradicts itself, docs/decisions.md says what was
 
 import math
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.nn.grad import conv2d_input
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from viewnet.config import ModelConfig
@@ -47,12 +48,12 @@ class Encoder(nn.Sequential):
         layers: list[nn.Module] = []
         previous = 3
         for width in channels[: levels - 1]:  # each halves the side, until it is 2
-            layers += [nn.Conv2d(previous, width, 3, stride=2, padding=1, padding_mode=padding, bias=False)]
+            layers += [Halving(previous, width, 3, stride=2, padding=1, padding_mode=padding, bias=False)]
             layers += [nn.BatchNorm2d(width), nn.ReLU(inplace=True)]  # takes the mean away: convolutions need no bias
             previous = width
         last = channels[levels - 1]
-        layers += [nn.Conv2d(previous, last, 2, bias=False), nn.BatchNorm2d(last), nn.ReLU(inplace=True)]
-        layers += [nn.Conv2d(last, outputs, 1), nn.Flatten()]  # (N, outputs, 1, 1) -> (N, outputs)
+        layers += [Closing(previous, last, 2, bias=False), nn.BatchNorm2d(last), nn.ReLU(inplace=True)]
+        layers += [Closing(last, outputs, 1), nn.Flatten()]  # (N, outputs, 1, 1) -> (N, outputs)
         super().__init__(*layers)
         self.to(memory_format=torch.channels_last)  # a pixel's features side by side, as norm_relu reads them
 
@@ -65,6 +66,46 @@ class Encoder(nn.Sequential):
             elif not isinstance(layer, nn.ReLU):
                 x = layer(x)
         return x
+
+
+class Closing(nn.Conv2d):
+    """Convolution with a kernel as large as the image, as the matrix product it is: (N, C, k, k) -> (N, O, 1, 1)."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, k, k) -> (N, outputs, 1, 1)."""
+        flat, weight = (tensor.permute(0, 2, 3, 1).flatten(1) for tensor in (x, self.weight))  # (N or O, k k C)
+        return F.linear(flat, weight, self.bias)[:, :, None, None]
+
+
+class Halving(nn.Conv2d):
+    """Convolution of kernel 3, stride 2 and padding 1; on CPUs a small image's weights get their gradient by a product.
+
+    oneDNN takes up to four times as long for them.
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, n, n) -> (N, outputs, n / 2, n / 2)."""
+        if not self.training or self.padding_mode != "zeros" or x.device.type != "cpu" or x.shape[-1] > 8:
+            return super().forward(x)
+        result: Tensor = _Halve.apply(x, self.weight.to(x.dtype))
+        return result
+
+
+class _Halve(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor) -> Tensor:
+        ctx.save_for_backward(x, weight)
+        return F.conv2d(x, weight, None, 2, 1)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Any:
+        x, weight = ctx.saved_tensors
+        grad = grads[0].to(x.dtype, memory_format=torch.channels_last)  # (N, O, h, h)
+        grad_x = conv2d_input(x.shape, weight, grad, 2, 1)
+        patches = F.pad(x.permute(0, 2, 3, 1), (0, 0, 1, 1, 1, 1)).unfold(1, 3, 2).unfold(2, 3, 2)  # (N, h, h, C, 3, 3)
+        patches = patches.permute(0, 1, 2, 4, 5, 3).flatten(0, 2).flatten(1)  # (N h h, 3 3 C)
+        product = grad.permute(0, 2, 3, 1).flatten(0, 2).T @ patches  # (O, 3 3 C)
+        return grad_x, product.unflatten(1, (3, 3, -1)).permute(0, 3, 1, 2)
 
 
 def _normalised(layer: _BatchNorm, x: Tensor) -> Tensor:
