@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from viewnet.errors import ViewnetError
+from viewnet.runtime import parallel
 
 COMMANDS = (
     *("notebook", "tables", "render", "train", "evaluate", "predict", "turntable", "save", "demo"),
@@ -33,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code (see EXIT_CODES)."""
     options = parser().parse_args(arguments)
     try:
+        parallel.threads_asked()  # said before PyTorch is imported, whose OpenMP would warn in words of its own
         return options.run(options) or 0
     except ViewnetError as error:
         _fail_together(f"viewnet: {error}")

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -50,6 +51,19 @@ def test_train_prints_runs_and_scores(folders, capsys):
     assert lines[1].startswith("  test: within 30 degrees ")
 
 
+def test_threads_are_told_to_openmp_before_its_libraries_are_imported(folders):
+    code = "import sys; from viewnet import cli; status = cli.main(sys.argv[1:]); import torch; "
+    code += "print(status, torch.get_num_threads())"
+    arguments = [sys.executable, "-c", code, "notebook", "table2_ablation", "--parameters", "--threads", "1"]
+    environment = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.splitlines()[-1] == "0 1"
+    refused = subprocess.run(arguments, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "junk"})
+    assert refused.stderr.startswith(
+        "viewnet: OMP_NUM_THREADS=junk: expected a whole number from 1 to 1024, or nothing"
+    )
+
+
 def test_train_as_json_has_every_metric(folders, capsys):
     assert cli.main(["train", "car", "--profile", "smoke", "--workers", "1", "--json"]) == 0
     (told,) = json.loads(capsys.readouterr().out)
@@ -75,6 +89,14 @@ def test_train_reports_runs_that_are_not_scored(capsys, monkeypatch):
         (["train", "car", "-s", "epoch=3"], "unknown setting 'epoch'"),
         (["train", "car", "-s", "epochs=many"], "config.train.epochs: expected int, got 'many'"),
         (["train", "car", "--data-root", "nowhere"], "data_root nowhere: no such folder"),
+        (["train", "car", "--threads", "0"], "--threads 0: expected 1 to 1024"),
+        (["train", "car", "--threads", "-1"], "--threads -1: expected 1 to 1024"),
+        (["notebook", "table2_ablation", "--threads", "1025"], "--threads 1025: expected 1 to 1024"),
+        (["predict", "a.png", "--model", "car", "--threads", "0"], "--threads 0: expected 1 to 1024"),
+        (
+            ["train", "car", "--threads", "2", "--cluster", "tcp://a:1"],
+            "--threads: workers of a cluster have their own",
+        ),
         (["train", "car", "--cluster", "scheduler-file:nowhere"], "cluster scheduler-file:nowhere: "),
     ],
 )

@@ -5,6 +5,7 @@ import os
 import pytest
 
 from viewnet.data import rendered_store
+from viewnet.errors import ViewnetError
 from viewnet.runtime import parallel, provenance
 
 
@@ -23,6 +24,31 @@ def test_cores_are_those_of_the_container_s_quota(tmp_path, monkeypatch, quota, 
 
 def test_rendering_uses_no_more_processes_than_the_quota_allows():
     assert rendered_store.cores is parallel.cores
+
+
+@pytest.mark.parametrize(("text", "expected"), [("1", 1), ("3", 3), ("2,1", 2), (" 4 ", 4), ("1024", 1024)])
+def test_threads_are_those_that_openmp_is_told(monkeypatch, text, expected):
+    monkeypatch.setattr(parallel, "cores", lambda: 8)
+    monkeypatch.setenv("OMP_NUM_THREADS", text)
+    assert parallel.threads() == parallel.threads(side_by_side=4) == expected
+    assert parallel.room() == max(1, 8 // expected)
+
+
+@pytest.mark.parametrize("text", [None, "", " "])
+def test_without_it_runs_share_the_cores(monkeypatch, text):
+    monkeypatch.setattr(parallel, "cores", lambda: 8)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    if text is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", text)
+    assert [parallel.threads(runs) for runs in (1, 2, 3, 16)] == [8, 4, 2, 1]
+    assert parallel.room() == 8
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "junk", "1.5", "1025", "9" * 5000, ",2", "²"])
+def test_other_numbers_of_threads_are_refused(monkeypatch, text):
+    monkeypatch.setenv("OMP_NUM_THREADS", text)
+    with pytest.raises(ViewnetError, match=r"^OMP_NUM_THREADS=.*: expected a whole number from 1 to 1024, or nothing$"):
+        parallel.threads()
 
 
 def test_environment_is_that_of_before_after_the_block(monkeypatch):

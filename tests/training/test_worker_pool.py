@@ -12,12 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from helpers import fake_steps
 from helpers.executors import Mortal
 from helpers.fake_steps import STEPS, calls, config, plan
 
 from viewnet.errors import ViewnetError
-from viewnet.runtime.parallel import cores
+from viewnet.runtime import parallel
+from viewnet.runtime.parallel import threads
 from viewnet.training import make_run, worker_pool
 from viewnet.training.run_store import ensure
 from viewnet.training.worker_pool import TRIES, LocalPool, WorkerDied
@@ -54,13 +56,37 @@ def test_side_by_side_a_failure_or_a_death_costs_its_run_only(folders):
     assert "; viewnet car seed 1 (smoke, matting): its process was ended (signal 9): run again" in message
     assert calls(folders) == ["car-0", "car-1", "car-2", "chair-3"]
     notes = [p.read_text().split() for p in (folders / "data" / "calls").glob("*")]
-    assert {threads for _, threads in notes} == {str(max(1, cores() // 2))}
+    assert {number for _, number in notes} == {str(threads(2))}
     assert str(os.getpid()) not in {pid for pid, _ in notes}
     plan(folders)
     made = ensure(wanted, workers=1, progress=False, steps=STEPS)
     assert [run.config for run in made] == wanted
     assert [run.result["training"]["resumed"] for run in made] == [True, True, False, False]
     assert len(calls(folders)) == 6
+
+
+def test_threads_are_a_run_s_and_no_part_of_its_key(folders, monkeypatch):
+    monkeypatch.setattr(parallel, "cores", lambda: 8)
+    told, found, bar = [], [], worker_pool.progress_bar
+    monkeypatch.setattr(worker_pool, "progress_bar", lambda *a, **settings: (told.append(settings), bar(False))[1])
+    for number in (1, 2):
+        monkeypatch.setenv("OMP_NUM_THREADS", str(number))
+        monkeypatch.setenv("VIEWNET_RUNS", str(folders / f"runs-{number}"))
+        found += ensure([config()], steps=STEPS)
+    name = "viewnet car seed 0 (smoke, matting)"
+    assert [each["desc"] for each in told] == [f"{name}: 1 thread on 8 cores", f"{name}: 2 threads on 8 cores"]
+    assert [run.result["training"]["hardware"]["threads"] for run in found] == [1, 2]
+    assert found[0].folder.name == found[1].folder.name
+    assert sorted(note.read_text().split()[1] for note in (folders / "data" / "calls").glob("*")) == ["1", "2"]
+
+
+def test_side_by_side_there_are_as_many_runs_as_their_threads_leave_cores_for(monkeypatch):
+    monkeypatch.setattr(parallel, "cores", lambda: 8)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
+    for asked, workers, expected in (("", None, (8, 1)), ("2", None, (4, 2)), ("", 3, (3, 2)), ("4", 3, (3, 4))):
+        monkeypatch.setenv("OMP_NUM_THREADS", asked)
+        with LocalPool(workers) as pool:
+            assert (pool._max_workers, pool.threads) == expected
 
 
 def test_progress_tells_the_last_line_of_a_log(folders):

@@ -12,7 +12,7 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import CLUSTER, Options, argument, choose_cluster
+from viewnet.commands.options import CLUSTER, THREADS, Options, argument, choose_cluster, choose_threads
 from viewnet.errors import ViewnetError
 
 ARGUMENTS = (
@@ -21,12 +21,15 @@ ARGUMENTS = (
     argument("-o --output", "the executed copy (default: runs/notebooks/NOTEBOOK.ipynb)", type=Path, metavar="FILE"),
     argument("--parameters", "list the parameters and stop", action="store_true"),
     argument("--refresh", "run with the defaults and keep the outputs in place", action="store_true"),
+    THREADS,
     CLUSTER,
 )
 
 
 def run(options: Options) -> None:
     """Run the notebook and print the path of its copy. ViewnetError for --refresh with other values."""
+    choose_cluster(options)
+    choose_threads(options)
     from viewnet.experiments import notebooks
 
     if options.parameters:
@@ -38,5 +41,4 @@ def run(options: Options) -> None:
             raise ViewnetError("--refresh takes neither -p nor --output: set VIEWNET_PROFILE for another profile")
         print(notebooks.refresh(options.name))
         return
-    choose_cluster(options)
     print(notebooks.run(options.name, [(name, value) for name, value in options.values], options.output))

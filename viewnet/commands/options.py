@@ -8,6 +8,7 @@ from typing import Any
 from viewnet.config import CATEGORIES, RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS, make_config
+from viewnet.runtime import parallel
 from viewnet.training.dask_cluster import VARIABLE
 
 Options = argparse.Namespace
@@ -35,6 +36,8 @@ SCHEDULER = "a Dask scheduler that renders and trains: tcp://HOST:PORT or schedu
 CLUSTER = argument("--cluster", f"{SCHEDULER} (default: ${VARIABLE})", metavar="ADDRESS")
 VARIANT = argument("--variant", f"{', '.join(VARIANTS)} (default: viewnet)", default="viewnet")
 RECIPE = argument("--recipe", f"{', '.join(RECIPES)} (default: the profile's)")
+ONE = f"threads of one run, or of the prediction (default: ${parallel.THREADS}, or its share of the cores)"
+THREADS = argument("--threads", ONE, type=int, metavar="N")
 CONFIGURATION = (
     argument("categories", f"of {', '.join(CATEGORIES)}", nargs="+", metavar="CATEGORY"),
     VARIANT,
@@ -78,6 +81,20 @@ def _setting(text: str) -> tuple[str, Any]:
         return name, json.loads(value)
     except (ValueError, RecursionError):
         return name, value
+
+
+def choose_threads(options: Options) -> None:
+    """Set the threads of this process and of those that it starts. Call it before PyTorch is imported.
+
+    ViewnetError for a number out of range, and for a cluster, whose workers have their own.
+    """
+    if options.threads is None:
+        return
+    if not 1 <= options.threads <= parallel.MOST_THREADS:
+        raise ViewnetError(f"--threads {options.threads}: expected 1 to {parallel.MOST_THREADS}")
+    if os.environ.get(VARIABLE):
+        raise ViewnetError(f"--threads: workers of a cluster have their own {parallel.THREADS}: leave one of them out")
+    os.environ[parallel.THREADS] = str(options.threads)
 
 
 def choose_cluster(options: Options) -> None:

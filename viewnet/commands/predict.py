@@ -15,7 +15,7 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import BOX, MODEL, Options, argument, print_results
+from viewnet.commands.options import BOX, MODEL, THREADS, Options, argument, choose_threads, print_results
 
 EDGES = "the object's edges in pixels; once for all images, or once for each"
 ARGUMENTS = (
@@ -24,12 +24,14 @@ ARGUMENTS = (
     argument("--box", EDGES, nargs=4, type=float, action="append", dest="boxes", metavar=BOX),
     argument("--all", "every hypothesis, not only the most probable", action="store_true"),
     argument("--json", "every hypothesis, as JSON", action="store_true"),
+    THREADS,
     *MODEL,
 )
 
 
 def run(options: Options) -> None:
     """Print a line for each image, or JSON: {"frame": "annotated" or "own", "pictures": [...]}."""
+    choose_threads(options)
     from viewnet.estimator import ViewpointEstimator
 
     images, boxes = options.images, options.boxes

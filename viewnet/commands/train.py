@@ -19,6 +19,7 @@ ARGUMENTS = (
     *shared.CONFIGURATION,
     argument("--seed", type=int, default=0, metavar="N"),
     argument("--workers", "runs side by side (default: what there is room for)", type=int, metavar="N"),
+    shared.THREADS,
     shared.CLUSTER,
     shared.JSON,
 )
@@ -26,13 +27,14 @@ ARGUMENTS = (
 
 def run(options: Options) -> None:
     """Train what is missing and print the runs; of several processes the first one prints."""
+    shared.choose_cluster(options)
+    shared.choose_threads(options)
     from viewnet.evaluation.run import NOT_SCORED
     from viewnet.runtime import distributed
     from viewnet.training import run_store
 
     distributed.start()
     configs = shared.configurations(options, options.seed)
-    shared.choose_cluster(options)
     runs = run_store.ensure(configs, options.workers)
     if distributed.rank() == 0:
         lines = []

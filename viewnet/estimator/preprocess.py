@@ -19,7 +19,7 @@ from viewnet.data.crop import Crop, bounds, cut
 from viewnet.data.pairs import resize, tight_crop
 from viewnet.errors import ViewnetError
 from viewnet.estimator.inputs import ImageLike, ImagesLike, InputImage, as_list, boxes_of, masks_of, read_image
-from viewnet.runtime.parallel import cores
+from viewnet.runtime import parallel
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -194,11 +194,11 @@ def computed(
 ) -> Iterator[list[T]]:
     """The results of `work` on images as the networks of `framing` are shown them, those of a batch at once.
 
-    Every core takes some images at a time, from their files to the result. Warns of the first image that is unlike
-    those of training. ViewnetError names the image at fault.
+    Every thread (viewnet.runtime.parallel.threads) takes some images at a time, from files to results. Warns of the
+    first image that is unlike those of training. ViewnetError names the image at fault.
     """
     listed, warned = as_list(images), False
-    masks, boxes = masks_of(masks, len(listed)), boxes_of(boxes, len(listed))
+    masks, boxes, threads = masks_of(masks, len(listed)), boxes_of(boxes, len(listed)), parallel.threads()
     if framing.rendered and any(value is not None for value in (*masks, *boxes)):
         views = "the network was trained on whole views as a rendering camera frames them: its predictions for images"
         log.warning("%s that are cut are unreliable: train one with the recipe photos", views)
@@ -215,9 +215,9 @@ def computed(
 
     for start in range(0, len(listed), _positive(batch_size)):
         rows = range(start, min(start + batch_size, len(listed)))
-        step = min(CHUNK, -(-len(rows) // cores()))  # a share for each core
+        step = min(CHUNK, -(-len(rows) // threads))  # a share for each
         parts = [rows[first : first + step] for first in range(0, len(rows), step)]
-        with _pool(min(cores(), len(parts))) as pool:
+        with _pool(min(threads, len(parts))) as pool:
             results, unlike = zip(*pool.map(compute, parts), strict=True)
         warned = warned or _warn(framing, torch.cat(unlike), [_name(listed[row], row) for row in rows])
         yield list(results)

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import re
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
@@ -17,6 +18,10 @@ Result = TypeVar("Result")
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
 """A container's share of the CPU: microseconds allowed in a period, and the period; "max" for no limit."""
 
+THREADS = "OMP_NUM_THREADS"
+"""The environment variable that says how many threads a run computes on; PyTorch, Numba's and NumPy's loops obey it."""
+MOST_THREADS = 1024
+
 
 def cores() -> int:
     """CPU cores this process may use: its affinity and, in a container, its quota; 1 or more."""
@@ -26,6 +31,30 @@ def cores() -> int:
         if allowed.isdigit():
             count = min(count, max(1, int(allowed) // int(period)))
     return count
+
+
+def threads_asked() -> int | None:
+    """The threads that OMP_NUM_THREADS asks for, of a list the first; None where it is not set.
+
+    ViewnetError for anything but 1 to MOST_THREADS, of which the OpenMP libraries would take their default.
+    """
+    text = os.environ.get(THREADS, "")
+    if not text.strip():
+        return None
+    first = text.partition(",")[0].strip()  # what follows is for nested loops
+    if not re.fullmatch("[0-9]{1,9}", first) or not 1 <= int(first) <= MOST_THREADS:
+        raise ViewnetError(f"{THREADS}={text}: expected a whole number from 1 to {MOST_THREADS}, or nothing")
+    return int(first)
+
+
+def threads(side_by_side: int = 1) -> int:
+    """Threads of each of some runs side by side: OMP_NUM_THREADS, or else its share of the cores; 1 or more."""
+    return threads_asked() or max(1, cores() // side_by_side)
+
+
+def room() -> int:
+    """How many runs with OMP_NUM_THREADS threads each, or else one, there are cores for; 1 or more."""
+    return max(1, cores() // (threads_asked() or 1))
 
 
 @contextmanager

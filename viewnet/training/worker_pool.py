@@ -17,8 +17,8 @@ from typing import Any, TypeVar
 
 import torch
 
-from viewnet.runtime import distributed
-from viewnet.runtime.parallel import cores, environment, follow_parent
+from viewnet.runtime import distributed, parallel
+from viewnet.runtime.parallel import environment, follow_parent
 from viewnet.runtime.progress import bar as progress_bar
 from viewnet.training.make_run import Job, Steps, attempt, make, one_line
 
@@ -42,9 +42,14 @@ def run_all(
     """
     if executor is not None:
         return _collect(executor, jobs, steps, None, progress, TRIES)
-    workers = min(workers or torch.cuda.device_count() or cores(), len(jobs))
+    workers = min(workers or torch.cuda.device_count() or parallel.room(), len(jobs))
     if workers <= 1:
-        return [failure for job in jobs if (failure := attempt(job, steps, cores(), progress))]
+        failures = []
+        for job in jobs:
+            told = f"{job.name}: {_counted(parallel.threads())} on {_counted(parallel.cores(), 'core')}"
+            progress_bar(progress, total=0, bar_format="{desc}", desc=told).close()
+            failures.append(attempt(job, steps, parallel.threads(), progress))
+        return [failure for failure in failures if failure]
     with LocalPool(workers) as pool:
         try:
             return _collect(pool, jobs, steps, pool.threads, progress, tries=1)
@@ -55,7 +60,7 @@ def run_all(
 
 def make_together(jobs: Sequence[Job], steps: Steps, progress: bool) -> None:
     """Make one job after another, each trained by all processes of a torchrun; the first failure ends all."""
-    threads = max(1, cores() // distributed.local_size())
+    threads = parallel.threads(distributed.local_size())
 
     def train(*arguments: Any, **options: Any) -> None:
         distributed.first(lambda: True)
@@ -77,7 +82,8 @@ def _collect(
     failures: dict[int, str] = {}
     started, attempts = time.time(), Counter(range(len(jobs)))
     pending = {executor.submit(attempt, job, steps, threads): number for number, job in enumerate(jobs)}
-    bar = progress_bar(progress, total=len(jobs), unit="run")
+    told = None if threads is None else f"{_counted(threads)} a run"
+    bar = progress_bar(progress, total=len(jobs), desc=told, unit="run")
     try:
         while pending:
             for future in futures.wait(pending, POLL, futures.FIRST_COMPLETED).done:
@@ -98,6 +104,10 @@ def _collect(
             future.cancel()
         bar.close()
     return [failures[number] for number in sorted(failures)]
+
+
+def _counted(number: int, what: str = "thread") -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _failure(future: Future[str | None], job: Job) -> str | BrokenExecutor | None:
@@ -138,14 +148,15 @@ def progress_line(job: Job) -> str:
 class LocalPool(futures.ThreadPoolExecutor):
     """Spawned processes of this machine, each with `threads` threads and, where there are GPUs, one of them in turn.
 
-    By default as many as GPUs, or cores without any. A process that dies fails its job with WorkerDied and is replaced.
+    By default as many as GPUs, or without any as there are cores for (viewnet.runtime.parallel.room). A process that
+    dies fails its job with WorkerDied and is replaced.
     """
 
     def __init__(self, workers: int | None = None):
         gpus = torch.cuda.device_count()
-        workers = workers or gpus or cores()
+        workers = workers or gpus or parallel.room()
         super().__init__(workers)  # a thread for each process, which waits for it
-        self.threads = max(1, cores() // workers)
+        self.threads = parallel.threads(workers)
         # As CUDA_VISIBLE_DEVICES names them.
         visible = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
         names = visible if len(visible) >= gpus and visible[0] else [str(number) for number in range(gpus)]
