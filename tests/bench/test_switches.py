@@ -53,6 +53,7 @@ def what_happens(switch, monkeypatch):
         monkeypatch.setattr(module, name, wrapper)
 
     record(volume, "render", lambda *a, sparse, **o: {"sparse" if sparse else "dense", f"{a[3]} pixels"})
+    record(volume_cpu, "compare", lambda *a: {f"{a[3].shape[-1]} pixels"})
     record(volume, "render_reference", lambda *_, **__: {"PyTorch's renderer"})
     record(volume_cpu, "render", lambda *_, **__: {"fused renderer"})
     record(

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import volume
-from viewnet.model.kernels import numba_call, volume_cpu, volume_numba
+from viewnet.model.kernels import numba_call, volume_cpu, volume_numba, voxels_numba
 from viewnet.model.networks import gaussian_prior
 
 
@@ -104,8 +104,8 @@ def test_the_inside_of_a_larger_volume_is_cut_out_of_it():
 
 def test_numba_s_cache_tells_the_threaded_kernels_from_the_others():
     """It is keyed by name and place, not by options, so one would be loaded for the other."""
-    for kernel in ("forward", "occupied", "backward", "squash", "squash_backward"):
-        versions = getattr(volume_numba, kernel)
+    walking = [volume_numba.forward, volume_numba.compare, volume_numba.backward]
+    for versions in (*walking, voxels_numba.occupied, voxels_numba.squash, voxels_numba.squash_backward):
         assert versions[False].py_func.__qualname__ != versions[True].py_func.__qualname__
         assert versions[True].targetoptions.get("parallel")
         assert not versions[False].targetoptions.get("parallel")

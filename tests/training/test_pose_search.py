@@ -11,7 +11,7 @@ from viewnet.geometry import azimuth_elevation, look_at, view_vector
 from viewnet.model.reconstruction import Encoded, best_head, compare
 from viewnet.model.viewnet import Hypotheses, ViewNet
 from viewnet.recipes import make_config
-from viewnet.training.pose_search import SECTORS, PoseSearch, Search, balanced, compare_grid
+from viewnet.training.pose_search import SECTORS, PoseSearch, Search, balanced, compare_grid, half_resolution
 
 
 @pytest.fixture
@@ -63,7 +63,10 @@ def test_sectors_are_searched_at_half_the_resolution_and_compared_at_the_full_on
     with torch.no_grad():
         shape = model.generate(code)
         target = model.render(shape, code, look_at(grid[:, views // 2]))
-        tried, errors = compare_grid(model, Encoded(code, shape), grid, target, config.train)
+        objects = Encoded(code, shape)
+        tried, errors = compare_grid(
+            model, objects, grid, target, config.train, half_resolution(model, objects, target)
+        )
         _, all_of_them = compare(model, Encoded(code, shape), grid[:, :, None], None, target, config.train)
     same = (tried[:, :, None] == grid[:, None]).all(-1)
     assert tried.shape[1] == min(views, SECTORS) and same.any(2).all()

@@ -50,7 +50,10 @@ class Views:
 
 def resize(images: Tensor, size: int) -> Tensor:
     """Images (N, C, H, H) at another size, by averaging areas."""
-    return F.interpolate(images, (size, size), mode="area")
+    while images.shape[-1] >= 2 * size and images.shape[-1] % (2 * size) == 0:  # pairs: several times as fast
+        rows = images[..., ::2, :] + images[..., 1::2, :]  # (N, C, H / 2, H)
+        images = (rows[..., ::2] + rows[..., 1::2]) / 4  # (N, C, H / 2, H / 2)
+    return images if images.shape[-1] == size else F.interpolate(images, (size, size), mode="area")
 
 
 def tight_crop(images: Tensor, size: int, stretch: bool = False, margin: float = CROP_MARGIN) -> Tensor:

@@ -11,6 +11,8 @@ from torch import Tensor
 
 from viewnet.config import TrainConfig
 from viewnet.geometry import look_at
+from viewnet.model import volume
+from viewnet.model.kernels import volume_cpu
 from viewnet.model.losses import head_errors
 from viewnet.model.precision import autocast
 from viewnet.model.viewnet import Hypotheses, ViewNet
@@ -100,18 +102,21 @@ def compare(
     masks apart from them: over a random background the silhouette is hidden where it happens to have the object's
     colour.
     """
-    heads, count = candidates.shape[1:3]
     if ups is not None:
-        ups = ups[:, :, None].expand_as(candidates).flatten(0, 2)  # (N M T, 3)
-    with autocast(objects.volume.device, config):
-        cameras = look_at(candidates.flatten(0, 2), ups)  # (N M T, 3, 3)
-        rendered = model.render(objects.volume, objects.code, cameras, target.shape[-1])
-    rendered = rendered.unflatten(0, (-1, heads * count))  # (N, M T, 4, S, S)
+        ups = ups[:, :, None].expand_as(candidates)  # (N, M, T, 3)
+    cameras = look_at(candidates, ups)  # (N, M, T, 3, 3)
     of_images = config.target == "image"
-    weights = (config.comparison.colours if of_images else 0.0, config.comparison.masks if of_images else 1.0)
-    errors = rendered.new_zeros(rendered.shape[:2])
-    for channels, weight in zip((slice(0, 3), slice(3, 4)), weights, strict=True):
-        if weight:
-            errors = errors + weight * head_errors(rendered[:, :, channels], target[:, channels])  # (N, M T)
-    errors, best = errors.unflatten(1, (heads, count)).min(2)  # (N, M)
+    weights = (config.comparison.colours, config.comparison.masks) if of_images else (0.0, 1.0)
+    in_a_volume = model.config.decoder != "hologan"
+    if in_a_volume and volume.fused_kernels(objects.volume.device) is volume_cpu:
+        best, errors = volume_cpu.compare(objects.volume, cameras, model.focal, target, weights)  # (N, M) each
+    else:
+        with autocast(objects.volume.device, config):
+            rendered = model.render(objects.volume, objects.code, cameras.flatten(0, 2), target.shape[-1])
+        rendered = rendered.unflatten(0, (len(target), -1))  # (N, M T, 4, S, S)
+        errors = rendered.new_zeros(rendered.shape[:2])
+        for channels, weight in zip((slice(0, 3), slice(3, 4)), weights, strict=True):
+            if weight:
+                errors = errors + weight * head_errors(rendered[:, :, channels], target[:, channels])  # (N, M T)
+        errors, best = errors.unflatten(1, candidates.shape[1:3]).min(2)  # (N, M)
     return candidates.gather(2, best[:, :, None, None].expand(-1, -1, 1, 3))[:, :, 0], errors  # (N, M, 3)

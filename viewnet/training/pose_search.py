@@ -22,6 +22,10 @@ SECTORS = 4
 """Of azimuth: of a search's viewpoints, the best of each sector is compared with the heads'."""
 
 
+Coarse = tuple[Encoded, Tensor]
+"""Objects and targets (N, 4, S, S) at half the resolution."""
+
+
 @dataclass
 class Search:
     """Viewpoints all around the object. `noise`, added to errors, is a multiple of their spread over a target's."""
@@ -56,14 +60,15 @@ class PoseSearch:
         """The best viewpoint of each target, and what it teaches the heads."""
         vectors = hypotheses.vectors
         heads, limits = vectors.shape[1], model.config.elevation_limits or (-90.0, 90.0)
-        candidates, errors = compare_heads(model, objects, hypotheses, target, config)  # (N, M, 3), (N, M)
+        coarse = half_resolution(model, objects, target)
+        candidates, errors = compare_heads(model, objects, hypotheses, target, config, coarse)  # (N, M, 3), (N, M)
         score = errors
         if self.trust and heads > 1:
             spread = distributed.mean(errors.std(1, keepdim=True).mean())  # `trust` is in units of the errors' spread
             score = errors - self.trust * spread * hypotheses.logits.log_softmax(1)
         if self.search:
             grid = self.search.grid(len(target), limits).to(vectors)
-            searched, search_errors = compare_grid(model, objects, grid, target, config)
+            searched, search_errors = compare_grid(model, objects, grid, target, config, coarse)
             candidates = torch.cat([candidates, searched], 1)  # (N, M + SECTORS, 3)
             score = self.search.perturb(torch.cat([score, search_errors], 1))  # (N, M + SECTORS)
         balance = config.search.balance
@@ -83,41 +88,41 @@ class PoseSearch:
 
 
 def compare_heads(
-    model: ViewNet, objects: Encoded, hypotheses: Hypotheses, target: Tensor, config: TrainConfig
+    model: ViewNet, objects: Encoded, hypotheses: Hypotheses, target: Tensor, config: TrainConfig, coarse: Coarse
 ) -> tuple[Tensor, Tensor]:
     """View vectors (N, M, 3), each the head's own or its best neighbour, and their errors (N, M).
 
-    Neighbours are compared at half the resolution; what tells two sides of an object apart is often smaller, so heads
-    are compared at the full one.
+    Neighbours are compared at half the resolution, `coarse`; what tells two sides of an object apart is often smaller,
+    so heads are compared at the full one.
     """
     best = hypotheses.vectors
     if config.comparison.neighbours:
         candidates = neighbours(best, config.comparison.neighbours)  # (N, M, 5, 3)
-        coarse, small = half_resolution(model, objects, target)
-        best, errors = compare(model, coarse, candidates, hypotheses.ups, small, config)
-        if coarse is objects or best.shape[1] == 1:
+        small_objects, small_target = coarse
+        best, errors = compare(model, small_objects, candidates, hypotheses.ups, small_target, config)
+        if small_objects is objects or best.shape[1] == 1:
             return best, errors
     return compare(model, objects, best[:, :, None], hypotheses.ups, target, config)  # candidates (N, M, 1, 3)
 
 
 def compare_grid(
-    model: ViewNet, objects: Encoded, grid: Tensor, target: Tensor, config: TrainConfig
+    model: ViewNet, objects: Encoded, grid: Tensor, target: Tensor, config: TrainConfig, coarse: Coarse
 ) -> tuple[Tensor, Tensor]:
     """Of viewpoints all around (N, T, 3) the best in each sector, (N, SECTORS, 3), and their errors (N, SECTORS).
 
-    Within a sector half the resolution is enough. Sectors are compared at the full one: at half of it the fin that
-    tells an aeroplane's tail from its nose is gone, and a group of aeroplanes that is laid wrong then stays so.
+    Within a sector half the resolution, `coarse`, is enough. Sectors are compared at the full one: at half of it the
+    fin that tells an aeroplane's tail from its nose is gone, and aeroplanes that are laid wrong then stay so.
     """
-    coarse, small = half_resolution(model, objects, target)
-    if coarse is objects or grid.shape[1] <= SECTORS:
+    small_objects, small_target = coarse
+    if small_objects is objects or grid.shape[1] <= SECTORS:
         return grid, compare(model, objects, grid[:, :, None], None, target, config)[1]  # candidates (N, T, 1, 3)
     whole = torch.cat([grid, grid[:, : -grid.shape[1] % SECTORS]], 1)  # T a multiple of SECTORS
     by_sector = whole.unflatten(1, (SECTORS, -1))  # (N, SECTORS, T / SECTORS, 3)
-    best, _ = compare(model, coarse, by_sector, None, small, config)
+    best, _ = compare(model, small_objects, by_sector, None, small_target, config)
     return compare(model, objects, best[:, :, None], None, target, config)  # candidates (N, SECTORS, 1, 3)
 
 
-def half_resolution(model: ViewNet, objects: Encoded, target: Tensor) -> tuple[Encoded, Tensor]:
+def half_resolution(model: ViewNet, objects: Encoded, target: Tensor) -> Coarse:
     """Volumes and targets at half the resolution; themselves where that is too low, or the decoder has one only."""
     if target.shape[-1] <= 16 or model.config.decoder == "hologan":
         return objects, target

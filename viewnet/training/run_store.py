@@ -34,15 +34,14 @@ from viewnet.training.worker_pool import make_together, run_all
 
 # fmt: off
 TRAINING = (
-    "geometry.py", "data/augment.py", "data/pairs.py", "evaluation/alignment.py",
-    "runtime/distributed.py", "runtime/random.py", "runtime/torchvision_weights.py",
-    "model/checkpoint.py", "model/losses.py", "model/networks.py", "model/precision.py", "model/reconstruction.py",
-    "model/viewnet.py", "model/volume.py", "model/kernels/bfloat16_numba.py", "model/kernels/norm_relu_cpu.py",
+    "geometry.py", "data/augment.py", "data/pairs.py", "evaluation/alignment.py", "model/checkpoint.py",
+    "model/losses.py", "model/networks.py", "model/precision.py", "model/reconstruction.py", "model/viewnet.py",
+    "model/volume.py", "runtime/distributed.py", "runtime/random.py", "runtime/torchvision_weights.py",
+    "training/history.py", "training/optimisers.py", "training/pose_search.py", "training/step.py", "training/train.py",
+    "training/validation.py", "model/kernels/bfloat16_numba.py", "model/kernels/norm_relu_cpu.py",
     "model/kernels/norm_relu_numba.py", "model/kernels/numba_call.py", "model/kernels/rotation_numba.py",
     "model/kernels/trilinear_llvm.py", "model/kernels/volume_cpu.py", "model/kernels/volume_gpu.py",
-    "model/kernels/volume_numba.py", "model/kernels/volume_triton.py", "training/history.py",
-    "training/optimisers.py", "training/pose_search.py", "training/step.py", "training/train.py",
-    "training/validation.py",
+    "model/kernels/volume_numba.py", "model/kernels/volume_triton.py", "model/kernels/voxels_numba.py",
 )
 # fmt: on
 """The code that decides a training: its statements are part of every key (provenance.code_identity).

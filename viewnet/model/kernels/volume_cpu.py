@@ -7,11 +7,12 @@ the same bits whatever the number of threads.
 """
 
 import math
-import weakref
+from collections.abc import MutableMapping
 from typing import Any
 
 import torch
 from torch import Tensor
+from torch.utils.weak import WeakIdKeyDictionary
 
 from viewnet.model.kernels import numba_call
 
@@ -36,7 +37,9 @@ def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int,
 
 def squash(blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
     """As viewnet.model.volume.squash, to a volume that lies in memory as the renderer wants it."""
-    return _Squash.apply(blocks, colour, prior)
+    volume: Tensor = _Squash.apply(blocks, colour, prior)
+    _empty_around[volume] = True
+    return volume
 
 
 def halved(volume: Tensor) -> Tensor:
@@ -45,43 +48,65 @@ def halved(volume: Tensor) -> Tensor:
     small = tuple(side // 2 for side in shape)
     halves = torch.zeros(len(volume), math.prod(side + 2 for side in small), 4)  # (B, P', 4), zeros all around
     _run("halve", padded(volume.detach()), shape, halves)
-    return unpadded(halves, small)
+    half = unpadded(halves, small)
+    _empty_around[half] = True
+    return half
 
 
 class _Squash(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
-        count, *sides = blocks.shape[:4]
-        nz, ny, nx = (side * blocks.shape[4] for side in sides)  # voxels a side
+        count, z, y, x, side = blocks.shape[:5]
+        shape = z * side, y * side, x * side  # voxels a side
         blocks = blocks.contiguous()
         added = torch.zeros(count, 4)  # occupancy's stays 0
         if colour is not None:
             added[:, :3] = colour
-        offset = torch.zeros(nz, ny, nx) if prior is None else prior.contiguous()  # (Z, Y, X)
-        voxels = torch.empty(count, (nz + 2) * (ny + 2) * (nx + 2), 4)  # (B, P, 4), framed by the kernel
-        _run("squash", blocks, added, offset, voxels)
-        ctx.save_for_backward(blocks, added, offset)  # voxels are computed again from these: less to keep
-        return unpadded(voxels, (nz, ny, nx))  # a view: no copy before rendering
+        scale, offset = torch.tensor([1.0, 1.0, 1.0, 2.0]), torch.zeros(z, side, y, side, x, side, 4)
+        offset[..., 3] = -1.0 if prior is None else prior.view(z, side, y, side, x, side) - 1  # Q = 2 sigmoid - 1 + S
+        offset = offset.permute(0, 2, 4, 1, 3, 5, 6).reshape(z, y, -1)  # (z, y, x s^3 4), as blocks lie
+        voxels = torch.empty(count, math.prod(n + 2 for n in shape), 4)  # (B, P, 4), framed by the kernel
+        _run("squash", blocks, added, offset, scale, voxels)
+        ctx.save_for_backward(blocks, added, offset, scale)  # voxels are computed again from these: less to keep
+        return unpadded(voxels, shape)  # a view: no copy before rendering
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
-        blocks, added, offset = ctx.saved_tensors
-        grad = torch.empty_like(blocks)
-        _run("squash_backward", blocks, added, offset, padded(grads[0]), grad)
+        grad = torch.empty_like(ctx.saved_tensors[0])  # of the blocks
+        _run("squash_backward", *ctx.saved_tensors, padded(grads[0]), grad)
         return grad, None, None  # mean colour and prior are data
+
+
+def compare(
+    volume: Tensor, cameras: Tensor, focal: Tensor, target: Tensor, weights: tuple[float, float]
+) -> tuple[Tensor, Tensor]:
+    """Of T views in each of G groups the one that explains a target best, (N, G) int64, and its error (N, G).
+
+    `cameras` are frames (N, G, T, 3, 3), targets (N, 4, S, S), N a multiple of the B volumes. Errors are the mean
+    squared ones of colours and of masks (equation 2) with their `weights`. Nothing takes a gradient.
+    """
+    size, (colours, masks) = target.shape[-1], weights
+    # Means over pixels, and over the three colours; for each number in a row of pixels, (4 S,).
+    shares = (torch.tensor([colours / 3, colours / 3, colours / 3, masks]) / size**2).repeat(size)
+    best, errors = torch.empty(cameras.shape[:2], dtype=torch.int64), torch.empty(cameras.shape[:2])
+    pixels = target.detach().float().permute(0, 2, 3, 1).contiguous()  # (N, S, S, 4)
+    frames, shape, camera = cameras.detach().float().contiguous(), tuple(volume.shape[2:]), focal.detach()
+    with torch.profiler.record_function("compare"):
+        _run("compare", *_framed(volume.float()), shape, frames, camera, pixels, shares, best, errors)
+    return best, errors
 
 
 class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
-        voxels, frames = padded(volume.detach(), empty=True), frames.detach().contiguous()
+        frames, shape = frames.detach().contiguous(), tuple(volume.shape[2:])
+        voxels, cells, boxes = _framed(volume)
         image = torch.empty(len(frames), size, size, 4)  # a pixel's values side by side, as a voxel's
-        shape = tuple(volume.shape[2:])
-        cells, boxes = _occupied(volume, voxels, shape)
         _run("forward", voxels, cells, boxes, shape, frames, focal, steps, image)
         if not sparse:  # empty voxels are due their gradient too: backward walks the whole frame
             whole = [float(end) for side in reversed(shape) for end in (0, side + 1)]
             cells, boxes = torch.ones_like(cells), torch.tensor(whole).expand_as(boxes).contiguous()  # (B, P), (B, 6)
+            cells[:, -1] = 0  # the frame's last voxel, no cell's lowest corner, stands for none
         ctx.save_for_backward(voxels, cells, boxes, frames, focal)
         ctx.shape, ctx.steps = shape, steps
         return image.permute(0, 3, 1, 2)  # (N, 4, S, S)
@@ -99,23 +124,24 @@ class _Render(torch.autograd.Function):
         return grad_volume, grad_frames, grad_focal.sum().reshape(focal.shape), None, None, None  # focal's is a scalar
 
 
-_known: tuple[weakref.ref[Tensor], int, tuple[Tensor, Tensor]] | None = None  # weak: memory is freed
+Framed = tuple[Tensor, Tensor, Tensor]
+"""Voxels (B, P, 4), which of their cells hold anything (B, P), and the box around these (B, 6)."""
+_known: MutableMapping[Tensor, tuple[int, Framed]] = WeakIdKeyDictionary()  # weak: memory is freed
+_empty_around: MutableMapping[Tensor, bool] = WeakIdKeyDictionary()  # volumes made here, in frames that hold zeros
 
 
-def _occupied(volume: Tensor, voxels: Tensor, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
-    """Which cells of `voxels` (B, P, 4) hold anything, (B, P), and the box around them, (B, 6).
-
-    Remembered for the volume rendered last.
-    """
-    global _known
+def _framed(volume: Tensor) -> Framed:
+    """The volume as kernels read it; remembered, as heads, search and reconstruction share one."""
     # Tensors made under inference_mode do not count their changes.
     version = -1 if volume.is_inference() else volume._version
-    if version >= 0 and _known is not None and _known[0]() is volume and _known[1] == version:
-        return _known[2]  # heads, search and reconstruction share one
-    found = torch.zeros(voxels.shape[:2], dtype=torch.uint8), torch.empty(len(voxels), 6)
-    _run("occupied", voxels, shape, *found)
-    _known = weakref.ref(volume), version, found
-    return found
+    known = _known.get(volume)
+    if known is not None and known[0] == version >= 0:
+        return known[1]
+    voxels = padded(volume.detach(), empty=volume not in _empty_around)
+    cells, boxes = torch.zeros(voxels.shape[:2], dtype=torch.uint8), torch.empty(len(voxels), 6)
+    _run("occupied", voxels, tuple(volume.shape[2:]), cells, boxes)
+    _known[volume] = version, (voxels, cells, boxes)
+    return voxels, cells, boxes
 
 
 def unpadded(voxels: Tensor, shape: tuple[int, ...]) -> Tensor:
@@ -146,6 +172,7 @@ def padded(volume: Tensor, empty: bool = False) -> Tensor:
 
 
 def _run(kernel: str, *arguments: Any) -> None:
-    from viewnet.model.kernels import volume_numba
+    from viewnet.model.kernels import volume_numba, voxels_numba  # imported late: Numba takes a second to load
 
-    numba_call.run(getattr(volume_numba, kernel), *arguments)
+    module = volume_numba if hasattr(volume_numba, kernel) else voxels_numba
+    numba_call.run(getattr(module, kernel), *arguments)
