@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+import torch.nn.functional as F
 from helpers.boxes import box_store
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -80,6 +81,13 @@ def image_of(rows: slice, columns: slice, size: int = 32) -> torch.Tensor:
     image = torch.zeros(1, 4, size, size)
     image[:, :, rows, columns] = torch.tensor([0.8, 0.4, 0.2, 1.0]).view(4, 1, 1)
     return image
+
+
+@pytest.mark.parametrize(("side", "size"), [(64, 32), (64, 16), (48, 12), (60, 20), (30, 32), (7, 3)])
+def test_resizing_averages_areas(side, size):
+    images = torch.rand(2, 4, side, side)
+    assert torch.allclose(resize(images, size), F.interpolate(images, (size, size), mode="area"), atol=1e-6)
+    assert resize(images, side) is images
 
 
 def test_a_square_object_fills_its_crop_up_to_the_margin():

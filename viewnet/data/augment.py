@@ -76,8 +76,8 @@ def jitter(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
     order = rand(count, 3, generator=generator).argsort(1).to(images.device)  # (N, 3), a permutation each
     uniform = 2 * rand(count, 4, generator=generator) - 1  # one for each colour, one for all
     gain = torch.exp(strength * (uniform[:, :3] + uniform[:, 3:])).to(images)[:, :, None, None]  # (N, 3, 1, 1)
-    colours = images.gather(1, order[:, :, None, None].expand(-1, -1, *alpha.shape[2:]))  # (N, 3, S, S)
-    return torch.cat([torch.minimum(gain * colours, alpha), alpha], 1)  # RGB is premultiplied: at most alpha
+    colours = images[torch.arange(count, device=images.device)[:, None], order] * gain  # (N, 3, S, S)
+    return torch.cat([torch.minimum(colours, alpha), alpha], 1)  # RGB is premultiplied: at most alpha
 
 
 def photograph(crops: Tensor, backgrounds: Tensor, config: PhotoAugmentationConfig, generator: RandomSource) -> Tensor:

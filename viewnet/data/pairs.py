@@ -29,7 +29,7 @@ class Views:
     def images(self, rows: Tensor, size: int, device: torch.device) -> Tensor:
         """RGB times alpha, and alpha, in [0, 1]: (n, 4, size, size)."""
         images = self.pixels[rows].to(device).float().div_(255)  # (n, 4, S, S); float only here: uint8 is a quarter
-        return images if images.shape[-1] == size else resize(images, size)
+        return resize(images, size)
 
     @property
     def opaque(self) -> bool:
@@ -49,7 +49,7 @@ class Views:
 
 
 def resize(images: Tensor, size: int) -> Tensor:
-    """Images (N, C, H, H) at another size, by averaging areas."""
+    """Images (N, C, H, H) at another size, by averaging areas; themselves where they have it."""
     while images.shape[-1] >= 2 * size and images.shape[-1] % (2 * size) == 0:  # pairs: several times as fast
         rows = images[..., ::2, :] + images[..., 1::2, :]  # (N, C, H / 2, H)
         images = (rows[..., ::2] + rows[..., 1::2]) / 4  # (N, C, H / 2, H / 2)
@@ -100,7 +100,7 @@ def load_views(store: ViewStore, split: str, size: int, crop: int | None = None,
         straight = torch.from_numpy(np.asarray(store.images[chunk])).permute(0, 3, 1, 2).float()  # (n, 4, H, W)
         # Averaging is only right on colours that are weighted by their alpha.
         weighted = torch.cat([straight[:, :3] * (straight[:, 3:] / 255), straight[:, 3:]], dim=1)  # (n, 4, H, W)
-        chunks.append(resize(weighted, size).round_().to(torch.uint8))
+        chunks.append(resize(weighted, size).round().to(torch.uint8))
         if crop:
             crops.append(tight_crop(weighted / 255, crop, stretch).mul_(255).round_().to(torch.uint8))
     objects = torch.from_numpy(index["model_id"].factorize()[0].astype(np.int64))  # (N,), 0, 1, ... as they come
@@ -129,9 +129,11 @@ def sample_pairs(views: Views, objects: int, targets: int, seed: int, step: int)
     if (views.count < 2).any():
         raise ViewnetError("training needs two views or more of every object: render more views a model")
     places = step * objects + torch.arange(objects)  # (objects,), in an endless row of shuffles
-    times = torch.unique(places // total).tolist()  # a step may span two rounds
-    rounds = {time: torch.randperm(total, generator=_generator(seed, 0, time)) for time in times}
-    chosen = torch.stack([rounds[int(p // total)][p % total] for p in places])  # (objects,)
+    rounds = [  # a step may span two, or more of few objects
+        torch.randperm(total, generator=_generator(seed, 0, time))[places[places // total == time] % total]
+        for time in torch.unique(places // total).tolist()
+    ]
+    chosen = torch.cat(rounds)  # (objects,)
     keys = torch.rand(objects, int(views.count.max()), generator=_generator(seed, 1, step))  # (objects, most views)
     keys[torch.arange(keys.shape[1]) >= views.count[chosen, None]] = 2.0  # views that there are not come last
     order = keys.argsort(1)

@@ -152,7 +152,7 @@ def prepare(cropped: Sequence[CroppedImage], framing: "Framing", device: torch.d
         # The same roundings as in viewnet.data.pairs.load_views, so that networks see the same pixels of an image.
         if not opaque:
             weighted[:, :3] *= weighted[:, 3:] / 255  # (n, 4, S, S)
-        whole[rows] = resize(weighted, size).round_()
+        whole[rows] = resize(weighted, size).round()
         if framing.crop != "none":
             crop = _whole_crop if opaque else tight_crop
             viewpoint[rows] = crop(weighted.div_(255), size, framing.crop == "stretched").mul_(255).round_()

@@ -119,4 +119,6 @@ def compare(
             if weight:
                 errors = errors + weight * head_errors(rendered[:, :, channels], target[:, channels])  # (N, M T)
         errors, best = errors.unflatten(1, candidates.shape[1:3]).min(2)  # (N, M)
+    if candidates.shape[2] == 1:
+        return candidates[:, :, 0], errors
     return candidates.gather(2, best[:, :, None, None].expand(-1, -1, 1, 3))[:, :, 0], errors  # (N, M, 3)

@@ -41,6 +41,7 @@ def step_loss(
         viewpoint_input = augment.crop_and_rotate(viewpoint_input, generator)  # as in the released code
     if config.jitter:
         viewpoint_input = augment.jitter(viewpoint_input, config.jitter, generator)  # f^v cannot rely on colours
+    target = resize(target, model.config.render_size)  # (N, 4, S, S), S = render_size
     if config.mirror:  # of a symmetric object the mirrored image is another of its views
         mirrored = (rand(len(target), 1, 1, 1, generator=generator) < 0.5).to(device)  # (N, 1, 1, 1)
         viewpoint_input, target = (
@@ -54,11 +55,9 @@ def step_loss(
         background = augment.windows(backgrounds, len(appearance), appearance.shape[-1], generator, device)
 
     # ---- reconstruction from the best viewpoint (equations 1 and 2)
-    size = model.config.render_size
-    small = target if target.shape[-1] == size else resize(target, size)  # (N, 4, S, S), S = render_size
     own_shape = min(1.0, progress / config.shared_shape) if config.shared_shape else 1.0  # one for all at first
     choose = pose_search(config, progress, generator)
-    result = reconstruct(model, appearance, small, viewpoint_input, config, choose, own_shape, background)
+    result = reconstruct(model, appearance, target, viewpoint_input, config, choose, own_shape, background)
 
     # ---- losses on images
     if config.target == "mask":

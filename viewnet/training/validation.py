@@ -39,7 +39,7 @@ def validate(
         if backgrounds is not None:
             viewpoint_input = augment.photograph(viewpoint_input, backgrounds, config.photo, generator)
             background = augment.windows(backgrounds, len(part), size, generator, device)
-        target = target if size == small else resize(target, small)
+        target = resize(target, small)
         result = reconstruct(model, appearance, target, viewpoint_input, config, background=background)
         error += result.choice.errors.amin(1).sum().item()  # the best of M, as training chooses
         # Accuracy is the selected head's, as at test time.

@@ -101,7 +101,7 @@ class _Render(torch.autograd.Function):
     def forward(ctx: Any, volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
         frames, shape = frames.detach().contiguous(), tuple(volume.shape[2:])
         voxels, cells, boxes = _framed(volume)
-        image = torch.empty(len(frames), size, size, 4)  # a pixel's values side by side, as a voxel's
+        image = torch.empty(len(frames), 4, size, size)
         _run("forward", voxels, cells, boxes, shape, frames, focal, steps, image)
         if not sparse:  # empty voxels are due their gradient too: backward walks the whole frame
             whole = [float(end) for side in reversed(shape) for end in (0, side + 1)]
@@ -109,12 +109,12 @@ class _Render(torch.autograd.Function):
             cells[:, -1] = 0  # the frame's last voxel, no cell's lowest corner, stands for none
         ctx.save_for_backward(voxels, cells, boxes, frames, focal)
         ctx.shape, ctx.steps = shape, steps
-        return image.permute(0, 3, 1, 2)  # (N, 4, S, S)
+        return image
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
         voxels, cells, boxes, frames, focal = ctx.saved_tensors
-        grad = grads[0].permute(0, 2, 3, 1).contiguous()  # (N, S, S, 4)
+        grad = grads[0].contiguous()  # (N, 4, S, S)
         grad_voxels, grad_frames = torch.zeros_like(voxels), torch.empty_like(frames)
         grad_focal = torch.zeros(len(voxels))  # one sum a volume, which one thread fills
         found = (grad_voxels, grad_frames, grad_focal)

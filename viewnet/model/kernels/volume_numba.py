@@ -110,16 +110,20 @@ def _draw(voxels, cells, box, shape, camera, steps, i, memory, pixels):
 
 
 def _forward(voxels, cells, boxes, shape, frames, focal, steps, image):
-    """Fills `image` (N, size, size, 4); cells that `cells` (B, P) says are empty are passed over.
+    """Fills `image` (N, 4, size, size); cells that `cells` (B, P) says are empty are passed over.
 
     Rays are walked inside `boxes` (B, 6) only: from where to where in u, v and w.
     """
     share = len(frames) // len(voxels)  # views a volume
     for n in prange(len(frames)):  # images share nothing
-        b, size = n // share, image.shape[1]
+        b, size = n // share, image.shape[2]
         camera, memory = _camera(frames[n], focal, steps, shape), _memory(size, steps)
+        pixels = np.empty((size, 4), np.float32)
         for i in range(size):
-            _draw(voxels[b], cells[b], boxes[b], shape, camera, steps, i, memory, image[n, i])
+            _draw(voxels[b], cells[b], boxes[b], shape, camera, steps, i, memory, pixels)
+            for j in range(size):
+                for c in range(4):
+                    image[n, c, i, j] = pixels[j, c]
 
 
 def _compare(voxels, cells, boxes, shape, frames, focal, target, weights, best, errors):
@@ -175,7 +179,7 @@ def _row_error(pixels, wanted, weights):
 
 
 def _backward(voxels, cells, boxes, shape, frames, focal, steps, grad, grad_voxels, grad_frames, grad_focal):
-    """For `grad` (N, size, size, 4): adds to `grad_voxels` (B, P, 4), `grad_focal` (B,); fills `grad_frames` (N, 3, 3).
+    """For `grad` (N, 4, size, size): adds to `grad_voxels` (B, P, 4), `grad_focal` (B,); fills `grad_frames` (N, 3, 3).
 
     Cells that `cells` (B, P) leaves out, and what is outside `boxes` (B, 6), get no gradient.
     """
@@ -189,7 +193,7 @@ def _backward(voxels, cells, boxes, shape, frames, focal, steps, grad, grad_voxe
 
 @njit(nogil=True, **FLAGS)
 def _draw_backward(voxels, cells, box, shape, frame, focal, steps, grad, grad_voxels, grad_frame):
-    size = grad.shape[0]
+    size = grad.shape[1]
     strides = np.uintp(shape[2] + 2), np.uintp((shape[1] + 2) * (shape[2] + 2))
     last = np.int32(shape[2]), np.int32(shape[1]), np.int32(shape[0])
     camera, (spans, places, into, lit, values) = _camera(frame, focal, steps, shape), _memory(size, steps)
@@ -201,7 +205,7 @@ def _draw_backward(voxels, cells, box, shape, frame, focal, steps, grad, grad_vo
         py = -_pixel(i, size)
         _enter(camera, (box[0], box[1], box[2], box[3], box[4], box[5]), steps, py, spans)
         for j in range(size):
-            g0, g1, g2, g3 = grad[i, j, 0], grad[i, j, 1], grad[i, j, 2], grad[i, j, 3]
+            g0, g1, g2, g3 = grad[0, i, j], grad[1, i, j], grad[2, i, j], grad[3, i, j]
             span = spans[j]
             if not span or (g0 == 0 and g1 == 0 and g2 == 0 and g3 == 0):  # nothing to hand back
                 continue

@@ -114,7 +114,6 @@ def _squash_backward(blocks, colour, offset, scale, grad_voxels, grad):
         volume, added = grad_voxels[b].reshape(-1), _repeated(colour[b], run)
         values, change = np.empty(run, np.float32), np.empty(run, np.float32)
         for z, y in np.ndindex(blocks.shape[1], blocks.shape[2]):
-            _sigmoids(blocks[b, z, y].reshape(run), added, values)
             t = 0
             for x in range(blocks.shape[3]):
                 for dz, dy in np.ndindex(side, side):
@@ -122,6 +121,10 @@ def _squash_backward(blocks, colour, offset, scale, grad_voxels, grad):
                     _copy(volume, 4 * ((w * (ny + 2) + v) * (nx + 2) + x * side + 1), change, t, count)
                     t += count
             result = grad[b, z, y].reshape(run)
+            if not change.any():  # far from the object: most rows
+                result[:] = 0  # of both types
+                continue
+            _sigmoids(blocks[b, z, y].reshape(run), added, values)
             for t in range(run):  # vectorised again
                 value = values[t] * scales[t] + offset[z, y, t]
                 # Only gradients that point back inside pass, as in viewnet.model.volume.
