@@ -83,7 +83,8 @@ def _squash(blocks, colour, offset, scale, voxels):
     `colour` (B, 4) is added to the logits; `offset` (z, y, x s^3 4) and `scale` (4,) turn sigmoids into occupancies.
     """
     side = blocks.shape[4]
-    run, count = blocks.shape[3] * side**3 * 4, 4 * side  # numbers in a row of blocks, and side by side in the volume
+    run = blocks.shape[3] * side**3 * 4  # numbers in a row of blocks
+    pieces, count = (1, run) if side == 1 else (blocks.shape[3], 4 * side)  # of so many, side by side in the volume too
     nz, ny, nx = blocks.shape[1] * side, blocks.shape[2] * side, blocks.shape[3] * side
     scales = _repeated(scale, run)
     for b in prange(len(blocks)):
@@ -97,7 +98,7 @@ def _squash(blocks, colour, offset, scale, voxels):
                 value = ZERO if value < ZERO else value  # unlike max, lets NaN through to be noticed
                 values[t] = ONE if value > ONE else value
             t = 0
-            for x in range(blocks.shape[3]):
+            for x in range(pieces):
                 for dz, dy in np.ndindex(side, side):  # the s^3 voxels of one place
                     w, v = z * side + dz + 1, y * side + dy + 1
                     _copy(values, t, volume, 4 * ((w * (ny + 2) + v) * (nx + 2) + x * side + 1), count)
@@ -107,7 +108,8 @@ def _squash(blocks, colour, offset, scale, voxels):
 def _squash_backward(blocks, colour, offset, scale, grad_voxels, grad):
     """Fills `grad` (B, z, y, x, s, s, s, 4), the gradient of `blocks`; voxels outside [0, 1] are let back in."""
     side = blocks.shape[4]
-    run, count = blocks.shape[3] * side**3 * 4, 4 * side
+    run = blocks.shape[3] * side**3 * 4
+    pieces, count = (1, run) if side == 1 else (blocks.shape[3], 4 * side)
     ny, nx = blocks.shape[2] * side, blocks.shape[3] * side
     scales = _repeated(scale, run)
     for b in prange(len(blocks)):
@@ -115,7 +117,7 @@ def _squash_backward(blocks, colour, offset, scale, grad_voxels, grad):
         values, change = np.empty(run, np.float32), np.empty(run, np.float32)
         for z, y in np.ndindex(blocks.shape[1], blocks.shape[2]):
             t = 0
-            for x in range(blocks.shape[3]):
+            for x in range(pieces):
                 for dz, dy in np.ndindex(side, side):
                     w, v = z * side + dz + 1, y * side + dy + 1
                     _copy(volume, 4 * ((w * (ny + 2) + v) * (nx + 2) + x * side + 1), change, t, count)
