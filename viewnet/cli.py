@@ -33,6 +33,7 @@ viewnet COMMAND --help has examples.
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code (see EXIT_CODES)."""
     options = parser().parse_args(arguments)
+    os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # PyTorch reads it later: large tensors on pages of 2 MiB
     try:
         parallel.threads_asked()  # said before PyTorch is imported, whose OpenMP would warn in words of its own
         return options.run(options) or 0

@@ -125,8 +125,11 @@ def run_command(words: list[str], world: Path, monkeypatch) -> None:
     )
     monkeypatch.setattr("papermill.execute_notebook", lambda source, *_, **__: requests.append(source))
     monkeypatch.setattr("viewnet.bench.measure.measure", lambda settings: requests.append(settings) or {})
-    monkeypatch.setattr("viewnet.bench.report.as_text", lambda found: "measured")
-    monkeypatch.setattr("viewnet.bench.report.write", lambda found, folder: [folder])
+    monkeypatch.setattr("viewnet.bench.steps.measure", lambda configs, settings: requests.append(settings) or {})
+    for name in ("as_text", "steps_as_text"):
+        monkeypatch.setattr(f"viewnet.bench.report.{name}", lambda found: "measured")
+    for name in ("write", "write_steps"):
+        monkeypatch.setattr(f"viewnet.bench.report.{name}", lambda found, folder: [folder])
     monkeypatch.setattr("viewnet.experiments.score_model.photo_views", lambda _: photographs(world))
     # The last value of an option counts: two images of a turntable instead of 48.
     words, output = (words[:-2], words[-1]) if ">" in words else (words, os.devnull)

@@ -49,3 +49,19 @@ def test_half_precision_is_rounded_once():
     # The identity: rows from the top, columns from the left, the nearest depth first; nothing between voxels.
     same = rotated(features, torch.eye(3).expand(2, 3, 3))
     assert torch.equal(same, features.permute(0, 3, 4, 2, 1).flip(1, 3))
+
+
+def test_threads_do_not_change_bits():
+    torch.manual_seed(0)
+    decoder, code = HoloGANDecoder(SMALL), torch.randn(2, SMALL.appearance_size)
+    frames, weights = look_at(F.normalize(torch.randn(4, 3), dim=1)), torch.randn(4, 3, 16, 16)
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            rotated = decoder.features(code).detach().requires_grad_()
+            image = decoder.render(rotated, code, frames)
+            found.append((image.detach(), *torch.autograd.grad((image * weights).sum(), rotated)))
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.allclose(one, two, atol=1e-5) for one, two in zip(*found, strict=True))

@@ -13,7 +13,7 @@ from viewnet.model.viewnet import ViewNet
 
 INNER_LAYERS = (torch.nn.Conv2d, torch.nn.ConvTranspose3d)
 BFLOAT16_FROM = 128  # rows from which matrices are made orthogonal in bfloat16
-REUSED = 4  # steps along one direction
+REUSED = 2  # steps along one direction
 POLYNOMIALS = ((7.711, -22.1138, 16.2487), (3.2153, -2.4112, 0.5013), (2.2183, -1.594, 0.4107))
 """Of degree five, a x + b x^3 + c x^5, one after the other: together they bring singular values in [0.02, 1] to within
 0.1 of 1. Each is the closest to 1 on the interval that the one before leaves (a linear program on a fine grid)."""

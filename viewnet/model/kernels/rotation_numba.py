@@ -75,73 +75,86 @@ def _weights(into):
 
 def _rotate(features, frames, out):
     """Fills `out` (N, s, s, s, C) from `features` (B, s, s, s, C), axes z, y, x, and `frames` (N, 3, 3)."""
-    size, channels = features.shape[1], features.shape[4]
     share = len(frames) // len(features)  # views a volume
-    row, plane = np.uintp(size), np.uintp(size * size)
     for n in prange(len(frames)):  # images share nothing
-        voxels = features[n // share].reshape(-1, channels)  # (P, C)
-        for i, j, k in np.ndindex(size, size, size):
-            _, p, into, _ = _cell(frames[n], i, j, k, size)
-            w0, w1, w2, w3, w4, w5, w6, w7 = _weights(into)
-            q, line = p + plane, out[n, i, j, k]
-            for c in range(channels):  # innermost, where memory is contiguous: vectorised
-                near = w0 * widened(voxels[p, c]) + w1 * widened(voxels[p + np.uintp(1), c])
-                near += w2 * widened(voxels[p + row, c]) + w3 * widened(voxels[p + row + np.uintp(1), c])
-                far = w4 * widened(voxels[q, c]) + w5 * widened(voxels[q + np.uintp(1), c])
-                far += w6 * widened(voxels[q + row, c]) + w7 * widened(voxels[q + row + np.uintp(1), c])
-                line[c] = narrowed(near + far, line[c])
+        _view(features[n // share].reshape(-1, features.shape[4]), frames[n], out[n])
+
+
+@njit(nogil=True, **FLAGS)
+def _view(voxels, frame, out):
+    size, channels = out.shape[0], out.shape[3]
+    row, plane = np.uintp(size), np.uintp(size * size)
+    for i, j, k in np.ndindex(size, size, size):
+        _, p, into, _ = _cell(frame, i, j, k, size)
+        w0, w1, w2, w3, w4, w5, w6, w7 = _weights(into)
+        q, line = p + plane, out[i, j, k]
+        for c in range(channels):  # innermost, where memory is contiguous: vectorised
+            near = w0 * widened(voxels[p, c]) + w1 * widened(voxels[p + np.uintp(1), c])
+            near += w2 * widened(voxels[p + row, c]) + w3 * widened(voxels[p + row + np.uintp(1), c])
+            far = w4 * widened(voxels[q, c]) + w5 * widened(voxels[q + np.uintp(1), c])
+            far += w6 * widened(voxels[q + row, c]) + w7 * widened(voxels[q + row + np.uintp(1), c])
+            line[c] = narrowed(near + far, line[c])
 
 
 def _rotate_backward(features, frames, grad, grad_features, grad_frames):
     """Fills the gradients (B, s, s, s, C) and (N, 3, 3) for `grad` (N, s, s, s, C)."""
-    size, channels = features.shape[1], features.shape[4]
     share = len(frames) // len(features)
-    one, row, plane = np.uintp(1), np.uintp(size), np.uintp(size * size)
     for b in prange(len(features)):  # one volume a thread, its views in turn: sums have one order
-        voxels = features[b].reshape(-1, channels)  # (P, C)
-        total = np.zeros(voxels.shape, np.float32)
-        for n in range(b * share, (b + 1) * share):
-            grad_frames[n] = 0
-            for i, j, k in np.ndindex(size, size, size):
-                point, p, into, moves = _cell(frames[n], i, j, k, size)
-                w0, w1, w2, w3, w4, w5, w6, w7 = _weights(into)
-                q, line = p + plane, grad[n, i, j, k]
-                d0 = d1 = d2 = d3 = d4 = d5 = d6 = d7 = ZERO  # of the corners' features with the gradient
-                for c in range(channels):
-                    g = widened(line[c])
-                    d0 += g * widened(voxels[p, c])
-                    d1 += g * widened(voxels[p + one, c])
-                    d2 += g * widened(voxels[p + row, c])
-                    d3 += g * widened(voxels[p + row + one, c])
-                    d4 += g * widened(voxels[q, c])
-                    d5 += g * widened(voxels[q + one, c])
-                    d6 += g * widened(voxels[q + row, c])
-                    d7 += g * widened(voxels[q + row + one, c])
-                for c in range(channels):  # trilinear's transpose
-                    g = widened(line[c])
-                    total[p, c] += w0 * g
-                    total[p + one, c] += w1 * g
-                    total[p + row, c] += w2 * g
-                    total[p + row + one, c] += w3 * g
-                    total[q, c] += w4 * g
-                    total[q + one, c] += w5 * g
-                    total[q + row, c] += w6 * g
-                    total[q + row + one, c] += w7 * g
-                u, v, w = into
-                near_u, far_u = (d1 - d0) * (ONE - v) + (d3 - d2) * v, (d5 - d4) * (ONE - v) + (d7 - d6) * v
-                near_v, far_v = (d2 - d0) * (ONE - u) + (d3 - d1) * u, (d6 - d4) * (ONE - u) + (d7 - d5) * u
-                near_w, far_w = (d4 - d0) * (ONE - u) + (d5 - d1) * u, (d6 - d2) * (ONE - u) + (d7 - d3) * u
-                gx = moves[0] * (near_u * (ONE - w) + far_u * w)  # dL/dp, world coordinates
-                gy = moves[1] * (near_v * (ONE - w) + far_v * w)
-                gz = moves[2] * (near_w * (ONE - v) + far_w * v)
-                for axis in range(3):  # dL/dR: the sum of dL/dp p^T
-                    grad_frames[n, 0, axis] += gx * point[axis]
-                    grad_frames[n, 1, axis] += gy * point[axis]
-                    grad_frames[n, 2, axis] += gz * point[axis]
-        result = grad_features[b].reshape(-1, channels)
-        for p in range(len(total)):
+        _volume_backward(
+            features[b].reshape(-1, features.shape[4]),
+            frames[b * share : (b + 1) * share],
+            grad[b * share : (b + 1) * share],
+            grad_features[b].reshape(-1, features.shape[4]),
+            grad_frames[b * share : (b + 1) * share],
+        )
+
+
+@njit(nogil=True, **FLAGS)
+def _volume_backward(voxels, frames, grad, grad_voxels, grad_frames):
+    size, channels = grad.shape[1], grad.shape[4]
+    one, row, plane = np.uintp(1), np.uintp(size), np.uintp(size * size)
+    total = np.zeros(voxels.shape, np.float32)
+    for n in range(len(frames)):
+        grad_frames[n] = 0
+        for i, j, k in np.ndindex(size, size, size):
+            point, p, into, moves = _cell(frames[n], i, j, k, size)
+            w0, w1, w2, w3, w4, w5, w6, w7 = _weights(into)
+            q, line = p + plane, grad[n, i, j, k]
+            d0 = d1 = d2 = d3 = d4 = d5 = d6 = d7 = ZERO  # of the corners' features with the gradient
             for c in range(channels):
-                result[p, c] = narrowed(total[p, c], result[p, c])
+                g = widened(line[c])
+                d0 += g * widened(voxels[p, c])
+                d1 += g * widened(voxels[p + one, c])
+                d2 += g * widened(voxels[p + row, c])
+                d3 += g * widened(voxels[p + row + one, c])
+                d4 += g * widened(voxels[q, c])
+                d5 += g * widened(voxels[q + one, c])
+                d6 += g * widened(voxels[q + row, c])
+                d7 += g * widened(voxels[q + row + one, c])
+            for c in range(channels):  # trilinear's transpose
+                g = widened(line[c])
+                total[p, c] += w0 * g
+                total[p + one, c] += w1 * g
+                total[p + row, c] += w2 * g
+                total[p + row + one, c] += w3 * g
+                total[q, c] += w4 * g
+                total[q + one, c] += w5 * g
+                total[q + row, c] += w6 * g
+                total[q + row + one, c] += w7 * g
+            u, v, w = into
+            near_u, far_u = (d1 - d0) * (ONE - v) + (d3 - d2) * v, (d5 - d4) * (ONE - v) + (d7 - d6) * v
+            near_v, far_v = (d2 - d0) * (ONE - u) + (d3 - d1) * u, (d6 - d4) * (ONE - u) + (d7 - d5) * u
+            near_w, far_w = (d4 - d0) * (ONE - u) + (d5 - d1) * u, (d6 - d2) * (ONE - u) + (d7 - d3) * u
+            gx = moves[0] * (near_u * (ONE - w) + far_u * w)  # dL/dp, world coordinates
+            gy = moves[1] * (near_v * (ONE - w) + far_v * w)
+            gz = moves[2] * (near_w * (ONE - v) + far_w * v)
+            for axis in range(3):  # dL/dR: the sum of dL/dp p^T
+                grad_frames[n, 0, axis] += gx * point[axis]
+                grad_frames[n, 1, axis] += gy * point[axis]
+                grad_frames[n, 2, axis] += gz * point[axis]
+    for p in range(len(total)):
+        for c in range(channels):
+            grad_voxels[p, c] = narrowed(total[p, c], grad_voxels[p, c])
 
 
 rotate, rotate_backward = compiled(_rotate), compiled(_rotate_backward)
