@@ -142,11 +142,7 @@ class Step:
         config, settings, size = self.config, self.config.train, self.config.model.input_size
         with record_function(IMAGES):
             rows = sample_pairs(self.views, settings.objects, settings.targets_per_object, config.seed, self.number)
-            batch = (
-                self.views.images(rows[0], size, self.device),
-                self.views.images(rows[1], size, self.device),
-                self.views.viewpoint_input(rows[1], size, self.device),
-            )
+            batch = self.views.batch(*rows, size, self.device)
         generator = step_generator(config.seed, self.number)
         terms = step_loss(self.model, batch, settings, None, progress, generator, self.backgrounds)
         values = torch.stack(list(terms.values()))

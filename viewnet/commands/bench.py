@@ -24,12 +24,7 @@ ARGUMENTS = (
     RECIPE,
     VARIANT,
     argument("--sizes", "voxels along a side (default: 32 64 128)", type=int, nargs="+", metavar="N"),
-    argument(
-        "--batch",
-        "targets of a training step (default: 16; 64 on a GPU; with --steps the profile's)",
-        type=int,
-        metavar="N",
-    ),
+    argument("--batch", TARGETS, type=int, metavar="N"),
     argument("--repeat", "measurements of each (default: 5)", type=int, metavar="N"),
     argument("--threads", "CPU threads (default: the number of cores)", type=int, metavar="N"),
     argument("--accuracy", TRAINED, type=int, default=0, metavar="SEEDS"),

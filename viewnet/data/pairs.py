@@ -47,6 +47,14 @@ class Views:
             return self.images(rows, size, device)
         return self.crops[rows].to(device).float().div_(255)
 
+    def batch(
+        self, appearance: Tensor, targets: Tensor, size: int, device: torch.device
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Images of the rows `appearance` and `targets`, and these as `viewpoint_input`: read once if none is cut."""
+        images = self.images(targets, size, device)
+        inputs = images if self.crops is None else self.viewpoint_input(targets, size, device)
+        return self.images(appearance, size, device), images, inputs
+
 
 def resize(images: Tensor, size: int) -> Tensor:
     """Images (N, C, H, H) at another size, by averaging areas; themselves where they have it."""

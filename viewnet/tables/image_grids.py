@@ -126,7 +126,7 @@ def ranked_reconstructions(folder: Path, store: ViewStore, rows: list[int]) -> R
         images = augment.photograph(images, renderer.backgrounds, train.photo, generator)
         background = augment.windows(renderer.backgrounds, len(rows), small, generator, renderer.device)
     target = renderer.images(rows, small)
-    target = target if size == small else resize(target, size)
+    target = resize(target, size)
     appearance = renderer.images(renderer.next_views(rows), small)
     result = reconstruct(network, appearance, target, images, train, background=background)
     cameras = result.hypotheses.world_from_camera.flatten(0, 1)  # (N M, 3, 3)

@@ -60,7 +60,9 @@ class PoseSearch:
         """The best viewpoint of each target, and what it teaches the heads."""
         vectors = hypotheses.vectors
         heads, limits = vectors.shape[1], model.config.elevation_limits or (-90.0, 90.0)
-        coarse = half_resolution(model, objects, target)
+        coarse = objects, target
+        if self.search or config.comparison.neighbours:
+            coarse = half_resolution(model, objects, target)
         candidates, errors = compare_heads(model, objects, hypotheses, target, config, coarse)  # (N, M, 3), (N, M)
         score = errors
         if self.trust and heads > 1:

@@ -139,9 +139,7 @@ def _train_epoch(run: _Training, epoch: int, folder: Path, shown: Any) -> dict[s
         set_learning_rates(run.optimisers, settings.optimiser, progress)  # by progress alone: nothing to resume
         rows = sample_pairs(run.training, settings.objects, settings.targets_per_object, config.seed, step)
         appearance_rows, target_rows = map(distributed.share, rows)  # this process's part
-        target = run.training.images(target_rows, size, run.device)
-        crops = None if run.training.crops is None else run.training.viewpoint_input(target_rows, size, run.device)
-        batch = run.training.images(appearance_rows, size, run.device), target, target if crops is None else crops
+        batch = run.training.batch(appearance_rows, target_rows, size, run.device)
         # Every process draws for the whole batch and takes its rows: the numbers do not depend on how many there are.
         generator = RankGenerator(step_generator(config.seed, step), distributed.rank(), distributed.size())
         terms = step_loss(run.model, batch, settings, run.perceptual, progress, generator, run.backgrounds)
