@@ -58,14 +58,14 @@ def look_at(v: Tensor, up: Tensor | None = None) -> Tensor:
     (tensor([0., 1., 0.]), tensor([0., 0., 1.]))
     """
     back = torch.nn.functional.normalize(v, dim=-1, eps=1e-12)  # the camera looks along -back
-    up = back.new_tensor(UP).expand_as(back) if up is None else up.expand_as(back)  # (..., 3)
-    right = torch.linalg.cross(up, back)  # u x v: minus the paper's w
-    parallel = torch.linalg.vector_norm(right.detach(), dim=-1, keepdim=True) < 1e-6  # (..., 1); a choice: no gradient
-    side = torch.linalg.cross(back.new_tensor([0.0, 0.0, 1.0]).expand_as(back), back)  # (..., 3)
     y = back.new_tensor([0.0, 1.0, 0.0]).expand_as(back)  # (..., 3)
-    y = y - (y * back).sum(-1, keepdim=True) * back  # orthogonal to `back`: a Gram-Schmidt step
-    side = torch.where(torch.linalg.vector_norm(side.detach(), dim=-1, keepdim=True) < 1e-6, y, side)
-    right = torch.nn.functional.normalize(torch.where(parallel, side, right), dim=-1, eps=1e-12)
+    right = y - (y * back).sum(-1, keepdim=True) * back  # orthogonal to `back`: a Gram-Schmidt step
+    world = back.new_tensor(UP).expand_as(back)  # (..., 3)
+    for direction in (world,) if up is None else (world, up.expand_as(back)):  # the last one that serves
+        across = torch.linalg.cross(direction, back)  # u x v: minus the paper's w
+        parallel = torch.linalg.vector_norm(across.detach(), dim=-1, keepdim=True) < 1e-6  # (..., 1); no gradient
+        right = torch.where(parallel, right, across)
+    right = torch.nn.functional.normalize(right, dim=-1, eps=1e-12)
     return torch.stack([right, torch.linalg.cross(back, right), back], dim=-1)  # (..., 3, 3)
 
 

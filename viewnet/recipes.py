@@ -101,7 +101,7 @@ _TINY: Changes = {
         "render_size": 32,
         "encoder_channels": (16, 32, 64, 128, 256, 128),
         "code_size": 64,
-        "generator_channels": (64, 32, 16),
+        "generator_channels": (64, 16, 16),
         "generator_refine": False,
         "generator_last_kernel": 2,
         "appearance_size": 64,

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+import torch.nn.functional as F
 
 from viewnet.model.viewnet import ViewNet
 from viewnet.recipes import make_config
@@ -68,7 +69,7 @@ def test_only_inner_convolutions_are_taken():
     config = make_config(profile="smoke", muon=0.02)
     model = ViewNet(config.model)
     adam, muon = make_optimisers(model, config.train)
-    taken = {id(p) for p in muon.param_groups[0]["params"]}
+    taken = {id(p) for group in muon.param_groups for p in group["params"]}
     names = {name for name, p in model.named_parameters() if id(p) in taken}
     depth = len([m for m in model.appearance if isinstance(m, torch.nn.Conv2d)])
     for part in ("viewpoint.encoder.", "appearance."):
@@ -80,9 +81,32 @@ def test_only_inner_convolutions_are_taken():
     assert len(make_optimisers(model, make_config(profile="smoke", muon=0.0).train)) == 1
 
 
+@pytest.mark.parametrize("muon", [0.02, 0.0])
+def test_the_output_of_a_fixed_code_s_layer_learns_as_by_the_layer_s_weights(muon):
+    """So that the paper's first layer, nine tenths of its generator, can be left out."""
+    config = make_config(profile="smoke", muon=muon)
+    torch.manual_seed(0)
+    model = ViewNet(config.model)
+    optimisers, code = make_optimisers(model, config.train), model.decoder.code  # (1, n, 1, 1, 1)
+    output = model.decoder.stages[0].convolution.output  # (1, C, 4, 4, 4)
+    weight = torch.nn.Parameter(output.detach() * code.movedim(1, 0) / code.square().sum())  # (n, C, 4, 4, 4)
+    with_weights = Muon([weight], muon) if muon else torch.optim.Adam([weight], config.train.optimiser.learning_rate)
+    wanted, before = torch.randn_like(output), output.detach().clone()
+    for _ in range(6):
+        made = F.conv_transpose3d(code, weight)
+        assert torch.allclose(made, output, atol=0.02 * (made - before).norm().item() + 1e-5)
+        for result, steppers in ((made, [with_weights]), (output, optimisers)):
+            for stepper in steppers:
+                stepper.zero_grad()
+            (result - wanted).abs().pow(1.5).sum().backward()
+            for stepper in steppers:
+                stepper.step()
+    assert (output - before).norm() > 0.01 * before.norm()
+
+
 def test_bfloat16_brings_large_matrices_as_near():
     torch.manual_seed(0)
-    matrix = torch.randn(128, 200)
+    matrix = torch.randn(128, 600)
     whole, half = orthogonal(matrix), orthogonal(matrix, half=True)
     assert half.dtype == torch.float32
     assert not torch.equal(whole, half)

@@ -127,6 +127,9 @@ class TextbookViewNet(nn.Module):
 
     def load(self, state: dict[str, Tensor]) -> None:
         """The weights of a viewnet.model.viewnet.ViewNet of the same configuration."""
+        first, code = "decoder.stages.0.convolution", state["decoder.code"].view(-1, 1, 1, 1, 1)
+        # The package learns W z of the first layer alone; any weights W that give it will do.
+        state = state | {f"{first}.weight": state[f"{first}.output"] * code / code.square().sum()}
         self.load_state_dict({name: state[name] for name in self.state_dict()})
 
     def generate(self, images: Tensor) -> Tensor:

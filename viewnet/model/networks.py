@@ -154,17 +154,10 @@ class Stage(nn.Module):
     With `appearance` None the normalisation is by batch and takes no condition (the encoder-decoder ablation).
     """
 
-    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, appearance: int | None, dims: int = 3):
+    def __init__(self, convolution: nn.Module, outputs: int, appearance: int | None):
         super().__init__()
-        if stride == 1 and kernel == 4:  # the table's first row, one voxel to 4^3
-            self.convolution: nn.Module = Opening(inputs, outputs)
-        else:
-            transposed = nn.ConvTranspose3d if dims == 3 else nn.ConvTranspose2d
-            self.convolution = transposed(inputs, outputs, kernel, stride, 1, bias=False)
-        if appearance is not None:
-            self.norm: AdaIN | _BatchNorm = AdaIN(outputs, appearance)
-        else:
-            self.norm = nn.BatchNorm3d(outputs) if dims == 3 else nn.BatchNorm2d(outputs)
+        self.convolution = convolution
+        self.norm = nn.BatchNorm3d(outputs) if appearance is None else AdaIN(outputs, appearance)
 
     def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
         """Features (N, inputs, ...), or (1, ...) for all, and appearances (N, A) -> features (N, outputs, ...)."""
@@ -188,6 +181,27 @@ class Opening(nn.ConvTranspose3d):
         with torch.autocast(x.device.type, enabled=False):
             flat = x.flatten(1).float() @ self.weight.permute(0, 2, 3, 4, 1).flatten(1)  # (N, 4 4 4 outputs)
         return flat.view(len(x), 4, 4, 4, self.out_channels).movedim(-1, 1)  # (N, outputs, 4, 4, 4)
+
+
+class FixedOpening(nn.Module):
+    """`Opening` for the one code it ever sees: what is learned is its output, (1, outputs, 4, 4, 4).
+
+    The code z never changes, so nothing of the layer's weights W counts but W z, and their gradient is that of W z
+    times z. A step of Adam with W changes W z as a step with W z itself does, |z|_1 times as far; one of Muon, |z|_2
+    times (viewnet.training.optimisers). At the paper's size 33 thousand numbers learn what 34 million would.
+    """
+
+    kernel_size, stride = (4, 4, 4), (1, 1, 1)  # as the layer it stands for has them
+
+    def __init__(self, code: Tensor, outputs: int):
+        super().__init__()
+        self.out_channels = outputs
+        spread = code.norm() / math.sqrt(3 * 64 * outputs)  # of W z with PyTorch's first weights, nearly normal
+        self.output = nn.Parameter(spread * torch.randn(1, outputs, 4, 4, 4))
+
+    def forward(self, code: Tensor) -> Tensor:
+        """(1, outputs, 4, 4, 4), whatever the code."""
+        return self.output
 
 
 class Doubling(nn.ConvTranspose3d):
@@ -232,19 +246,19 @@ class Generator(nn.Module):
         self.adain = config.decoder != "encoder_decoder"
         appearance = config.appearance_size if self.adain else None
         self.register_buffer("code", torch.randn(1, config.code_size, 1, 1, 1))  # z of section 3.2
-        inputs = config.code_size if self.adain else config.appearance_size
-        stages = [Stage(inputs, widths[0], 4, 1, appearance)]
+        opening = FixedOpening(self.code, widths[0]) if self.adain else Opening(config.appearance_size, widths[0])
+        stages = [Stage(opening, widths[0], appearance)]
         for before, width in pairwise(widths):
-            stages.append(Stage(before, width, 4, 2, appearance))
+            stages.append(Stage(nn.ConvTranspose3d(before, width, 4, 2, 1, bias=False), width, appearance))
             if config.generator_refine:
-                stages.append(Stage(width, width, 3, 1, appearance))
+                stages.append(Stage(nn.ConvTranspose3d(width, width, 3, 1, 1, bias=False), width, appearance))
         self.stages = nn.ModuleList(stages).to(memory_format=torch.channels_last_3d)
         kernel = config.generator_last_kernel
         self.last = Doubling(widths[-1]) if kernel == 2 else nn.ConvTranspose3d(widths[-1], 4, kernel, 2, 1)
 
     def blocks(self, appearance: Tensor) -> Tensor:
         """The logits as viewnet.model.volume.squash takes them."""
-        # The fixed code is one for all objects; the first layer's result is shared until AdaIN tells them apart.
+        # The first layer's result is one for all objects until AdaIN tells them apart.
         x = self.code if self.adain else appearance[:, :, None, None, None]  # (1 or N, C, 1, 1, 1)
         for stage in self.stages:
             x = stage(x.contiguous(memory_format=torch.channels_last_3d), appearance)
@@ -272,16 +286,17 @@ class HoloGANDecoder(nn.Module):
         widths = (*config.generator_channels[: levels + 1], *[config.generator_channels[-1]] * 8)[: levels + 1]
         self.code = nn.Parameter(0.02 * torch.randn(1, widths[0], 4, 4, 4))
         self.enter = AdaIN(widths[0], config.appearance_size)
-        self.stages = nn.ModuleList(Stage(a, b, 4, 2, config.appearance_size) for a, b in pairwise(widths))
+        self.stages = nn.ModuleList(
+            Stage(nn.ConvTranspose3d(a, b, 4, 2, 1, bias=False), b, config.appearance_size) for a, b in pairwise(widths)
+        )
         flat = widths[-1] * size  # channels once depth is folded into them
         self.fold = nn.Conv2d(flat, flat, 1)
+        painted = flat, max(flat // 4, 16), max(flat // 16, 16)
         self.paint = nn.ModuleList(
-            [
-                Stage(flat, max(flat // 4, 16), 4, 2, config.appearance_size, dims=2),
-                Stage(max(flat // 4, 16), max(flat // 16, 16), 4, 2, config.appearance_size, dims=2),
-            ]
+            Stage(nn.ConvTranspose2d(a, b, 4, 2, 1, bias=False), b, config.appearance_size)
+            for a, b in pairwise(painted)
         )
-        self.last = nn.Conv2d(max(flat // 16, 16), 3, 3, padding=1)
+        self.last = nn.Conv2d(painted[-1], 3, 3, padding=1)
         self.size = size
         for painting in (self.fold, self.paint, self.last):
             painting.to(memory_format=torch.channels_last)

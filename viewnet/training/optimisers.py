@@ -1,18 +1,20 @@
 """Optimisers and the learning rate over time: Adam (section 4.1), and Muon (Jordan et al. 2024) beside it (ours)."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor
+from torch.optim.optimizer import ParamsT
 
 from viewnet.config import OptimiserConfig, TrainConfig
+from viewnet.model.networks import FixedOpening
 from viewnet.model.precision import half_precision
 from viewnet.model.viewnet import ViewNet
 
 INNER_LAYERS = (torch.nn.Conv2d, torch.nn.ConvTranspose3d)
-BFLOAT16_FROM = 128  # rows from which matrices are made orthogonal in bfloat16
+BFLOAT16_FROM = 2**16  # numbers from which matrices are made orthogonal in bfloat16
 REUSED = 2  # steps along one direction
 POLYNOMIALS = ((7.711, -22.1138, 16.2487), (3.2153, -2.4112, 0.5013), (2.2183, -1.594, 0.4107))
 """Of degree five, a x + b x^3 + c x^5, one after the other: together they bring singular values in [0.02, 1] to within
@@ -23,11 +25,11 @@ class Muon(torch.optim.Optimizer):
     """Steps along each weight's momentum, made orthogonal as a matrix (first dimension, all others).
 
     A network learns viewpoints in about half the steps that Adam takes. Momentum hardly turns in a few steps, so a
-    direction serves for REUSED of them; weights take turns. `torch.optim.Muon` takes matrices only,
-    and works in bfloat16, which is slow where the processor has none, and for small matrices everywhere.
+    direction serves for REUSED of them; weights take turns. `torch.optim.Muon` takes matrices only, and works in
+    bfloat16, which is slow where the processor has none, and for small matrices everywhere.
     """
 
-    def __init__(self, params: Iterable[Tensor], lr: float = 0.02, momentum: float = 0.95, half: bool = False):
+    def __init__(self, params: ParamsT, lr: float = 0.02, momentum: float = 0.95, half: bool = False):
         super().__init__(params, {"lr": lr, "momentum": momentum})
         self.half = half  # bfloat16 for matrices that are large enough to gain by it
 
@@ -35,7 +37,8 @@ class Muon(torch.optim.Optimizer):
     def step(self, closure: Callable[[], float] | None = None) -> None:  # type: ignore[override]
         """One step along the gradients there are; `closure` is not called."""
         for group in self.param_groups:
-            weights = [weight for weight in group["params"] if weight.grad is not None]
+            if not (weights := [weight for weight in group["params"] if weight.grad is not None]):
+                continue
             states: list[dict[str, Any]] = [self.state[weight] for weight in weights]
             for weight, state in zip(weights, states, strict=True):
                 if not state:
@@ -59,7 +62,7 @@ def orthogonal(matrix: Tensor, half: bool = False) -> Tensor:
     """The matrix (a, b) with its singular values brought near 1, by POLYNOMIALS of its Gram matrix."""
     x = matrix.T if matrix.shape[0] > matrix.shape[1] else matrix  # a <= b: the smaller Gram matrix
     x = x / (x.norm() + 1e-7)  # singular values of 1 at most: else it diverges
-    if half and len(x) >= BFLOAT16_FROM:
+    if half and x.numel() >= BFLOAT16_FROM:
         x = x.bfloat16()
     # Every step multiplies by a polynomial of the Gram matrix, and these commute: they are gathered first.
     gram, product = x @ x.T, None  # (a, a)
@@ -89,13 +92,19 @@ def make_optimisers(model: ViewNet, config: TrainConfig) -> list[torch.optim.Opt
         for layer in part.modules()  # module by module, within stages too
         if isinstance(layer, INNER_LAYERS) and layer.in_channels > 3 and layer.kernel_size[0] > 1
     ]
-    taken = {id(weight) for weight in matrices}  # by identity: == compares elements
+    openings = [part.output for part in model.decoder.modules() if isinstance(part, FixedOpening)]
+    taken = {id(weight) for weight in (*matrices, *openings)}  # by identity: == compares elements
     others = [weight for weight in model.parameters() if id(weight) not in taken]
+    # Where a layer's output is learned in the place of its weights, rates are those of its weights.
+    rate, norm = (settings.muon, 2) if settings.muon else (settings.learning_rate, 1)
+    opening = [{"params": openings, "lr": rate * model.decoder.code.norm(norm).item()}] if openings else []
+    adam = [{"params": others}, *([] if settings.muon else opening)]
     optimisers: list[torch.optim.Optimizer] = [
-        torch.optim.Adam(others, lr=settings.learning_rate, betas=settings.betas, fused=True)  # fused: one pass
+        torch.optim.Adam(adam, lr=settings.learning_rate, betas=settings.betas, fused=True)  # fused: one pass
     ]
     if matrices:
-        optimisers.append(Muon(matrices, settings.muon, half=half_precision(matrices[0].device, config)))
+        half = half_precision(matrices[0].device, config)
+        optimisers.append(Muon([{"params": matrices}, *opening], settings.muon, half=half))
     for optimiser in optimisers:
         for group in optimiser.param_groups:
             group["initial_lr"] = group["lr"]  # what a schedule scales
