@@ -1,20 +1,21 @@
 """Is a training step faster than in an older version? Both versions' steps in turn, on one core.
 
     python benchmarks/against.py OLD_CHECKOUT [--profile tiny] [--recipe matting] [--variant viewnet] [--rounds 15]
-        [--steps 4] [--train 200] [--start start.pt] [--core 0] [-o FOLDER]
+        [--set NAME=VALUE ...] [--steps 4] [--train 200] [--core 0] [-o FOLDER]
 
 A process for each version imports its own checkout; both are pinned to one core with one thread each, and one waits
-while the other works: windows of `--steps` steps, A B B A ... Both have the same batches of built-in cars, and at the
-beginning of every window the same weights, from `--train` steps by the present version, so that volumes are objects.
+while the other works: windows of `--steps` steps, A B B A ... Each version has its own networks, those of the profile
+and what is `--set`, trained by itself for `--train` steps, so that volumes are objects, and begins every window with
+these weights; both have the same batches of built-in cars.
 For both phases of training prints milliseconds a step of either version (medians), and how many times as fast the
 present one is: the median of the rounds, least and most, and the median in processor time, which other work on the
 core disturbs less. `choice of viewpoints` is all that is done without gradient; `the rest` what remains of the step.
-The first step's losses are printed too: where they differ, so does the work.
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
 import json
 import os
 import statistics
@@ -83,8 +84,8 @@ class Steps:
 
         setattr(owner, name, timed)
 
-    def step(self, index: int, progress: float) -> float:
-        """One step; its loss."""
+    def step(self, index: int, progress: float) -> None:
+        """One step."""
         import torch
 
         generator = torch.Generator().manual_seed(index)
@@ -95,27 +96,23 @@ class Steps:
         loss.backward()
         for optimiser in self.optimisers:
             optimiser.step()
-        return loss.item()
+        loss.item()  # for the log
 
-    def train(self, steps: int, end: float, file: str) -> dict[str, Any]:
-        """`steps` steps from the beginning of training to progress `end`, and their weights to a file."""
-        import torch
-
+    def train(self, steps: int, end: float) -> dict[str, Any]:
+        """`steps` steps from the beginning of training to progress `end`; every window begins with their weights."""
         for index in range(steps):
             self.step(index, end * index / steps)
-        torch.save(self.model.state_dict(), file)
+        self.weights = copy.deepcopy(self.model.state_dict())
         return {}
 
-    def window(self, steps: int, progress: float, file: str) -> dict[str, Any]:
-        """Seconds a step by both CLOCKS, those of choosing viewpoints among them, and the first step's loss."""
-        import torch
-
-        self.model.load_state_dict(torch.load(file, weights_only=True))
+    def window(self, steps: int, progress: float) -> dict[str, Any]:
+        """Seconds a step by both CLOCKS, those of choosing viewpoints among them."""
+        self.model.load_state_dict(self.weights)
         self.choosing, begun = [0.0, 0.0], [clock() for clock in CLOCKS]
-        losses = [self.step(index, progress) for index in range(steps)]
+        for index in range(steps):
+            self.step(index, progress)
         whole = elapsed(begun)
         return {
-            "loss": losses[0],
             PARTS[0]: [seconds / steps for seconds in whole],
             PARTS[1]: [seconds / steps for seconds in self.choosing],
             PARTS[2]: [(a - b) / steps for a, b in zip(whole, self.choosing, strict=True)],
@@ -197,13 +194,14 @@ def make_batches(settings: dict[str, Any], file: Path) -> tuple[float, Any]:
     return train.search.share, config
 
 
-def compare(versions: dict[str, Version], phase: str, progress: float, start: str, given: Any) -> list[dict[str, Any]]:
+def compare(versions: dict[str, Version], phase: str, progress: float, given: Any) -> list[dict[str, Any]]:
     """A row for each of PARTS of a step at this progress, in milliseconds."""
     found: dict[str, list[Any]] = {name: [] for name in versions}
-    losses = {name: version.ask("window", given.steps, progress, start)["loss"] for name, version in versions.items()}
+    for version in versions.values():
+        version.ask("window", 1, progress)  # memory and kernels
     for turn in range(given.rounds):
         for name in list(versions)[:: -1 if turn % 2 else 1]:
-            found[name].append(versions[name].ask("window", given.steps, progress, start))
+            found[name].append(versions[name].ask("window", given.steps, progress))
     rows = []
     for part in PARTS:
         # The windows of a round are neighbours in time: what slows one down is likely to slow the other.
@@ -212,8 +210,7 @@ def compare(versions: dict[str, Version], phase: str, progress: float, start: st
         row: dict[str, Any] = {"phase": phase, "part": part}
         row |= {f"{name}_ms": 1000 * statistics.median(w[part][0] for w in found[name]) for name in versions}
         row |= {"ratio": statistics.median(wall), "ratio_low": min(wall), "ratio_high": max(wall)}
-        row |= {"processor_ratio": statistics.median(processor)}
-        rows.append(row | {f"{name}_loss": loss for name, loss in losses.items()})
+        rows.append(row | {"processor_ratio": statistics.median(processor)})
     return rows
 
 
@@ -226,38 +223,38 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=15, help="windows of each version in each phase")
     parser.add_argument("--steps", type=int, default=4, help="in a window")
     parser.add_argument("--train", type=int, default=200, help="steps before measuring")
-    parser.add_argument("--start", type=Path, help="file of the trained weights: used if there, else written")
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="other values in both, as JSON")
     parser.add_argument("--core", type=int, help="default: the last one allowed")
     parser.add_argument("-o", "--output", type=Path, help="folder for against.csv and against.json")
     given = parser.parse_args()
     sys.path.insert(0, str(HERE))
 
-    settings = {"variant": given.variant, "profile": given.profile, "recipe": given.recipe, "models": MODELS}
+    settings: dict[str, Any] = {"variant": given.variant, "profile": given.profile, "recipe": given.recipe}
+    changed = {name: json.loads(value) for name, value in (change.split("=", 1) for change in given.set)}
+    settings |= {"models": MODELS, **changed}
     core = given.core
     if core is None and hasattr(os, "sched_getaffinity"):
         core = max(os.sched_getaffinity(0))
     versions: dict[str, Version] = {}
     with tempfile.TemporaryDirectory() as folder:
-        batches, start = Path(folder) / "batches.pt", str(given.start or Path(folder) / "start.pt")
+        batches = Path(folder) / "batches.pt"
         share, config = make_batches(settings, batches)
         if config.train.perceptual != "none":  # its weights are not everywhere, and it is the same in both
             settings |= {"perceptual": "none", "pixel_weight": 1.0}
         try:
             for name, checkout in (("old", given.old), ("new", HERE)):
                 versions[name] = Version(checkout, settings, batches, core)
-            if not Path(start).exists():
-                print(f"training {given.train} steps ...", flush=True)
-                versions["new"].ask("train", given.train, PHASES["after"] * share or 0.5, start)
+            print(f"training {given.train} steps by each ...", flush=True)
+            for version in versions.values():
+                version.ask("train", given.train, PHASES["after"] * share or 0.5)
             rows = []
             print(f"{'':32}{'old ms':>9}{'new ms':>9}{'times as fast':>24}{'by processor time':>19}")
             for phase, units in PHASES.items() if share else [("after", 0.0)]:
-                rows += compare(versions, phase, units * share or 0.5, start, given)
+                rows += compare(versions, phase, units * share or 0.5, given)
                 for row in rows[-len(PARTS) :]:
                     ratio = f"{row['ratio']:.2f} ({row['ratio_low']:.2f}-{row['ratio_high']:.2f})"
                     print(f"{row['phase'] + ', ' + row['part']:32}{row['old_ms']:9.1f}{row['new_ms']:9.1f}{ratio:>24}"
-                          f"{row['processor_ratio']:19.2f}")  # fmt: skip
-                losses = f"{row['old_loss']:.5f}, {row['new_loss']:.5f}"
-                print(f"{'':4}loss of the first step: {losses}", flush=True)
+                          f"{row['processor_ratio']:19.2f}", flush=True)  # fmt: skip
         finally:
             for version in versions.values():
                 version.process.kill()
@@ -269,7 +266,7 @@ def main() -> None:
 
         with replacing(given.output / "against.csv") as path:
             pd.DataFrame(rows).to_csv(path, index=False, lineterminator="\n")
-        about = {"rounds": given.rounds, "steps": given.steps, "train": given.train, "models": MODELS}
+        about = {"rounds": given.rounds, "steps": given.steps, "train": given.train, "models": MODELS, **changed}
         about |= {name: getattr(config, name) for name in ("variant", "profile", "recipe")}
         about |= {"commits": {name: version.commit() for name, version in versions.items()}}
         machine = {"hardware": provenance.hardware(1), "versions": provenance.versions(provenance.LIBRARIES)}

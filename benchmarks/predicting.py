@@ -138,10 +138,10 @@ def main() -> None:
     found = pd.DataFrame(rows).round(2)
     print(found.to_string(index=False))
     options.output.mkdir(parents=True, exist_ok=True)
-    with replacing(options.output / "predicting.csv") as temporary:
-        found.to_csv(temporary, index=False)
     threads = torch.get_num_threads()
     measured = {"hardware": provenance.hardware(threads), "versions": provenance.versions(), "git": provenance.commit()}
+    with replacing(options.output / "predicting.csv") as temporary:  # after git was asked what has changed
+        found.to_csv(temporary, index=False)
     write_json(options.output / "predicting.json", {"model": model, "times": times, **measured})
 
 

@@ -57,6 +57,19 @@ def seen(monkeypatch) -> list[dict[str, torch.Tensor]]:
     return states
 
 
+def test_weights_of_the_layer_that_saw_a_fixed_code_are_read_as_its_output(first, tmp_path):
+    """Checkpoints of earlier versions have the layer."""
+    weights, path = load_file(first / checkpoint.CHECKPOINT), tmp_path / "of_before.safetensors"
+    name, code = "decoder.stages.0.convolution", weights["decoder.code"].view(-1, 1, 1, 1, 1)
+    output = weights.pop(f"{name}.output")  # (1, C, 4, 4, 4)
+    weights[f"{name}.weight"] = output * code / code.square().sum()
+    network = checkpoint.build(config().model, weights, path)
+    assert torch.allclose(network.decoder.stages[0].convolution.output, output, atol=1e-6)
+    weights[f"{name}.weight"] = weights[f"{name}.weight"][1:]  # not this code's
+    with pytest.raises(ViewnetError, match=f"{name}.output is missing"):
+        checkpoint.build(config().model, weights, path)
+
+
 def same(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> bool:
     return one.keys() == two.keys() and all(torch.equal(one[name], two[name]) for name in one)
 

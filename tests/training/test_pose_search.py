@@ -56,7 +56,7 @@ def test_the_search_covers_all_azimuths_and_the_elevations_allowed():
 @pytest.mark.parametrize("views", [40, 42, 3])
 def test_sectors_are_searched_at_half_the_resolution_and_compared_at_the_full_one(views):
     config = make_config(profile="smoke", recipe="matting", **PLAIN, render_size=32)
-    torch.manual_seed(0)
+    torch.manual_seed(2)
     model = ViewNet(config.model)
     code = torch.randn(3, config.model.appearance_size)
     grid = Search(views, 0.0, torch.Generator().manual_seed(0)).grid(3, (-20.0, 40.0))
