@@ -10,6 +10,7 @@ these weights; both have the same batches of built-in cars.
 For both phases of training prints milliseconds a step of either version (medians), and how many times as fast the
 present one is: the median of the rounds, least and most, and the median in processor time, which other work on the
 core disturbs less. `choice of viewpoints` is all that is done without gradient; `the rest` what remains of the step.
+The first step's losses are printed too: those of two checkouts of one version are the same.
 """
 
 from __future__ import annotations
@@ -84,8 +85,8 @@ class Steps:
 
         setattr(owner, name, timed)
 
-    def step(self, index: int, progress: float) -> None:
-        """One step."""
+    def step(self, index: int, progress: float) -> float:
+        """One step; its loss."""
         import torch
 
         generator = torch.Generator().manual_seed(index)
@@ -96,7 +97,7 @@ class Steps:
         loss.backward()
         for optimiser in self.optimisers:
             optimiser.step()
-        loss.item()  # for the log
+        return loss.item()
 
     def train(self, steps: int, end: float) -> dict[str, Any]:
         """`steps` steps from the beginning of training to progress `end`; every window begins with their weights."""
@@ -106,13 +107,13 @@ class Steps:
         return {}
 
     def window(self, steps: int, progress: float) -> dict[str, Any]:
-        """Seconds a step by both CLOCKS, those of choosing viewpoints among them."""
+        """Seconds a step by both CLOCKS, those of choosing viewpoints among them, and the first step's loss."""
         self.model.load_state_dict(self.weights)
         self.choosing, begun = [0.0, 0.0], [clock() for clock in CLOCKS]
-        for index in range(steps):
-            self.step(index, progress)
+        losses = [self.step(index, progress) for index in range(steps)]
         whole = elapsed(begun)
         return {
+            "loss": losses[0],
             PARTS[0]: [seconds / steps for seconds in whole],
             PARTS[1]: [seconds / steps for seconds in self.choosing],
             PARTS[2]: [(a - b) / steps for a, b in zip(whole, self.choosing, strict=True)],
@@ -197,8 +198,7 @@ def make_batches(settings: dict[str, Any], file: Path) -> tuple[float, Any]:
 def compare(versions: dict[str, Version], phase: str, progress: float, given: Any) -> list[dict[str, Any]]:
     """A row for each of PARTS of a step at this progress, in milliseconds."""
     found: dict[str, list[Any]] = {name: [] for name in versions}
-    for version in versions.values():
-        version.ask("window", 1, progress)  # memory and kernels
+    losses = {name: version.ask("window", given.steps, progress)["loss"] for name, version in versions.items()}
     for turn in range(given.rounds):
         for name in list(versions)[:: -1 if turn % 2 else 1]:
             found[name].append(versions[name].ask("window", given.steps, progress))
@@ -210,7 +210,8 @@ def compare(versions: dict[str, Version], phase: str, progress: float, given: An
         row: dict[str, Any] = {"phase": phase, "part": part}
         row |= {f"{name}_ms": 1000 * statistics.median(w[part][0] for w in found[name]) for name in versions}
         row |= {"ratio": statistics.median(wall), "ratio_low": min(wall), "ratio_high": max(wall)}
-        rows.append(row | {"processor_ratio": statistics.median(processor)})
+        row |= {"processor_ratio": statistics.median(processor)}
+        rows.append(row | {f"{name}_loss": loss for name, loss in losses.items()})
     return rows
 
 
@@ -254,7 +255,9 @@ def main() -> None:
                 for row in rows[-len(PARTS) :]:
                     ratio = f"{row['ratio']:.2f} ({row['ratio_low']:.2f}-{row['ratio_high']:.2f})"
                     print(f"{row['phase'] + ', ' + row['part']:32}{row['old_ms']:9.1f}{row['new_ms']:9.1f}{ratio:>24}"
-                          f"{row['processor_ratio']:19.2f}", flush=True)  # fmt: skip
+                          f"{row['processor_ratio']:19.2f}")  # fmt: skip
+                losses = f"{row['old_loss']:.5f}, {row['new_loss']:.5f}"
+                print(f"{'':4}loss of the first step: {losses}", flush=True)
         finally:
             for version in versions.values():
                 version.process.kill()

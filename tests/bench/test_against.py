@@ -22,7 +22,9 @@ def test_a_version_against_itself(tmp_path, monkeypatch):
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     rows = pd.read_csv(tmp_path / "against.csv")
     assert rows["phase"].tolist() == ["search"] * 3 + ["after"] * 3
+    assert (rows["old_loss"] == rows["new_loss"]).all()
     assert (rows["ratio_low"] <= rows["ratio"]).all() and (rows["ratio"] <= rows["ratio_high"]).all()
+    assert printed.count("loss of the first step") == 2
     assert all(f"{phase}, whole step" in printed for phase in ("search", "after"))
     settings = json.loads((tmp_path / "against.json").read_text())["settings"]
     assert settings["commits"]["old"] == settings["commits"]["new"]

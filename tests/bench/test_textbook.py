@@ -43,7 +43,7 @@ class Features(PerceptualLoss):
 def gradients(change, perceptual=None):
     """The loss of one step, and every weight's gradient, by the package and by the textbook version."""
     config = contestants.step_config("smoke")
-    torch.manual_seed(3)  # from others a ReLU or a cell's edge may lie between the two, and gradients differ by 1e-2
+    torch.manual_seed(6)  # from others a ReLU or a cell's edge may lie between the two, and gradients differ by 1e-2
     net = ViewNet(config.model)
     with torch.no_grad():
         change(net)
@@ -83,7 +83,7 @@ def test_the_textbook_step_has_the_package_s_loss_and_gradients(perceptual, monk
         return volume.render_reference(shape, frames, focal, size, steps or size)
 
     monkeypatch.setattr(volume, "render", plain)
-    same(gradients(lambda net: None, perceptual), 1e-3)
+    same(gradients(lambda net: None, perceptual), 1e-4)
 
 
 def test_the_compiled_step_is_the_textbook_s_where_nothing_is_empty():

@@ -43,7 +43,7 @@ def test_channels_and_strides_are_those_of_what_runs():
 
 
 def test_a_stage_ends_with_the_relu_the_table_says():
-    stage = Stage(nn.ConvTranspose3d(3, 5, 4, 2, 1), 5, appearance=7)
+    stage = Stage(nn.ConvTranspose3d(3, 5, 4, 2, 1), appearance=7)
     assert list(layers(stage)["layer"]) == ["ConvTranspose3D", "AdaptiveIN", "ReLU"]
     out = stage(torch.randn(2, 3, 4, 4, 4), torch.randn(2, 7))
     assert out.shape == (2, 5, 8, 8, 8)

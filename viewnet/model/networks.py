@@ -154,9 +154,9 @@ class Stage(nn.Module):
     With `appearance` None the normalisation is by batch and takes no condition (the encoder-decoder ablation).
     """
 
-    def __init__(self, convolution: nn.Module, outputs: int, appearance: int | None):
+    def __init__(self, convolution: "nn.ConvTranspose2d | nn.ConvTranspose3d | FixedOpening", appearance: int | None):
         super().__init__()
-        self.convolution = convolution
+        self.convolution, outputs = convolution, convolution.out_channels
         self.norm = nn.BatchNorm3d(outputs) if appearance is None else AdaIN(outputs, appearance)
 
     def forward(self, x: Tensor, appearance: Tensor) -> Tensor:
@@ -247,11 +247,11 @@ class Generator(nn.Module):
         appearance = config.appearance_size if self.adain else None
         self.register_buffer("code", torch.randn(1, config.code_size, 1, 1, 1))  # z of section 3.2
         opening = FixedOpening(self.code, widths[0]) if self.adain else Opening(config.appearance_size, widths[0])
-        stages = [Stage(opening, widths[0], appearance)]
+        stages = [Stage(opening, appearance)]
         for before, width in pairwise(widths):
-            stages.append(Stage(nn.ConvTranspose3d(before, width, 4, 2, 1, bias=False), width, appearance))
+            stages.append(Stage(nn.ConvTranspose3d(before, width, 4, 2, 1, bias=False), appearance))
             if config.generator_refine:
-                stages.append(Stage(nn.ConvTranspose3d(width, width, 3, 1, 1, bias=False), width, appearance))
+                stages.append(Stage(nn.ConvTranspose3d(width, width, 3, 1, 1, bias=False), appearance))
         self.stages = nn.ModuleList(stages).to(memory_format=torch.channels_last_3d)
         kernel = config.generator_last_kernel
         self.last = Doubling(widths[-1]) if kernel == 2 else nn.ConvTranspose3d(widths[-1], 4, kernel, 2, 1)
@@ -287,14 +287,13 @@ class HoloGANDecoder(nn.Module):
         self.code = nn.Parameter(0.02 * torch.randn(1, widths[0], 4, 4, 4))
         self.enter = AdaIN(widths[0], config.appearance_size)
         self.stages = nn.ModuleList(
-            Stage(nn.ConvTranspose3d(a, b, 4, 2, 1, bias=False), b, config.appearance_size) for a, b in pairwise(widths)
+            Stage(nn.ConvTranspose3d(a, b, 4, 2, 1, bias=False), config.appearance_size) for a, b in pairwise(widths)
         )
         flat = widths[-1] * size  # channels once depth is folded into them
         self.fold = nn.Conv2d(flat, flat, 1)
         painted = flat, max(flat // 4, 16), max(flat // 16, 16)
         self.paint = nn.ModuleList(
-            Stage(nn.ConvTranspose2d(a, b, 4, 2, 1, bias=False), b, config.appearance_size)
-            for a, b in pairwise(painted)
+            Stage(nn.ConvTranspose2d(a, b, 4, 2, 1, bias=False), config.appearance_size) for a, b in pairwise(painted)
         )
         self.last = nn.Conv2d(painted[-1], 3, 3, padding=1)
         self.size = size
