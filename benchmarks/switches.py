@@ -64,12 +64,6 @@ def _full_resolution() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _renewed_directions() -> Iterator[None]:
-    with mock.patch("viewnet.training.optimisers.REUSED", 1):
-        yield
-
-
-@contextlib.contextmanager
 def _nothing() -> Iterator[None]:
     yield
 
@@ -82,7 +76,6 @@ SWITCHES: dict[str, tuple[dict[str, Any], Patch]] = {
     "gradients of empty voxels": ({}, _exact_gradients),
     "normalisation in PyTorch": ({}, _plain_layers),
     "compared at full resolution": ({}, _full_resolution),
-    "Muon with a new direction at every step": ({}, _renewed_directions),
 }
 """Optimisation undone -> changes of the configuration, and a patch of the package."""
 

@@ -6,7 +6,7 @@ import torch.nn.functional as F
 
 from viewnet.model.viewnet import ViewNet
 from viewnet.recipes import make_config
-from viewnet.training.optimisers import REUSED, Muon, orthogonal
+from viewnet.training.optimisers import Muon, orthogonal
 from viewnet.training.train import make_optimisers
 
 
@@ -48,21 +48,6 @@ def test_it_finds_a_linear_map():
         optimiser.step()
         losses.append(loss.item())
     assert losses[-1] < 0.1 * losses[0]
-
-
-def test_a_direction_serves_for_some_steps_and_weights_take_turns():
-    torch.manual_seed(0)
-    weights = [torch.nn.Parameter(torch.randn(4, 3, 2, 2)) for _ in range(REUSED)]
-    optimiser, renewed = Muon(weights), []
-    for _ in range(2 * REUSED + 1):
-        before = [optimiser.state[weight].get("direction") for weight in weights]
-        for weight in weights:
-            weight.grad = torch.randn_like(weight)
-        optimiser.step()
-        renewed.append([optimiser.state[w]["direction"] is not old for w, old in zip(weights, before, strict=True)])
-    assert all(renewed[0])
-    assert all(sum(step) == 1 for step in renewed[1:])  # one weight each time
-    assert all(any(renewed[step][i] for step in range(1, REUSED + 1)) for i in range(REUSED))
 
 
 def test_only_inner_convolutions_are_taken():

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,7 +14,6 @@ from viewnet.model.viewnet import ViewNet
 
 INNER_LAYERS = (torch.nn.Conv2d, torch.nn.ConvTranspose3d)
 BFLOAT16_FROM = 2**16  # numbers from which matrices are made orthogonal in bfloat16
-REUSED = 2  # steps along one direction
 POLYNOMIALS = ((7.711, -22.1138, 16.2487), (3.2153, -2.4112, 0.5013), (2.2183, -1.594, 0.4107))
 """Of degree five, a x + b x^3 + c x^5, one after the other: together they bring singular values in [0.02, 1] to within
 0.1 of 1. Each is the closest to 1 on the interval that the one before leaves (a linear program on a fine grid)."""
@@ -24,9 +22,8 @@ POLYNOMIALS = ((7.711, -22.1138, 16.2487), (3.2153, -2.4112, 0.5013), (2.2183, -
 class Muon(torch.optim.Optimizer):
     """Steps along each weight's momentum, made orthogonal as a matrix (first dimension, all others).
 
-    A network learns viewpoints in about half the steps that Adam takes. Momentum hardly turns in a few steps, so a
-    direction serves for REUSED of them; weights take turns. `torch.optim.Muon` takes matrices only, and works in
-    bfloat16, which is slow where the processor has none, and for small matrices everywhere.
+    A network learns viewpoints in about half the steps that Adam takes. `torch.optim.Muon` takes matrices only, and
+    works in bfloat16, which is slow where the processor has none, and for small matrices everywhere.
     """
 
     def __init__(self, params: ParamsT, lr: float = 0.02, momentum: float = 0.95, half: bool = False):
@@ -37,25 +34,17 @@ class Muon(torch.optim.Optimizer):
     def step(self, closure: Callable[[], float] | None = None) -> None:  # type: ignore[override]
         """One step along the gradients there are; `closure` is not called."""
         for group in self.param_groups:
-            if not (weights := [weight for weight in group["params"] if weight.grad is not None]):
-                continue
-            states: list[dict[str, Any]] = [self.state[weight] for weight in weights]
-            for weight, state in zip(weights, states, strict=True):
+            for weight in (weight for weight in group["params"] if weight.grad is not None):
+                state = self.state[weight]
                 if not state:
-                    state.update(momentum=torch.zeros_like(weight), direction=None, steps=0)
-            gradients = [weight.grad for weight in weights]
-            momenta = [state["momentum"] for state in states]
-            torch._foreach_lerp_(momenta, gradients, 1 - group["momentum"])  # running means of gradients
-            for number, state in enumerate(states):
-                if state["direction"] is None or (state["steps"] + number) % REUSED == 0:
-                    ahead = gradients[number].lerp(momenta[number], group["momentum"])  # Nesterov's
-                    last = ahead.movedim(1, -1)  # (first, ..., second): as channels-last weights lie in memory
-                    matrix = orthogonal(last.flatten(1), self.half)  # (first, all others)
-                    # A unit change of outputs, tall or wide.
-                    matrix *= max(1.0, matrix.shape[0] / matrix.shape[1]) ** 0.5
-                    state["direction"] = matrix.view(last.shape).movedim(-1, 1)  # (first, second, ...)
-                state["steps"] += 1
-            torch._foreach_add_(weights, [state["direction"] for state in states], alpha=-group["lr"])
+                    state["momentum"] = torch.zeros_like(weight)
+                state["momentum"].lerp_(weight.grad, 1 - group["momentum"])  # a running mean of gradients
+                ahead = weight.grad.lerp(state["momentum"], group["momentum"])  # Nesterov's
+                last = ahead.movedim(1, -1)  # (first, ..., second): as channels-last weights lie in memory
+                direction = orthogonal(last.flatten(1), self.half)  # (first, all others)
+                # A unit change of outputs, tall or wide.
+                rate = group["lr"] * max(1.0, direction.shape[0] / direction.shape[1]) ** 0.5
+                weight.add_(direction.view(last.shape).movedim(-1, 1), alpha=-rate)  # (first, second, ...)
 
 
 def orthogonal(matrix: Tensor, half: bool = False) -> Tensor:
