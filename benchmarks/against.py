@@ -9,7 +9,8 @@ and what is `--set`, trained by itself for `--train` steps, so that volumes are 
 these weights; both have the same batches of built-in cars.
 For both phases of training prints milliseconds a step of either version (medians), and how many times as fast the
 present one is: the median of the rounds, least and most, and the median in processor time, which other work on the
-core disturbs less. `choice of viewpoints` is all that is done without gradient; `the rest` what remains of the step.
+core disturbs less. `choice of viewpoints` is all that is done without gradient, `rendering without gradient` the part
+of it in the renderer (errors included, where it sums them itself); `the rest` is what remains of the step.
 The first step's losses are printed too: those of two checkouts of one version are the same.
 """
 
@@ -34,7 +35,7 @@ MODELS = 96
 """Built-in models that the batches show."""
 CLOCKS = (time.perf_counter, time.process_time)
 """Wall clock and processor time."""
-PARTS = ("whole step", "choice of viewpoints", "the rest")
+PARTS = ("whole step", "choice of viewpoints", "rendering without gradient", "the rest")
 PHASES = {"search": 0.5, "after": 2.0}
 """Progress of training, in units of the share in which viewpoints are searched."""
 
@@ -69,21 +70,32 @@ class Steps:
             name = "_choose"
         volume_cpu.warm_up()
         config = make_config(**settings)
-        self.config, self.batches, self.step_loss, self.choosing = config.train, batches, step_loss, [0.0, 0.0]
+        self.config, self.batches, self.step_loss = config.train, batches, step_loss
         self.backgrounds = load(config.data, config.model.input_size, torch.device("cpu"))
         torch.manual_seed(0)
         self.model = ViewNet(config.model)
         self.optimisers = make_optimisers(self.model, config.train)
         self.model.train()
-        choose = getattr(owner, name)
+        self.seconds = {part: [0.0, 0.0] for part in PARTS}
+        self.measure(owner, name, PARTS[1])
+        for name in {"render", "compare"} & set(vars(volume_cpu)):
+            self.measure(volume_cpu, name, PARTS[2])
 
-        def timed(*given: Any, **named: Any) -> Any:
+    def measure(self, owner: Any, name: str, part: str) -> None:
+        """Adds what `owner.name` takes without gradient to this part's seconds."""
+        import torch
+
+        original = getattr(owner, name)
+
+        def measured(*given: Any, **named: Any) -> Any:
+            if part == PARTS[2] and torch.is_grad_enabled():
+                return original(*given, **named)
             begun = [clock() for clock in CLOCKS]
-            result = choose(*given, **named)
-            self.choosing = [sum(each) for each in zip(self.choosing, elapsed(begun), strict=True)]
+            result = original(*given, **named)
+            self.seconds[part] = [sum(each) for each in zip(self.seconds[part], elapsed(begun), strict=True)]
             return result
 
-        setattr(owner, name, timed)
+        setattr(owner, name, measured)
 
     def step(self, index: int, progress: float) -> float:
         """One step; its loss."""
@@ -107,17 +119,14 @@ class Steps:
         return {}
 
     def window(self, steps: int, progress: float) -> dict[str, Any]:
-        """Seconds a step by both CLOCKS, those of choosing viewpoints among them, and the first step's loss."""
+        """Seconds a step of each of PARTS by both CLOCKS, and the first step's loss."""
         self.model.load_state_dict(self.weights)
-        self.choosing, begun = [0.0, 0.0], [clock() for clock in CLOCKS]
+        self.seconds, begun = {part: [0.0, 0.0] for part in PARTS}, [clock() for clock in CLOCKS]
         losses = [self.step(index, progress) for index in range(steps)]
-        whole = elapsed(begun)
-        return {
-            "loss": losses[0],
-            PARTS[0]: [seconds / steps for seconds in whole],
-            PARTS[1]: [seconds / steps for seconds in self.choosing],
-            PARTS[2]: [(a - b) / steps for a, b in zip(whole, self.choosing, strict=True)],
-        }
+        whole, choice, *_ = self.seconds.values()
+        whole[:] = elapsed(begun)
+        self.seconds[PARTS[3]] = [a - b for a, b in zip(whole, choice, strict=True)]
+        return {"loss": losses[0]} | {part: [s / steps for s in both] for part, both in self.seconds.items()}
 
 
 def elapsed(begun: list[float]) -> list[float]:

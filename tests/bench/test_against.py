@@ -21,7 +21,7 @@ def test_a_version_against_itself(tmp_path, monkeypatch):
     command = [sys.executable, str(SCRIPT), str(ROOT), *size, "-o", str(tmp_path)]
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     rows = pd.read_csv(tmp_path / "against.csv")
-    assert rows["phase"].tolist() == ["search"] * 3 + ["after"] * 3
+    assert rows["phase"].tolist() == ["search"] * 4 + ["after"] * 4
     assert (rows["old_loss"] == rows["new_loss"]).all()
     assert (rows["ratio_low"] <= rows["ratio"]).all() and (rows["ratio"] <= rows["ratio_high"]).all()
     assert printed.count("loss of the first step") == 2
