@@ -99,7 +99,7 @@ _TINY: Changes = {
     "model": {
         "volume_size": 32,
         "render_size": 32,
-        "encoder_channels": (16, 32, 64, 128, 256, 128),
+        "encoder_channels": (16, 32, 64, 128, 128, 128),
         "code_size": 64,
         "generator_channels": (64, 16, 16),
         "generator_refine": False,
@@ -128,14 +128,7 @@ PROFILES: dict[str, Changes] = {
     # Three categories fit in five megabytes of half precision, small enough to come with the package.
     "pocket": merged(
         _TINY,
-        {
-            "model": {
-                "encoder_channels": (16, 32, 64, 128, 128, 128),
-                "code_size": 32,
-                "generator_channels": (32, 32, 16),
-            },
-            "train": {"epochs": 24, "validate_every": 6},
-        },
+        {"model": {"code_size": 32, "generator_channels": (32, 32, 16)}, "train": {"epochs": 24, "validate_every": 6}},
     ),
     "small": {
         "data": {"models": 2000},
