@@ -94,13 +94,22 @@ def test_bootstrap_resamples_objects_not_images():
 
 
 def test_bootstrap_of_several_runs_takes_the_same_objects_in_each():
-    # Two runs that are right on complementary objects: their mean is 50 % in every draw of the same objects.
+    # Two kinds of runs that are right on complementary objects: of as many of both the mean is 50 % in every draw.
     objects = np.array([f"m{i}" for i in range(40)])
     one = np.where(np.arange(40) % 2, 5.0, 90.0)
-    intervals = metrics.bootstrap_intervals([one, 95 - one], [objects, objects[::1]], np.random.default_rng(0))
-    assert intervals["acc30"] == (pytest.approx(50), pytest.approx(50))
+    runs = [one, 95 - one] * 20
+    low, high = metrics.bootstrap_intervals(runs, [objects] * 40, np.random.default_rng(0))["acc30"]
+    assert 45 < low < 50 < high < 55
     alone = metrics.bootstrap_intervals([one], [objects], np.random.default_rng(0))["acc30"]
     assert alone[0] < 40 < 60 < alone[1]
+
+
+def test_bootstrap_resamples_runs():
+    # Each run is all right or all wrong, whatever the objects: four coin tosses, which may all show one side.
+    objects = [np.array([f"m{i}" for i in range(40)])] * 4
+    errors = [np.full(40, error) for error in (5.0, 5.0, 90.0, 90.0)]
+    assert metrics.bootstrap_intervals(errors, objects, np.random.default_rng(0))["acc30"] == (0, 100)
+    assert metrics.mean_interval([100.0 * (e < 30) for e in errors], objects) == (0, 100)
 
 
 def test_bootstrap_is_a_function_of_its_generator_and_not_of_the_row_order():

@@ -117,11 +117,12 @@ def bootstrap_intervals(
     statistics: Sequence[str] = ("acc30", "median"),
     azimuths: Sequence[Floats] = (),
 ) -> dict[str, tuple[float, float] | None]:
-    """95 % percentile intervals of statistics by resampling objects, since errors of one object's views are correlated.
+    """95 % percentile intervals of statistics by resampling runs (seeds) and objects.
 
-    `errors` and `objects` hold one array (N,) for each run (seed); the statistic is the mean over runs, and a draw
-    takes the same objects in every run. None where there are fewer than two objects. ViewnetError for the statistic
-    "dva" without the true `azimuths` (N,), degrees, of every run; bins that a draw leaves empty do not count.
+    Objects, since errors of one object's views are correlated. `errors` and `objects` hold one array (N,) for each run;
+    the statistic is the mean over runs, and a draw takes as many runs, with replacement, and the same objects in each.
+    None where there are fewer than two objects. ViewnetError for the statistic "dva" without the true `azimuths` (N,),
+    degrees, of every run; bins that a draw leaves empty do not count.
     """
     if "dva" in statistics and len(azimuths) != len(errors):
         raise ViewnetError(f"bootstrap: dva of {len(errors)} runs needs their true azimuths, got {len(azimuths)}")
@@ -133,15 +134,16 @@ def bootstrap_intervals(
     runs = [(np.asarray(e)[o], owner[o]) for e, owner, o in zip(errors, owners, order, strict=True)]
     binned = [(azimuth_bins(a), np.asarray(e) < 30, w) for a, e, w in zip(azimuths, errors, owners, strict=False)]
     values: dict[str, list[float]] = {name: [] for name in statistics}
-    for times in _resamples(len(names), rng, draws):
+    for times, weights in _resamples(len(names), len(runs), rng, draws):
         samples = [np.repeat(e, times[owner]) for e, owner in runs]
         if not all(map(len, samples)):
             continue  # a run without any of the drawn objects has no statistic
         for name, drawn in values.items():
             if name == "dva":
-                drawn.append(float(np.mean([_weighted_dva(*each, times) for each in binned])))
+                of_runs = [_weighted_dva(*run, times) for run in binned]
             else:
-                drawn.append(float(np.mean([STATISTICS[name](sample) for sample in samples])))
+                of_runs = [STATISTICS[name](sample) for sample in samples]
+            drawn.append(float(weights @ of_runs))
     tail = 100 * (1 - 0.95) / 2
     bounds = {name: np.percentile(v, [tail, 100 - tail]).tolist() for name, v in values.items()}
     return {name: (low, high) for name, (low, high) in bounds.items()}
@@ -150,26 +152,31 @@ def bootstrap_intervals(
 def mean_interval(
     values: Sequence[Floats], objects: Sequence[NDArray[Any]], draws: int = 1000, seed: int = 0
 ) -> tuple[float, float] | None:
-    """95 % percentile interval of the mean over runs of means of values (N,), by resampling objects (N,).
+    """95 % percentile interval of the mean over runs of means of values (N,), by resampling runs and objects (N,).
 
     None with fewer than two objects, and for values that are NaN.
     """
     names, owners = _owners(objects)
     if len(names) < 2 or any(np.isnan(v).any() for v in values):
         return None
-    times = np.stack(list(_resamples(len(names), np.random.default_rng(seed), draws))).astype(np.float64)  # (draws, K)
+    drawn = _resamples(len(names), len(values), np.random.default_rng(seed), draws)
+    times, weights = (np.stack(part).astype(np.float64) for part in zip(*drawn, strict=True))  # (draws, K), (draws, R)
     means = []
     for value, owner in zip(values, owners, strict=True):
-        total, count = (np.bincount(owner, weights, len(names)) for weights in (value, np.ones(len(value))))  # (K,)
+        total, count = (np.bincount(owner, each, len(names)) for each in (value, np.ones(len(value))))  # (K,)
         means.append((times @ total) / np.maximum(times @ count, 1))  # (draws,)
-    low, high = np.percentile(np.mean(means, axis=0), [2.5, 97.5])
+    low, high = np.percentile((weights.T * means).sum(0), [2.5, 97.5])
     return float(low), float(high)
 
 
-def _resamples(count: int, rng: np.random.Generator, draws: int) -> Iterator[NDArray[np.intp]]:
-    """How often each of `count` objects (count,) is drawn, with replacement, for each draw."""
+def _resamples(
+    objects: int, runs: int, rng: np.random.Generator, draws: int
+) -> Iterator[tuple[NDArray[np.intp], Floats]]:
+    """For each draw how often each object is drawn, with replacement, (objects,), and the share of each run (runs,)."""
     for _ in range(draws):
-        yield np.bincount(rng.integers(count, size=count), minlength=count)
+        times = np.bincount(rng.integers(objects, size=objects), minlength=objects)
+        taken = rng.integers(runs, size=runs) if runs > 1 else np.zeros(1, dtype=np.intp)
+        yield times, np.bincount(taken, minlength=runs) / runs
 
 
 def _owners(objects: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], list[NDArray[np.intp]]]:

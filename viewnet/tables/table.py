@@ -69,8 +69,8 @@ class Table:
     """One table. `cells` has a row for each (row, category, metric), measured or not:
 
     row, variant, category, metric, printed (text in the paper), bold (in the paper), measured (mean over seeds), sd
-    (over seeds), low and high (95 % bootstrap interval over objects of that mean), seeds (how many), images, objects,
-    runs (their keys)
+    (over seeds), low and high (95 % bootstrap interval over seeds and objects of that mean), seeds (how many), images,
+    objects, runs (their keys)
     """
 
     name: str
@@ -217,7 +217,7 @@ class Table:
             "measured on": self.note,
             **({"remarks": list(self.remarks)} if self.remarks else {}),
             "error": "geodesic angle between camera frames, degrees; accuracy: per cent strictly below 30",
-            "interval": f"95 % percentile bootstrap over objects, {DRAWS} draws, of the mean over seeds",
+            "interval": f"95 % percentile bootstrap over seeds and objects, {DRAWS} draws, of the mean over seeds",
         }
         plain = cells.assign(runs=cells["runs"].str.split()).astype(object).where(cells.notna(), None)
         entries = {"cells": plain.to_dict("records"), "runs": self.provenance}

@@ -114,7 +114,7 @@ def novel_views(files: Files) -> Content:
     """Of the CSV file that viewnet.tables.novel_view_scores.write writes."""
     cells = read_csv(files["novel_views.csv"], keep_default_na=False, na_values=dict.fromkeys(FLOATS, ""))
     keys: dict[str, dict[str, Any]] = {key: {} for keys in cells["runs"] for key in keys.split()}
-    note = "intervals: 95 % percentile bootstrap over objects"
+    note = "intervals: 95 % percentile bootstrap over seeds and objects"
     table = metric_table(cells.assign(printed="", bold=False), "Scores of rendered novel views")
     return Content((table,), (note,), keys)
 
