@@ -17,6 +17,9 @@ FEATURE_NETWORKS = {
     # SqueezeNet 1.1: pixels, then after the first convolution's ReLU, the second and the fourth fire module.
     "squeezenet": ((0, 10.0), (2, 1.0), (5, 1.0), (8, 1.0)),
 }
+SPREADS = {"squeezenet": {2: 36.0, 5: 63.0, 8: 63.0}}
+"""Network -> what its taps are divided by: their standard deviation over photographs of 64 pixels a side, about the
+channels' means. Undivided, features of SqueezeNet, which has no normalisation, outweigh pixels and all other losses."""
 
 
 def composite(image: Tensor, colour: Tensor) -> Tensor:
@@ -45,7 +48,7 @@ class PerceptualLoss(nn.Module):
 
     def __init__(self, network: str, weights: Path | None = None):
         super().__init__()
-        self.taps = FEATURE_NETWORKS[network]
+        self.taps, self.spreads = FEATURE_NETWORKS[network], SPREADS.get(network, {})
         layers = convolutions(network, weights, "train without (perceptual=none)")
         self.layers = layers[: max(index for index, _ in self.taps)].requires_grad_(False)  # those that a tap needs
         for layer in self.layers.modules():
@@ -55,14 +58,14 @@ class PerceptualLoss(nn.Module):
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(1, 3, 1, 1))  # (1, 3, 1, 1)
 
     def features(self, image: Tensor) -> list[Tensor]:
-        """The taps of images (N, 3, H, W) in [0, 1]."""
+        """The taps of images (N, 3, H, W) in [0, 1], divided by their SPREADS."""
         x = (image - self.mean) / self.std  # (N, 3, H, W), the range ImageNet networks are trained on
         indices = {index for index, _ in self.taps}
         taps = [x] if 0 in indices else []
         for index, layer in enumerate(self.layers, start=1):
             x = layer(x)
             if index in indices:
-                taps.append(x)
+                taps.append(x / self.spreads[index] if index in self.spreads else x)
         return taps
 
     def forward(self, image: Tensor, target: Tensor) -> Tensor:

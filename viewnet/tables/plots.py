@@ -33,8 +33,12 @@ STYLES = {"none": "-", "procrustes": "-", "robust": "-.", "linear": "--", "per_a
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Distinct for colour-blind readers too (Okabe and Ito 2008)."""
 DASHES: Any = ("-", "--", ":", "-.")
-LOGGED = ("epoch", "step", "seconds", "loss", "val_reconstruction", "val_accuracy")
-"""Columns of a run's log that are no term of its loss."""
+LOGGED = {"val_accuracy": "validation accuracy (%)", "val_folded": "the same, folded (%)",
+    "val_reconstruction": "validation error", "val_least_used": "least used head (% of views)",
+    "val_focal": "focal length", "loss": "training loss"}  # fmt: skip
+"""Columns of a run's log that are no term of its loss, and their titles."""
+COUNTED = ("epoch", "step", "seconds")
+"""Columns that only say where the training is."""
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
 LEGEND: Any = {"loc": "outside right upper", "frameon": False, "fontsize": 7}
 
@@ -76,9 +80,9 @@ def training_curves(runs: Sequence[Run]) -> Figure:
     for run, log in logs:
         if log.empty:
             raise ViewnetError(f"{run.name}: its log is empty: wait for the first validation")
-    titles = {"val_accuracy": "validation accuracy (%)", "val_reconstruction": "validation error"}
-    titles["loss"] = "training loss"
-    titles |= {term: f"loss: {term}" for _, log in logs for term in log.columns if term not in LOGGED}
+    columns = dict.fromkeys(column for _, log in logs for column in log.columns if column not in COUNTED)
+    titles = {column: title for column, title in LOGGED.items() if column in columns}
+    titles |= {term: f"loss: {term}" for term in columns if term not in LOGGED}
     colours = dict(zip(dict.fromkeys(run.config.variant for run in runs), itertools.cycle(COLOURS), strict=False))
     dashes = dict(zip(dict.fromkeys(run.config.category for run in runs), itertools.cycle(DASHES), strict=False))
     across = min(4, len(titles))
@@ -91,7 +95,7 @@ def training_curves(runs: Sequence[Run]) -> Figure:
                 style: Any = {"color": colours[run.config.variant], "linestyle": dashes[run.config.category]}
                 axes.plot(log["epoch"], log[column], linewidth=1, marker="o", markersize=2, **style)
         axes.set_title(title, fontsize=8)
-        axes.set_ylim(0, 100 if column == "val_accuracy" else None)
+        axes.set_ylim(0, 100 if column in ("val_accuracy", "val_folded") else None)
         axes.set_xlim(left=0)
     for axes in grid[len(titles) :]:
         axes.remove()

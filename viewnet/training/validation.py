@@ -8,6 +8,7 @@ from torch import Tensor
 from viewnet.config import TrainConfig
 from viewnet.data import augment
 from viewnet.data.pairs import Views, resize
+from viewnet.evaluation import metrics
 from viewnet.evaluation.alignment import fit_rotation
 from viewnet.geometry import look_at, rotation_angle, view_vector
 from viewnet.model.reconstruction import reconstruct
@@ -21,16 +22,20 @@ VALIDATION_VIEWS = 320
 def validate(
     model: ViewNet, views: Views, config: TrainConfig, device: torch.device, backgrounds: Tensor | None = None
 ) -> dict[str, float]:
-    """Reconstruction error of the best head (label-free), and Acc@30 in per cent after Procrustes (uses labels).
+    """Scores of up to VALIDATION_VIEWS views, each reconstructed from the appearance of the next view of its object.
 
-    Accuracy is that of the views with an annotated viewpoint, NaN where there are none. Each view is reconstructed from
-    the appearance of the next view of its object. With `backgrounds`, images (K, 3, 2S, 2S) uint8, views are before
-    them as in training, the same each time.
+    reconstruction   error of the best head: no labels
+    accuracy         Acc@30 in per cent of the selected head after Procrustes; NaN without an annotated viewpoint
+    folded           the same with opposite sides taken for one (viewnet.evaluation.metrics.folded)
+    least_used       per cent of views that the head which is best least often reconstructs best
+    focal            the camera's focal length, learned or not
+
+    With `backgrounds`, images (K, 3, 2S, 2S) uint8, views are before them as in training, the same each time.
     """
     model.eval()  # running statistics: a view's result depends on no other view
     rows = torch.arange(min(VALIDATION_VIEWS, len(views.objects)))
     appearance_rows = views.next_views(rows)  # equation 1 needs another view's appearance
-    error, vectors = 0.0, []
+    error, vectors, used = 0.0, [], torch.zeros(model.config.heads)
     generator = torch.Generator().manual_seed(0)  # the same backgrounds each epoch: scores compare
     size, small = model.config.input_size, model.config.render_size
     for part in rows.split(64):  # in parts: less memory
@@ -41,16 +46,20 @@ def validate(
             background = augment.windows(backgrounds, len(part), size, generator, device)
         target = resize(target, small)
         result = reconstruct(model, appearance, target, viewpoint_input, config, background=background)
-        error += result.choice.errors.amin(1).sum().item()  # the best of M, as training chooses
+        least, best = result.choice.errors.min(1)  # the best of M, as training chooses
+        error += least.sum().item()
+        used += torch.bincount(best.cpu(), minlength=len(used))  # (M,)
         # Accuracy is the selected head's, as at test time.
         vectors.append(result.hypotheses.of_heads(result.hypotheses.logits.argmax(1)))
     predicted = torch.cat(vectors).cpu().double()  # (N, 3)
     annotated = ~views.truth[rows].isnan().any(1)  # NaN where a view has no label
-    accuracy = math.nan
+    accuracy = folded = math.nan
     if annotated.any():
         predicted, truth = predicted[annotated], view_vector(*views.truth[rows][annotated].double().unbind(1))
         # The learned world frame is any rotation of the annotated one.
         aligned = predicted @ torch.as_tensor(fit_rotation(predicted.numpy(), truth.numpy())).T  # (N, 3)
-        accuracy = 100 * (rotation_angle(look_at(aligned), look_at(truth)) < 30).double().mean().item()
+        errors = rotation_angle(look_at(aligned), look_at(truth)).numpy()  # (N,)
+        accuracy, folded = (metrics.accuracy(each, 30) for each in (errors, metrics.folded(errors)))
     model.train()
-    return {"reconstruction": error / len(rows), "accuracy": accuracy}
+    scores = {"reconstruction": error / len(rows), "accuracy": accuracy, "folded": folded}
+    return scores | {"least_used": 100 * used.min().item() / len(rows), "focal": float(model.focal)}
