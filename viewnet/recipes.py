@@ -62,6 +62,9 @@ RECIPES: dict[str, Changes] = {
     },
 }
 
+# With the features of a network of five megabytes in place of VGG16's, whose half a gigabyte is not everywhere.
+RECIPES["paper_squeezenet"] = merged(RECIPES["paper"], {"train": {"perceptual": "squeezenet"}})
+
 # Section 4.3: training for photographs. Ten views a model, and a background behind both inputs.
 RECIPES["paper_photos"] = merged(RECIPES["paper"], {"data": {"views": 10, "backgrounds": "drawn"}})
 RECIPES["photos"] = merged(
@@ -81,18 +84,37 @@ VARIANTS: dict[str, Changes] = {
     "segmentation_target": {"train": {"target": "mask"}},
     "no_shape_prior": {"model": {"shape_prior": False}},
     "encoder_decoder": {"model": {"decoder": "encoder_decoder"}},
-    # Nothing separates object and background after learned layers: trained on black, as reported, and without masks.
-    "hologan_decoder": {
-        "model": {"decoder": "hologan"},
-        "train": {
-            "background": "black",
-            "mask_weight": 0.0,
-            "comparison": {"masks": 0.0, "neighbours": 0.0},
-            "search": {"share": 0.0},
-        },
-    },
+    "hologan_decoder": {"model": {"decoder": "hologan"}},
 }
 """The trained rows of Tables 1 and 2."""
+
+ABLATIONS: dict[str, Changes] = {
+    "zero_padding": {"model": {"encoder_padding": "replicate"}},
+    "head_spread": {"model": {"head_spread": 0.0}},
+    "elevation_limits": {"model": {"elevation_limits": None}},
+    "known_focal": {"model": {"focal": 0.4, "learn_focal": True}},
+    "colour_prior": {"model": {"colour_prior": False}},
+    "balance": {"model": {"balance_bands": 1}, "train": {"search": {"balance": 0.0}}},
+    "shared_shape": {"train": {"shared_shape": 0.0}},
+    "random_background": {"train": {"background": "black"}},
+    "masks": {"train": {"background": "black", "mask_weight": 0.0, "comparison": {"colours": 1.0, "masks": 0.0}}},
+    "jitter": {"train": {"jitter": 0.0}},
+    "mirror": {"train": {"mirror": False}},
+    "comparison_by_masks": {"train": {"comparison": {"colours": 1.0}}},
+    "neighbours": {"train": {"comparison": {"neighbours": 0.0}}},
+    "pull": {"train": {"comparison": {"pull_weight": 0.0}}},
+    "search": {"train": {"search": {"share": 0.0}}},
+    "selection_weight": {"train": {"selection": {"weight": 1.0}}},
+    "selection_angle": {"train": {"selection": {"angle": 0.0}}},
+    "trust": {"train": {"selection": {"trust": 0.0}}},
+    "adam_settings": {"train": {"optimiser": {"learning_rate": 1e-4, "betas": (0.9, 0.999)}}},
+    "muon": {"train": {"optimiser": {"muon": 0.0}}},
+    "schedule": {"train": {"optimiser": {"schedule": "constant"}}},
+}
+"""What the recipe `matting` has -> the changes that take it away, to what `paper` has in its place.
+
+Each is a variant, "without_" and its name: a row of the notebook recipe_ablation."""
+VARIANTS |= {f"without_{name}": changes for name, changes in ABLATIONS.items()}
 
 _TINY: Changes = {
     "data": {"models": 1000},
@@ -130,6 +152,11 @@ PROFILES: dict[str, Changes] = {
         _TINY,
         {"model": {"code_size": 32, "generator_channels": (32, 32, 16)}, "train": {"epochs": 24, "validate_every": 6}},
     ),
+    # As many targets as the paper's training has, at least: see docs/recipes.md.
+    "tiny_million": merged(
+        _TINY,
+        {"train": {"epochs": 290, "patience": 290, "validate_every": 10, "batch_size": 64, "targets_per_object": 1}},
+    ),
     "small": {
         "data": {"models": 2000},
         "model": {"encoder_channels": (64, 128, 256, 512, 512, 512), "generator_channels": (256, 128, 64, 32)},
@@ -138,7 +165,14 @@ PROFILES: dict[str, Changes] = {
     "paper": {"data": {"models": 0}},
 }
 
-PROFILE_RECIPE = {"smoke": "matting", "tiny": "matting", "pocket": "photos", "small": "matting", "paper": "paper"}
+PROFILE_RECIPE = {
+    "smoke": "matting",
+    "tiny": "matting",
+    "tiny_million": "paper_squeezenet",
+    "pocket": "photos",
+    "small": "matting",
+    "paper": "paper",
+}
 """The recipe of a profile unless another is named."""
 
 TOGETHER: dict[tuple[str, str], Changes] = {("tiny", "photos"): {"train": {"epochs": 6}}}

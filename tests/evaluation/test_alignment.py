@@ -18,6 +18,7 @@ from viewnet.evaluation.alignment import (
     PerAngle,
     Procrustes,
     Robust,
+    Yaw,
     draw_calibration,
     fit_rotation,
 )
@@ -99,6 +100,26 @@ def test_a_robust_fit_follows_those_that_agree(seed):
     assert vector_error(turned.apply(truth @ turn.T), truth).max() < 0.1
     squares = Procrustes.fit(p, truth).apply(p)
     assert np.median(vector_error(squares, truth)) > np.median(vector_error(exact, truth))
+
+
+def test_a_yaw_turns_about_the_vertical_by_what_most_agree_on():
+    truth = viewpoints(1, 400)
+    turn = Rotation.from_euler("z", -40, degrees=True).as_matrix()
+    p = truth @ turn.T
+    p[::3] = truth[::3] * [-1, -1, 1] @ turn.T  # a third from the opposite side
+    errors = vector_error(Yaw.fit(p, truth).apply(p), truth)
+    assert np.allclose(np.delete(errors, np.s_[::3]), 0, atol=1e-3)
+
+
+def test_predictions_without_spread_are_degenerate():
+    truth = viewpoints(2, 400)
+    right = Procrustes.fit(truth @ rotation(0).T, truth)
+    assert right.spread == pytest.approx(1) and not right.degenerate
+    assert right.singular_values == pytest.approx(np.linalg.svd(truth.T @ truth / len(truth), compute_uv=False))
+    both_sides = truth * np.where(np.arange(len(truth))[:, None] % 2, 1, [-1, -1, 1])  # half of them half a turn off
+    nearly_constant = truth * 0.05 + [0, 0, 1]
+    nearly_constant /= np.linalg.norm(nearly_constant, axis=1, keepdims=True)
+    assert all(Procrustes.fit(p, truth).degenerate for p in (both_sides, nearly_constant))
 
 
 def test_constant_predictions_are_turned_to_the_mean_direction_the_short_way():

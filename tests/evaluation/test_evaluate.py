@@ -148,7 +148,7 @@ def test_what_cannot_be_scored_is_said():
     predictions = noisy(index)
     with pytest.raises(ViewnetError, match="no rows of split 'val'"):
         evaluate(predictions.subset("test"))
-    with pytest.raises(ViewnetError, match="unknown alignment 'rigid': choose one of procrustes, robust, linear"):
+    with pytest.raises(ViewnetError, match="unknown alignment 'rigid': choose one of procrustes, robust, yaw, linear"):
         evaluate(predictions, "rigid")
     with pytest.raises(ViewnetError, match="one category at a time, got car, chair"):
         evaluate(joined([predictions, noisy(make_index(40, category="chair"))]))

@@ -19,7 +19,7 @@ SMALL = dataclasses.replace(make_config(profile="smoke").model, decoder="hologan
 def images_and_gradients(decoder, code, frames, weights):
     decoder.zero_grad()
     code, frames = (value.clone().requires_grad_() for value in (code, frames))
-    images = decoder.render(decoder.features(code), code, frames)
+    images = decoder.render(decoder.features(code), frames)
     (images * weights).sum().backward()
     learned = {name: value.grad for name, value in decoder.named_parameters()}
     return {"images": images.detach(), "code": code.grad, "frames": frames.grad} | learned
@@ -31,7 +31,7 @@ def test_one_pass_does_what_sampling_does(size, views, monkeypatch):
     decoder = HoloGANDecoder(dataclasses.replace(SMALL, render_size=size))
     code = torch.randn(2, SMALL.appearance_size)
     frames = look_at(F.normalize(torch.randn(2 * views, 3), dim=1))
-    weights = torch.randn(2 * views, 3, size, size)
+    weights = torch.randn(2 * views, 4, size, size)
     fused = images_and_gradients(decoder, code, frames, weights)
     monkeypatch.setattr(numba_call, "available", lambda: False)
     expected = images_and_gradients(decoder, code, frames, weights)
@@ -54,13 +54,13 @@ def test_half_precision_is_rounded_once():
 def test_threads_do_not_change_bits():
     torch.manual_seed(0)
     decoder, code = HoloGANDecoder(SMALL), torch.randn(2, SMALL.appearance_size)
-    frames, weights = look_at(F.normalize(torch.randn(4, 3), dim=1)), torch.randn(4, 3, 16, 16)
+    frames, weights = look_at(F.normalize(torch.randn(4, 3), dim=1)), torch.randn(4, 4, 16, 16)
     before, found = torch.get_num_threads(), []
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
             rotated = decoder.features(code).detach().requires_grad_()
-            image = decoder.render(rotated, code, frames)
+            image = decoder.render(rotated, frames)
             found.append((image.detach(), *torch.autograd.grad((image * weights).sum(), rotated)))
     finally:
         torch.set_num_threads(before)

@@ -85,9 +85,8 @@ def test_measures_are_those_of_the_literature():
 
 
 def test_what_a_variant_does_not_draw_is_not_scored(store):
-    hologan = novel_view_scores.fidelity(untrained_renderer(store, variant="hologan_decoder"))
-    assert hologan["iou"].isna().all()
-    assert hologan["psnr"].notna().all()
+    whole = novel_view_scores.fidelity(untrained_renderer(store, variant="hologan_decoder"))
+    assert whole[["psnr", "ssim", "iou"]].notna().all(axis=None)
     masks = novel_view_scores.fidelity(untrained_renderer(store, variant="segmentation_target"))
     assert masks[["psnr", "ssim"]].isna().all(axis=None)
     assert masks["iou"].notna().all()
@@ -126,10 +125,11 @@ def test_every_network_can_look_at_what_it_draws(store, variant, settings):
 
 def test_cells_are_those_of_a_table(store, tmp_path):
     runs = [
-        untrained_run(tmp_path / f"{v}{s}", v, s) for v, s in (("hologan_decoder", 0), ("viewnet", 0), ("viewnet", 1))
+        untrained_run(tmp_path / f"{v}{s}", v, s)
+        for v, s in (("segmentation_target", 0), ("viewnet", 0), ("viewnet", 1))
     ]
     result = novel_view_scores.cells(runs, lambda run: store, draws=20)
-    assert list(dict.fromkeys(result["row"])) == [novel_view_scores.COPY, "ViewNet", "HoloGAN-Decoder"]
+    assert list(dict.fromkeys(result["row"])) == [novel_view_scores.COPY, "ViewNet", "Segmentation Target"]
     assert list(result.loc[result["row"] == "ViewNet", "metric"]) == list(NOVEL_VIEWS)
     mine = result.set_index(["row", "metric"])
     psnr = mine.loc["ViewNet", "psnr"]
@@ -137,17 +137,17 @@ def test_cells_are_those_of_a_table(store, tmp_path):
     assert psnr["runs"] == "viewnet0 viewnet1"
     assert psnr["low"] <= psnr["measured"] <= psnr["high"]
     assert (psnr["images"], psnr["objects"]) == (12, 4)
-    assert np.isnan(mine.loc["HoloGAN-Decoder", "iou"]["measured"])
+    assert np.isnan(mine.loc["Segmentation Target", "psnr"]["measured"])
     assert np.isnan(mine.loc[novel_view_scores.COPY, "consistency_median"]["measured"])
     shown = novel_view_scores.frame(result)
-    assert shown.loc["HoloGAN-Decoder", ("car", "mask IoU")] == "--"
+    assert shown.loc["Segmentation Target", ("car", "PSNR, dB")] == "--"
     assert shown.loc["ViewNet", ("car", "PSNR, dB")].startswith(f"{psnr['measured']:.1f} [")
     files = novel_view_scores.write(result, tmp_path / "tables", "one & two")
     assert [file.name for file in files] == ["novel_views.tex", "novel_views.csv"]
     tex = files[0].read_text()
     assert tex.count("&") == 7 * 4 + 1 and "one \\& two" in tex and tex.count("\\midrule") == 1
-    line = next(line for line in tex.splitlines() if line.startswith("HoloGAN-Decoder"))
-    assert line.split(" & ")[3] == "--" and line.split(" & ")[1] != "--"
+    line = next(line for line in tex.splitlines() if line.startswith("Segmentation Target"))
+    assert line.split(" & ")[1] == "--" and line.split(" & ")[3] != "--"
     saved = pd.read_csv(files[1], keep_default_na=False, na_values=[""])
     assert saved["measured"].to_numpy() == pytest.approx(result["measured"].round(4).to_numpy(), nan_ok=True)
     with pytest.raises(ViewnetError, match="same seed"):

@@ -10,8 +10,11 @@ Examples:
     viewnet tables --profile smoke                                  does it all work? in minutes
     viewnet tables --only table1_shapenet table2_ablation --seeds 3
     viewnet tables --page                                           the page alone, from what is in paper_tables/
+    viewnet tables --from-predictions                               is every number that of the predictions beside it?
     viewnet tables --cluster tcp://HOST:8786                        rendered and trained on a Dask cluster
 """
+
+from pathlib import Path
 
 from viewnet.commands.options import CLUSTER, Options, argument, choose_cluster, print_results
 from viewnet.errors import ViewnetError
@@ -23,19 +26,27 @@ ARGUMENTS = (
     argument("--seeds", "how many (3), or which (0,2), for every notebook that takes them", metavar="N"),
     argument("--only", "these and no others", nargs="+", metavar="NOTEBOOK"),
     argument("--page", "run nothing: write the page from what is there", action="store_true"),
+    argument(
+        "--from-predictions",
+        "run nothing: compute every table again from the predictions beside it, and compare",
+        action="store_true",
+    ),
     CLUSTER,
     argument("--json", "what was made, and what failed, as JSON", action="store_true"),
 )
 
 
 def run(options: Options) -> int:
-    """Run the notebooks and write the page; 1 where some failed. ViewnetError for --page with other options."""
+    """Run the notebooks and write the page; 1 where some failed. ViewnetError for options that exclude each other."""
     from viewnet import paths
     from viewnet.experiments import notebooks
     from viewnet.experiments.page import page
 
-    if options.page and (options.only or options.profile or options.seeds):
-        raise ViewnetError("--page cannot be combined with other options")
+    alone = [name for name in ("page", "from_predictions") if getattr(options, name)]
+    if alone and (len(alone) > 1 or options.only or options.profile or options.seeds):
+        raise ViewnetError(f"--{alone[0].replace('_', '-')} cannot be combined with other options")
+    if options.from_predictions:
+        return _compare(options, paths.tables())
     choose_cluster(options)
     done = []
     if not options.page:
@@ -50,3 +61,19 @@ def run(options: Options) -> int:
     values = {"notebooks": [outcome.as_dict() for outcome in done], "page": str(written)}
     print_results(options, values, written, *failures)
     return 1 if failed else 0
+
+
+def _compare(options: Options, folder: Path) -> int:
+    """Compute tables again from their predictions; 1 where a number is another. ViewnetError where there are none."""
+    from viewnet.tables import kept_predictions
+
+    files = [path for path in sorted(folder.rglob("*.json")) if path.with_suffix(".parquet").is_file()]
+    if not files:
+        raise ViewnetError(f"{folder}: no table with its predictions: make one with viewnet tables")
+    found = {str(path.relative_to(folder)): kept_predictions.differences(path) for path in files}
+    lines = []
+    for name, cells in found.items():
+        lines.append(f"{name}: {f'{len(cells)} numbers differ' if len(cells) else 'as its predictions'}")
+        lines += [f"    {' '.join(map(str, cell))}" for cell in cells.itertuples(index=False)]
+    print_results(options, {name: cells.to_dict("records") for name, cells in found.items()}, *lines)
+    return int(any(map(len, found.values())))

@@ -1,8 +1,9 @@
 """Alignment: maps from a predictor's own frame to the annotated one, fitted on calibration images.
 
 Unsupervised predictions are determined up to a rotation of the world (section 4.1). `procrustes` fits that rotation by
-least squares, `robust` by least absolute distances; `linear` is the affine map of the starred rows of Table 3,
-`per_angle` the linear regression of each angle, as in SSV; `none` is for predictions in the annotated frame already.
+least squares, `robust` by least absolute distances, `yaw` so about the vertical alone; `linear` is the affine map of
+the starred rows of Table 3, `per_angle` the linear regression of each angle, as in SSV; `none` is for predictions in
+the annotated frame already.
 
 >>> truth = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]])
 >>> predicted = truth[:, [1, 2, 0]]  # right, in another frame
@@ -11,7 +12,7 @@ True
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -24,6 +25,7 @@ from viewnet.evaluation.predictions import Floats
 
 MINIMUM = 4  # calibration images that any fit needs: an affine map of view vectors has four unknowns per coordinate
 WEISZFELD_ROUNDS = 40  # of reweighting in a robust fit
+DEGENERATE = 0.25  # spread of predictions below which they determine hardly any rotation
 COLLAPSED = 1e-6  # share of the correlation's first singular value below which the second is 0: constant predictions
 
 
@@ -68,12 +70,24 @@ class Procrustes(Alignment):
     """The rotation of the world with the least sum of squared distances, see `fit_rotation`."""
 
     rotation: Floats  # (3, 3), determinant +1
+    singular_values: Floats = field(default_factory=lambda: np.full(3, np.nan))  # (3,), of the mean of t p^T
+    spread: float = 1.0  # the second of them, as a share of what it is where predictions are right
     kind: ClassVar[str] = "procrustes"
 
     @classmethod
     def fit(cls, predicted: Floats, truth: Floats) -> Self:
         """`fit_rotation` of (N, 3) and (N, 3)."""
-        return cls(fit_rotation(predicted, truth))
+        return cls._of(fit_rotation(predicted, truth), predicted, truth)
+
+    @classmethod
+    def _of(cls, rotation: Floats, predicted: Floats, truth: Floats) -> Self:
+        values, right = (np.linalg.svd(truth.T @ p / len(truth), compute_uv=False) for p in (predicted, truth))
+        return cls(rotation, values, float(values[1] / max(right[1], 1e-12)))
+
+    @property
+    def degenerate(self) -> bool:
+        """Whether rotations about an axis fit nearly alike, as predictions have little spread: no score means much."""
+        return self.spread < DEGENERATE
 
     def apply(self, vectors: Floats) -> Floats:
         """Rotated vectors (..., 3)."""
@@ -99,8 +113,7 @@ class Robust(Procrustes):
         """
         best = first = fit_rotation(predicted, truth)
         least = np.inf
-        for angle in np.radians(np.arange(0, 360, 30)):
-            turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        for turn in map(_about_vertical, np.radians(np.arange(0, 360, 30))):
             for rotation in (turn @ first, turn):
                 for _ in range(WEISZFELD_ROUNDS):
                     distances = np.linalg.norm(predicted @ rotation.T - truth, axis=1)  # (N,)
@@ -108,7 +121,22 @@ class Robust(Procrustes):
                     rotation = _rotation((truth * weights[:, None]).T @ predicted, weights.sum())  # (3, 3)
                 if (total := float(np.linalg.norm(predicted @ rotation.T - truth, axis=1).sum())) < least:
                     best, least = rotation, total
-        return cls(best)
+        return cls._of(best, predicted, truth)
+
+
+@dataclass(frozen=True)
+class Yaw(Procrustes):
+    """The rotation about the vertical with the least sum of distances, for predictors whose vertical is the world's."""
+
+    kind: ClassVar[str] = "yaw"
+
+    @classmethod
+    def fit(cls, predicted: Floats, truth: Floats) -> Self:
+        """The best of 720 angles, half a degree apart. Errors as in `fit_rotation`."""
+        _check(predicted, truth)
+        rotations = [_about_vertical(angle) for angle in np.radians(np.arange(0, 360, 0.5))]
+        sums = [np.linalg.norm(predicted @ rotation.T - truth, axis=1).sum() for rotation in rotations]
+        return cls._of(rotations[int(np.argmin(sums))], predicted, truth)
 
 
 @dataclass(frozen=True)
@@ -164,7 +192,9 @@ class PerAngle(Alignment):
         return geometry.view_vector(torch.from_numpy(a), torch.from_numpy(np.clip(e, -90, 90))).numpy()
 
 
-ALIGNMENTS: dict[str, type[Alignment]] = {cls.kind: cls for cls in (Procrustes, Robust, Linear, PerAngle, Identity)}
+ALIGNMENTS: dict[str, type[Alignment]] = {
+    cls.kind: cls for cls in (Procrustes, Robust, Yaw, Linear, PerAngle, Identity)
+}
 
 
 def fit_rotation(predicted: Floats, truth: Floats) -> Floats:
@@ -210,6 +240,11 @@ def _rotation(correlation: Floats, count: float) -> Floats:
     if s[1] < COLLAPSED * s[0]:
         return _smallest_rotation(vt[0], u[:, 0])  # each of arbitrary sign, both together of the correlation's
     return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+
+
+def _about_vertical(angle: float) -> Floats:
+    """The rotation (3, 3) about the z axis by an angle in radians."""
+    return np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
 
 
 def _smallest_rotation(source: Floats, target: Floats) -> Floats:

@@ -96,39 +96,53 @@ class Predictions:
         ups = None if self.ups is None else self.ups[rows]
         return Predictions(self.ids.iloc[rows], self.hypotheses[rows], self.logits[rows], ups)
 
-    def to_parquet(self, path: Path) -> None:
+    def to_frame(self) -> pd.DataFrame:
         """A column for each number: the ids, then h0_x h0_y h0_z logit_0 (up0_x up0_y up0_z), h1_x and so on."""
         ups = [] if self.ups is None else [self.ups]
         values = np.concatenate([self.hypotheses, self.logits[:, :, None], *ups], axis=2)  # (N, M, 4 or 7)
         names = ("h{}_x", "h{}_y", "h{}_z", "logit_{}", "up{}_x", "up{}_y", "up{}_z")[: values.shape[2]]
         columns = [name.format(m) for m in range(self.heads) for name in names]
         numbers = pd.DataFrame(values.reshape(len(self), -1), columns=columns)  # (N, 4 M or 7 M)
-        with replacing(path) as temporary:
-            pd.concat([self.ids, numbers], axis=1).to_parquet(temporary, index=False)
+        return pd.concat([self.ids, numbers], axis=1)
 
     @classmethod
-    def from_parquet(cls, path: Path) -> "Predictions":
-        """Read what `to_parquet` wrote. ViewnetError, naming the file, where it is missing, damaged or incomplete."""
-        try:
-            frame = pd.read_parquet(path)
-        except FileNotFoundError as error:
-            raise ViewnetError(f"{path}: no such file") from error
-        except Exception as error:  # The parquet reader raises its own types on damaged files.
-            raise ViewnetError(f"{path}: not a readable parquet file: delete it and make it again") from error
+    def from_frame(cls, frame: pd.DataFrame) -> "Predictions":
+        """The inverse of `to_frame`. ViewnetError where a column is missing, or values are no predictions."""
         heads = max(1, sum(name.startswith("logit_") for name in frame.columns))
         vectors, ups = ([f"{part}{m}_{axis}" for m in range(heads) for axis in "xyz"] for part in ("h", "up"))
         logits = [f"logit_{m}" for m in range(heads)]
         if missing := [name for name in (*ID_COLUMNS, *vectors, *logits) if name not in frame.columns]:
-            raise ViewnetError(f"{path}: column {missing[0]!r} is missing: delete the file and make it again")
+            raise ViewnetError(f"column {missing[0]!r} is missing: delete the file and make it again")
+        return cls(
+            frame[list(ID_COLUMNS)],
+            frame[vectors].to_numpy().reshape(-1, heads, 3),  # (N, M, 3)
+            frame[logits].to_numpy(),
+            frame[ups].to_numpy().reshape(-1, heads, 3) if set(ups) <= set(frame.columns) else None,
+        )
+
+    def to_parquet(self, path: Path) -> None:
+        """The table of `to_frame`."""
+        with replacing(path) as temporary:
+            self.to_frame().to_parquet(temporary, index=False)
+
+    @classmethod
+    def from_parquet(cls, path: Path) -> "Predictions":
+        """Read what `to_parquet` wrote. ViewnetError, naming the file, where it is missing, damaged or incomplete."""
+        frame = read_parquet(path)
         try:
-            return cls(
-                frame[list(ID_COLUMNS)],
-                frame[vectors].to_numpy().reshape(-1, heads, 3),  # (N, M, 3)
-                frame[logits].to_numpy(),
-                frame[ups].to_numpy().reshape(-1, heads, 3) if set(ups) <= set(frame.columns) else None,
-            )
+            return cls.from_frame(frame)
         except ViewnetError as error:
             raise ViewnetError(f"{path}: {error}") from error
+
+
+def read_parquet(path: Path) -> pd.DataFrame:
+    """A parquet file. ViewnetError, naming it, where it is missing or damaged."""
+    try:
+        return pd.read_parquet(path)
+    except FileNotFoundError as error:
+        raise ViewnetError(f"{path}: no such file") from error
+    except Exception as error:  # The parquet reader raises its own types on damaged files.
+        raise ViewnetError(f"{path}: not a readable parquet file: delete it and make it again") from error
 
 
 def joined(parts: "Sequence[Predictions]") -> "Predictions":

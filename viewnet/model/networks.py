@@ -275,47 +275,50 @@ class Generator(nn.Module):
 class HoloGANDecoder(nn.Module):
     """Appearance (N, A) and camera frames -> images with learned layers after the rotation (Table 2, last row).
 
-    Features at a quarter of the image's size are rotated rigidly, their depth is folded into channels, and 2-D
-    transposed convolutions make the image: nothing ties one view's pixels to another's.
+    Features, sixteen a side, are made as volumes are, rotated rigidly, and pass two 3-D convolutions. Then their depth
+    is folded into channels, and 2-D transposed convolutions make colours and mask: nothing ties one view's pixels to
+    another's.
     """
 
     def __init__(self, config: ModelConfig):
         super().__init__()
-        size = config.render_size // 4
-        levels = power_of_two(size, 4, "render_size / 4") - 2
+        size = min(16, config.render_size // 2)
+        levels = power_of_two(size, 4, "render_size / 2") - 2
         widths = (*config.generator_channels[: levels + 1], *[config.generator_channels[-1]] * 8)[: levels + 1]
         self.code = nn.Parameter(0.02 * torch.randn(1, widths[0], 4, 4, 4))
         self.enter = AdaIN(widths[0], config.appearance_size)
         self.stages = nn.ModuleList(
             Stage(nn.ConvTranspose3d(a, b, 4, 2, 1, bias=False), config.appearance_size) for a, b in pairwise(widths)
         )
-        flat = widths[-1] * size  # channels once depth is folded into them
-        self.fold = nn.Conv2d(flat, flat, 1)
-        painted = flat, max(flat // 4, 16), max(flat // 16, 16)
-        self.paint = nn.ModuleList(
-            Stage(nn.ConvTranspose2d(a, b, 4, 2, 1, bias=False), config.appearance_size) for a, b in pairwise(painted)
+        thin = max(widths[-1] // 2, 4)
+        self.seen = nn.Sequential(
+            nn.Conv3d(widths[-1], thin, 3, padding=1), nn.ReLU(), nn.Conv3d(thin, thin, 3, padding=1), nn.ReLU()
         )
-        self.last = nn.Conv2d(painted[-1], 3, 3, padding=1)
-        self.size = size
+        flat = thin * size  # channels once depth is folded into them
+        self.fold = nn.Sequential(nn.Conv2d(flat, flat, 1), nn.ReLU())
+        painted = [max(flat >> 2 * level, 16) for level in range(power_of_two(config.render_size // size, 1, "") + 1)]
+        self.paint = nn.Sequential()
+        for before, width in pairwise(painted):
+            self.paint.extend((nn.ConvTranspose2d(before, width, 4, 2, 1), nn.ReLU()))
+        self.last = nn.Conv2d(painted[-1], 4, 3, padding=1)
         for painting in (self.fold, self.paint, self.last):
             painting.to(memory_format=torch.channels_last)
+        self.seen.to(memory_format=torch.channels_last_3d)
 
     def features(self, appearance: Tensor) -> Tensor:
-        """Feature volumes (N, C, s, s, s), before any rotation."""
+        """Feature volumes (N, C, s, s, s), before any rotation, zero at their sides and so beyond them."""
         x = self.enter(self.code.expand(len(appearance), -1, -1, -1, -1), appearance)  # (N, C, 4, 4, 4)
         for stage in self.stages:
             x = stage(x, appearance)
-        return x
+        return F.pad(x[:, :, 1:-1, 1:-1, 1:-1], (1,) * 6)  # (N, C, s, s, s)
 
-    def render(self, features: Tensor, appearance: Tensor, world_from_camera: Tensor) -> Tensor:
-        """Images (N, 3, S, S) in [0, 1]; N a multiple of the number of feature volumes, as in viewnet.model.volume."""
-        share = len(world_from_camera) // len(features)
-        views = _rotated(features, world_from_camera)  # (N, s, s, s, C), of a pixel all depths and channels
-        weight = self.fold.weight.unflatten(1, (-1, self.size)).transpose(1, 2).flatten(1, 2)  # (C s, s C, 1, 1)
-        x = F.relu(F.conv2d(views.flatten(3).movedim(-1, 1), weight, self.fold.bias), inplace=True)  # (N, C s, s, s)
-        for stage in self.paint:
-            x = stage(x, appearance.repeat_interleave(share, dim=0))  # (N, C, h, w)
-        return torch.sigmoid(self.last(x))
+    def render(self, features: Tensor, world_from_camera: Tensor) -> Tensor:
+        """Images (N, 4, S, S), RGB times mask and mask; N a multiple of the number of feature volumes (B, ...)."""
+        views = _rotated(features, world_from_camera)  # (N, s, s, s, C), depth third
+        x = self.seen(views.movedim(-1, 1))  # (N, c, s, s, s)
+        x = self.fold(x.movedim(1, -1).flatten(3).movedim(-1, 1))  # (N, s c, s, s), of a pixel all depths and channels
+        colour, mask = torch.sigmoid(self.last(self.paint(x))).float().split((3, 1), 1)
+        return torch.cat([colour * mask, mask], 1)  # (N, 4, S, S)
 
 
 def _rotated(features: Tensor, world_from_camera: Tensor) -> Tensor:

@@ -77,8 +77,7 @@ class ViewpointNetwork(nn.Module):
 class ViewNet(nn.Module):
     """The paper's f^v (`viewpoint`), f^a (`appearance`) and f^d (`decoder` and the volume renderer).
 
-    Images of objects are (N, 4, S, S): RGB times mask, and mask, in [0, 1]. The HoloGAN ablation has no mask: the
-    fourth channel of what it renders is 1 everywhere.
+    Images of objects are (N, 4, S, S): RGB times mask, and mask, in [0, 1].
     """
 
     prior: Tensor
@@ -134,6 +133,5 @@ class ViewNet(nn.Module):
         """
         size = self.config.render_size if size is None else size
         if isinstance(self.decoder, HoloGANDecoder):
-            image = self.decoder.render(volumes, code, world_from_camera).float()
-            return torch.cat([image, torch.ones_like(image[:, :1])], dim=1)  # (N, 4, S, S)
+            return self.decoder.render(volumes, world_from_camera)
         return volume.render(volumes, world_from_camera, self.focal, size, sparse=True)

@@ -38,8 +38,6 @@ COPY = "Appearance view"
 """The row of the appearance view itself, in the place of a rendered view."""
 HIGHEST = 100.0
 """dB: the PSNR of equal images."""
-BRIGHT = 0.1
-"""The brightness that separates object and background in images without a mask."""
 DRAWS = 1000
 
 
@@ -60,8 +58,6 @@ def fidelity(renderer: RunRenderer, copy: bool = False) -> pd.DataFrame:
         rendered = renderer.images(other) if copy else renderer.render(renderer.encode(other), frames[rows])
         parts.append(compare(rendered, renderer.images(rows)))
     scores = pd.concat([ids[["model_id", "view"]], pd.concat(parts, ignore_index=True)], axis=1)
-    if not copy and renderer.hologan:
-        scores["iou"] = np.nan
     if not copy and renderer.config.train.target == "mask":
         scores[["psnr", "ssim"]] = np.nan
     return scores
@@ -121,8 +117,6 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None, seed: i
 def _as_input(rendered: Tensor, renderer: RunRenderer, reader: RunRenderer) -> Tensor:
     """Rendered views (N, 4, S, S) as inputs (N, 3, s, s) of the reader's viewpoint network."""
     model = reader.network.config
-    if renderer.hologan:
-        rendered = torch.cat([rendered[:, :3], (rendered[:, :3].amax(1, keepdim=True) > BRIGHT).float()], 1)
     images = F.interpolate(rendered, (model.input_size, model.input_size), mode="bilinear")
     if model.crop != "none":
         images = tight_crop(images, model.input_size, model.crop == "stretched")

@@ -17,7 +17,7 @@ from viewnet.evaluation import metrics
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
-from viewnet.runtime.files import write_json, write_text
+from viewnet.runtime.files import replacing, write_json, write_text
 from viewnet.tables import columns, latex, reported
 from viewnet.tables.columns import DASH, HEADLINE, METRICS, text
 from viewnet.tables.layouts import LAYOUTS, Layout
@@ -76,7 +76,7 @@ class Table:
     name: str
     note: str  # the data and training behind the measured numbers, in a line
     cells: pd.DataFrame
-    provenance: dict[str, Any]
+    entries: tuple[Entry, ...]
     remarks: tuple[str, ...] = ()  # more lines below the table
     labels: dict[str, str] = field(default_factory=dict)  # label -> the layout's, for renamed rows
     added: tuple[str, ...] = ()  # rows of other methods, below the layout's
@@ -124,13 +124,18 @@ class Table:
                 line = {**about, "metric": metric, "printed": value, "bold": bold, **numbers}
                 lines.append(line | {"runs": " ".join(e.key for e in mine)})
         labels = {new: old for old, new in renamed.items()}
-        origins = {e.key: e.origin for e in given}
-        return cls(name, note, pd.DataFrame(lines), origins, tuple(remarks), labels, others)
+        return cls(name, note, pd.DataFrame(lines), tuple(given), tuple(remarks), labels, others)
 
     @property
     def layout(self) -> Layout:
         """The layout of the paper's table, with the added rows."""
         return LAYOUTS[self.name].extended(self.added)
+
+    @property
+    def provenance(self) -> dict[str, dict[str, Any]]:
+        """Key of an entry -> where it comes from, and how it is aligned."""
+        how = {e.key: {"seed": e.seed, "alignment": e.alignment, "calibration": e.calibration} for e in self.entries}
+        return {e.key: e.origin | how[e.key] for e in self.entries}
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -207,7 +212,11 @@ class Table:
         return (latex.blocks if self.layout.blocks else latex.side_by_side)(self.cells, self.layout, lines)
 
     def write(self, folder: Path) -> list[Path]:
-        """`<name>.tex`, `<name>.csv` (every cell, with interval) and `<name>.json` (where each number comes from)."""
+        """`<name>.tex`, `.csv` (every cell, with interval), `.json` (where each number comes from) and `.parquet`.
+
+        The last has the predictions behind the table, in single precision: viewnet.tables.kept_predictions makes the
+        table from it again.
+        """
         cells = self.cells.round(4)
         write_text(tex := folder / f"{self.name}.tex", self.latex())
         write_text(csv := folder / f"{self.name}.csv", cells.to_csv(index=False, lineterminator="\n"))
@@ -216,13 +225,28 @@ class Table:
             "title": self.layout.title,
             "measured on": self.note,
             **({"remarks": list(self.remarks)} if self.remarks else {}),
+            **({"renamed": self.labels} if self.labels else {}),
             "error": "geodesic angle between camera frames, degrees; accuracy: per cent strictly below 30",
             "interval": f"95 % percentile bootstrap over seeds and objects, {DRAWS} draws, of the mean over seeds",
         }
         plain = cells.assign(runs=cells["runs"].str.split()).astype(object).where(cells.notna(), None)
         entries = {"cells": plain.to_dict("records"), "runs": self.provenance}
         write_json(path := folder / f"{self.name}.json", about | entries)
-        return [tex, csv, path]
+        with replacing(parquet := folder / f"{self.name}.parquet") as temporary:
+            self._predictions().to_parquet(temporary, index=False, compression="zstd")
+        return [tex, csv, path, parquet]
+
+    def _predictions(self) -> pd.DataFrame:
+        """Those of every run, one below the other: its key in a column "run", then Predictions.to_frame."""
+        runs = {run_of(entry.key): entry.predictions for entry in self.entries}
+        frame = pd.concat([each.to_frame().assign(run=key) for key, each in runs.items()], ignore_index=True)
+        numbers = dict.fromkeys(frame.columns[frame.dtypes == "float64"], "float32")
+        return frame.astype(numbers | dict.fromkeys(("run", "category", "split", "model_id"), "category"))
+
+
+def run_of(key: str) -> str:
+    """The run of an entry's key, which may name an alignment, too."""
+    return key.partition("/")[0]
 
 
 def scores_by_definition(runs: Sequence[Run], table: str, row: str) -> pd.DataFrame:
