@@ -17,7 +17,7 @@ RUN := $(VENV)/bin/python -m
 PAGES := README.md $(wildcard docs/*.md)
 COG := $(RUN) cogapp -P -I docs -p "from measured import *" --verbosity=1
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 test test-fast lint format numbers docs lock clean
+.PHONY: help setup table2 replication test test-fast lint format numbers docs lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z0-9-]*\):.*## /\1\t/p' Makefile | expand -t 12
@@ -45,6 +45,17 @@ table2: setup ## Table 2 on built-in data, trained here where it is missing
 	@mkdir -p "$(dir $(OUTPUT))"
 	$(RUN) papermill notebooks/table2_ablation.ipynb "$(OUTPUT)" $(PARAMETERS)
 	@echo "the executed notebook: $(OUTPUT)"
+
+# Longest last, each from where it was stopped: make replication CATEGORIES=car
+CATEGORIES ?= all
+NOTEBOOK := $(VENV)/bin/viewnet notebook
+replication: setup ## every table's trainings at tiny: some twenty hours on two cores; stop it and start it again
+	$(NOTEBOOK) table2_ablation -p seeds 3 -p categories $(CATEGORIES)
+	$(NOTEBOOK) table1_shapenet -p seeds 3 -p categories $(CATEGORIES)
+	$(NOTEBOOK) recipe_ablation -p categories $(CATEGORIES)
+	$(NOTEBOOK) table2_ablation -p profile tiny_million -p categories car
+	$(NOTEBOOK) figure3_azimuth -p profile tiny_million -p categories car -p seeds 3
+	$(NOTEBOOK) figure3_azimuth -p profile tiny_million
 
 test: lint ## style, types, all tests and every notebook
 	$(RUN) pytest --nbval

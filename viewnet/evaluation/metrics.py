@@ -160,13 +160,41 @@ def mean_interval(
     if len(names) < 2 or any(np.isnan(v).any() for v in values):
         return None
     drawn = _resamples(len(names), len(values), np.random.default_rng(seed), draws)
-    times, weights = (np.stack(part).astype(np.float64) for part in zip(*drawn, strict=True))  # (draws, K), (draws, R)
+    times, shares = (np.stack(part).astype(np.float64) for part in zip(*drawn, strict=True))  # (draws, K), (draws, R)
+    low, high = np.percentile(_means(values, owners, times, shares), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def difference_interval(
+    first: Sequence[Floats], second: Sequence[Floats], objects: Sequence[NDArray[Any]], draws: int = 1000, seed: int = 0
+) -> tuple[float, float] | None:
+    """95 % interval of the mean of `first` minus that of `second`, which are runs of two rows: values (N,) of images.
+
+    A draw takes the same objects for both rows, since one object is hard for either, and runs of each by themselves.
+    `objects` has those of the runs of `first`, then of `second`. None with fewer than two objects.
+    """
+    names, owners = _owners(objects)
+    if len(names) < 2:
+        return None
+    rng = np.random.default_rng(seed)
+    drawn = _resamples(len(names), len(first), rng, draws)
+    times, shares = (np.stack(part).astype(np.float64) for part in zip(*drawn, strict=True))  # (draws, K), (draws, R)
+    others = np.stack([share for _, share in _resamples(1, len(second), rng, draws)])  # (draws, R')
+    ours = _means(first, owners[: len(first)], times, shares)  # (draws,)
+    low, high = np.percentile(ours - _means(second, owners[len(first) :], times, others), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _means(values: Sequence[Floats], owners: Sequence[NDArray[np.intp]], times: Floats, shares: Floats) -> Floats:
+    """Of each draw, (draws,), the mean over runs, by their `shares` (draws, R), of means of values (N,).
+
+    An image counts as often as its object is drawn: `times` (draws, K), `owners` (N,) for each run.
+    """
     means = []
     for value, owner in zip(values, owners, strict=True):
-        total, count = (np.bincount(owner, each, len(names)) for each in (value, np.ones(len(value))))  # (K,)
+        total, count = (np.bincount(owner, each, times.shape[1]) for each in (value, np.ones(len(value))))  # (K,)
         means.append((times @ total) / np.maximum(times @ count, 1))  # (draws,)
-    low, high = np.percentile((weights.T * means).sum(0), [2.5, 97.5])
-    return float(low), float(high)
+    return np.sum(shares.T * means, axis=0)  # (draws,)
 
 
 def _resamples(

@@ -16,6 +16,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.request import Request, accepted
 from viewnet.recipes import make_config
+from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry, Table, entries
 from viewnet.training.other_views import transferred
 from viewnet.training.run_store import ensure, untrained
@@ -75,7 +76,9 @@ class Experiment(Request):
             return transferred(run, build.view_store(self.eval_data(run.config))) if self.eval_root else run.predictions
 
         own = entries(self.name, runs, predictions)
-        return Table.of(self.name, own, self.categories, self.note, remarks, added=added)
+        rows = LAYOUTS[self.name].rows
+        unmeasured = [row.label for row in rows if row.variant and row.variant not in self.variants]
+        return Table.of(self.name, own, self.categories, self.note, remarks, unmeasured=unmeasured, added=added)
 
     def eval_data(self, config: RunConfig) -> DataConfig:
         """The views of `eval_root`, rendered as those of a run."""

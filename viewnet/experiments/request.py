@@ -46,13 +46,15 @@ class Design:
     categories: tuple[str, ...] = SHAPENET_CATEGORIES
     profile: str = "tiny"
     tables: tuple[str, ...] = ()
+    smoke: int | None = None  # so many variants only at the profile smoke
     fixed: dict[str, Any] = field(default_factory=dict)
 
     def usual(self, profile: str) -> dict[str, Any]:
         """Field of Request -> its value where no parameter says otherwise: no part of a folder's name."""
         values = {p.field or name: p.check(p.default, name) for name, p in PARAMETERS.items() if name not in _DESIGNED}
         recipe = (PROFILE_RECIPE if self.kind == "cad" else PHOTO_RECIPE)[profile]
-        designed = {"profile": self.profile, "recipe": recipe, "categories": self.categories, "variants": self.variants}
+        variants = self.variants[: self.smoke] if profile == "smoke" else self.variants
+        designed = {"profile": self.profile, "recipe": recipe, "categories": self.categories, "variants": variants}
         return values | designed | self.fixed
 
 
@@ -66,6 +68,7 @@ _METHOD_VARIANTS = tuple(dict.fromkeys(v for table in _METHOD_TABLES for v in LA
 
 DESIGNS = {
     **{name: Design(t.variants, _TABLE_KINDS.get(name, "cad"), t.categories) for name, t in LAYOUTS.items()},
+    "recipe_ablation": Design(LAYOUTS["recipe_ablation"].variants, smoke=2),
     "objectron": Design(("viewnet",), "objectron", LAYOUTS["objectron"].categories, fixed={"start": SHAPENET}),
     "alignment_study": Design(LAYOUTS["table3_pascal3d"].variants, "photos"),
     "figure3_azimuth": Design(("viewnet",)),

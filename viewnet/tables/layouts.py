@@ -5,10 +5,13 @@ from dataclasses import dataclass, field, replace
 
 from viewnet.config import SHAPENET_CATEGORIES
 from viewnet.errors import ViewnetError
+from viewnet.recipes import ABLATIONS
 from viewnet.tables.columns import HEADLINE
 
 ADDED = "method"
 """The variant of rows for the user's own methods (viewnet.experiments.own_method)."""
+NOWHERE = "nowhere"
+"""The file of reported numbers of a table that is not in the paper."""
 MARKS = {None: "", "linear": "*", "robust": " (robust)"}
 """Alignment of a row -> what its label ends with, as in the paper."""
 
@@ -85,6 +88,12 @@ LAYOUTS = {
             Row("Constant", "constant"),
             Row("Best constant", "best_constant"),  # not in the paper, whose constant points to the sky
         ),
+    ),
+    "recipe_ablation": Layout(
+        "What each setting of the recipe matting brings",
+        (Row("ViewNet", "viewnet"),
+         *(Row(f"without {name.replace('_', ' ')}", f"without_{name}") for name in ABLATIONS)),
+        reported=NOWHERE,
     ),
     "table3_pascal3d": Layout(
         "PASCAL3D+ results",

@@ -30,6 +30,11 @@ def load(table: str) -> pd.DataFrame:
     return frame.assign(bold=frame["bold"] == "1")
 
 
+def none() -> pd.DataFrame:
+    """As `load`, of a table that is not in the paper."""
+    return pd.DataFrame(columns=COLUMNS)
+
+
 def architecture(part: str) -> pd.DataFrame:
     """The supplement's table of the "encoder" or the "generator", a line a layer. ViewnetError for a missing column."""
     known(part, ("encoder", "generator"), "part")

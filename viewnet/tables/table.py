@@ -20,7 +20,7 @@ from viewnet.evaluation.run import Run
 from viewnet.runtime.files import replacing, write_json, write_text
 from viewnet.tables import columns, latex, reported
 from viewnet.tables.columns import DASH, HEADLINE, METRICS, text
-from viewnet.tables.layouts import LAYOUTS, Layout
+from viewnet.tables.layouts import LAYOUTS, NOWHERE, Layout
 
 DRAWS = 1000
 ORIGIN = ("variant", "category", "profile", "recipe", "seed", "views", "git", "training")
@@ -106,7 +106,7 @@ class Table:
         for entry in given:
             known(entry.row, (row.label for row in layout.rows if row.variant), f"row of {name}")
             known(entry.category, categories, f"column of {name}")
-        printed = reported.load(layout.reported or name)
+        printed = reported.load(layout.reported or name) if layout.reported != NOWHERE else reported.none()
         paper = {(r.row, r.metric, r.category): (r.value, bool(r.bold)) for r in printed.itertuples()}
         lines: list[dict[str, Any]] = []
         for row, category in itertools.product(layout.rows, categories):
@@ -163,14 +163,32 @@ class Table:
         wide = wide.reorder_levels([1, 2, 0], axis=1).loc[list(self.rows), order]
         return wide.rename_axis(index=None, columns=[None] * 3)
 
+    def interval(self, row: str, reference: str, category: str) -> tuple[float, float] | None:
+        """95 % interval of Acc@30 of a row minus that of another, over seeds and objects; None where one is missing."""
+        rows = [[e for e in self.entries if (e.row, e.category) == (name, category)] for name in (row, reference)]
+        if not all(rows):
+            return None
+        aligned = [[align(e.predictions, e.alignment, e.calibration) for e in entries] for entries in rows]
+        hits = [[100.0 * (one.selected_errors < 30) for one in entries] for entries in aligned]
+        objects = [one.predictions.objects for entries in aligned for one in entries]
+        return metrics.difference_interval(hits[0], hits[1], objects)
+
     def differences(self, reference: str = "ViewNet") -> pd.DataFrame:
-        """Accuracy of each row minus that of `reference`, in points: "print" and "ours" by category, NaN for none."""
+        """Accuracy of each row minus that of `reference`, in points: "print", "ours" and its interval by category.
+
+        An interval that includes 0 is no difference measured.
+        """
         cells = self.cells[self.cells["metric"] == self.layout.metrics[0]]
         values = cells.assign(print=pd.to_numeric(cells["printed"]), ours=cells["measured"].astype(float))
         wide = values.pivot(index="row", columns="category", values=["print", "ours"]).swaplevel(axis=1)
         rows = [row for row in self.rows if row in wide.index]
         wide = wide.loc[rows, list(itertools.product(self.categories, ("print", "ours")))]
-        return (wide - wide.loc[reference]).drop(index=reference).round(1).rename_axis(index=None, columns=[None] * 2)
+        found = (wide - wide.loc[reference]).drop(index=reference).round(1).rename_axis(index=None, columns=[None] * 2)
+        for number, category in enumerate(self.categories, 1):
+            bounds = [self.interval(row, reference, category) for row in found.index]
+            texts = [DASH if bound is None else f"[{bound[0]:.1f}, {bound[1]:.1f}]" for bound in bounds]
+            found.insert(3 * number - 1, (category, "95 %"), texts)
+        return found
 
     def measurements(self) -> pd.DataFrame:
         """The measured numbers in full: a line per measured (row, category), with intervals, seeds and counts."""
@@ -186,7 +204,7 @@ class Table:
     def checks(self) -> dict[str, bool]:
         """Properties that hold for every table, whatever was trained and for how long."""
         cells, layout = self.cells, self.layout
-        paper = reported.load(layout.reported or self.name)["row"]
+        paper = () if layout.reported == NOWHERE else reported.load(layout.reported or self.name)["row"]
         rows = [self.labels.get(row, row) for row in self.rows]
         measured = cells[cells["seeds"] > 0]
 
