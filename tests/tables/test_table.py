@@ -19,7 +19,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.evaluate import align
 from viewnet.recipes import make_config
-from viewnet.tables import reported
+from viewnet.tables import kept_predictions, reported
 from viewnet.tables.columns import DASH
 from viewnet.tables.latex import escape
 from viewnet.tables.layouts import LAYOUTS
@@ -175,7 +175,7 @@ def test_the_best_measured_value_of_a_column_is_bold_and_alone_values_are_not(ta
 
 def test_files_are_written_whole_and_name_what_is_behind_each_cell(table, runs, tmp_path):
     files = table.write(tmp_path / "smoke")
-    assert [f.name for f in files] == ["table2_ablation.tex", "table2_ablation.csv", "table2_ablation.json"]
+    assert [f.name for f in files] == [f"table2_ablation.{kind}" for kind in ("tex", "csv", "json", "parquet")]
     assert sorted(p.name for p in (tmp_path / "smoke").iterdir()) == sorted(f.name for f in files)
     frame = pd.read_csv(files[1])
     assert len(frame) == 8 * 3 * 2
@@ -282,3 +282,19 @@ def test_unreadable_prints_are_named(tmp_path, monkeypatch):
     (tmp_path / "paper_tables" / "published" / "table1_shapenet.csv").write_text("row,value\nMVC,1\n")
     with pytest.raises(ViewnetError, match=r"columns are row, value, expected row, metric"):
         reported.load("table1_shapenet")
+
+
+def test_a_table_is_made_again_from_the_predictions_beside_it(table, tmp_path):
+    path = next(path for path in table.write(tmp_path) if path.suffix == ".json")
+    assert kept_predictions.differences(path).empty
+    again = kept_predictions.remade(path)
+    assert (again.name, again.note, again.rows) == (table.name, table.note, table.rows)
+    about = json.loads(path.read_text())
+    changed = next(each for each in about["cells"] if each["measured"] is not None)
+    changed["measured"] += 1
+    path.write_text(json.dumps(about))
+    (line,) = kept_predictions.differences(path).to_dict("records")
+    assert (line["row"], line["what"]) == (changed["row"], "measured")
+    path.with_suffix(".parquet").unlink()
+    with pytest.raises(ViewnetError, match=r"table2_ablation\.parquet: no such file"):
+        kept_predictions.remade(path)
