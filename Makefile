@@ -53,9 +53,8 @@ replication: setup ## every table's trainings at tiny: some twenty hours on two 
 	$(NOTEBOOK) table2_ablation -p seeds 3 -p categories $(CATEGORIES)
 	$(NOTEBOOK) table1_shapenet -p seeds 3 -p categories $(CATEGORIES)
 	$(NOTEBOOK) recipe_ablation -p categories $(CATEGORIES)
-	$(NOTEBOOK) table2_ablation -p profile tiny_million -p categories car
-	$(NOTEBOOK) figure3_azimuth -p profile tiny_million -p categories car -p seeds 3
-	$(NOTEBOOK) figure3_azimuth -p profile tiny_million
+	$(NOTEBOOK) table2_ablation -p recipe paper -p categories car
+	$(NOTEBOOK) table1_shapenet -p recipe paper -p variant viewnet -p seeds 3
 
 test: lint ## style, types, all tests and every notebook
 	$(RUN) pytest --nbval

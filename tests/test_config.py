@@ -145,7 +145,7 @@ def test_synsets_are_text_with_all_their_digits():
     [
         ({"variant": "viewnt"}, "unknown variant 'viewnt': choose one of viewnet, viewnet_cycle"),
         ({"category": "02958343"}, "unknown category '02958343': choose one of aeroplane"),
-        ({"profile": "big"}, "unknown profile 'big': choose one of smoke, tiny, pocket, tiny_million, small, paper"),
+        ({"profile": "big"}, "unknown profile 'big': choose one of smoke, tiny, pocket, small, paper"),
         ({"recipe": "secret"}, "unknown recipe 'secret': choose one of paper, matting"),
         ({"seed": -1}, "seed -1: expected a whole number"),
         ({"seed": 1.5}, "seed 1.5: expected a whole number"),

@@ -10,14 +10,7 @@ from viewnet.experiments.parameters import PARAMETERS, SHAPENET
 from viewnet.recipes import PROFILE_RECIPE, VARIANTS
 from viewnet.tables.layouts import LAYOUTS
 
-PHOTO_RECIPE = {
-    "smoke": "photos",
-    "tiny": "photos",
-    "tiny_million": "photos",
-    "pocket": "photos",
-    "small": "photos",
-    "paper": "paper_photos",
-}
+PHOTO_RECIPE = {"smoke": "photos", "tiny": "photos", "pocket": "photos", "small": "photos", "paper": "paper_photos"}
 """The recipe of a profile where photographs are scored: backgrounds in training, ten views a model."""
 
 _ALL = ("profile", "seeds", "data_root", "output", "workers")
