@@ -32,7 +32,7 @@ from viewnet.experiments.own_method import (
 )
 from viewnet.experiments.request import accepted
 from viewnet.tables.columns import DASH
-from viewnet.tables.table import Entry, Table
+from viewnet.tables.table import Entry, Table, named
 from viewnet.training.other_views import on_photographs
 from viewnet.training.run_store import ensure
 
@@ -154,7 +154,7 @@ def test_the_same_predictions_score_the_same_as_ours_to_the_last_bit(photographs
     table = with_methods(request, runs, [Submission(f"By file, {kind}", file, kind) for kind in kinds.values()])
     for row, kind in kinds.items():
         for metric in ("acc30", "median"):
-            mine, theirs = (cell_of(table, r, "car", metric) for r in (f"By file, {kind}", row))
+            mine, theirs = (cell_of(table, r, "car", metric) for r in (f"By file, {kind}", named(row, "photos")))
             assert [mine[s] for s in SCORES] == [theirs[s] for s in SCORES]
     assert table.rows[-3:] == tuple(f"By file, {kind}" for kind in kinds.values())
     assert all(table.checks().values()), table.checks()
@@ -171,7 +171,7 @@ def test_table_1_scores_views_of_cad_models(drawn, tmp_path):
     mine = [Submission("Straight", Says(straight), "none"), Submission("By file", tmp_path / "said.parquet")]
     table = with_methods(request, runs, mine)
     for metric in ("acc30", "median"):
-        scores = [[cell_of(table, row, "car", metric)[s] for s in SCORES] for row in ("ViewNet", "By file")]
+        scores = [[cell_of(table, row, "car", metric)[s] for s in SCORES] for row in ("ViewNet (matting)", "By file")]
         assert scores[0] == scores[1]
     ids = held_out(request, "car").ids
     expected = np.median(
@@ -188,7 +188,7 @@ def test_another_collection_is_scored_as_a_whole(drawn, tmp_path):
     assert images.ids["split"].value_counts().to_dict() == {"test": 120, "val": 32}
     assert images.ids.loc[images.ids["split"] == "test", "model_id"].str.startswith("other-").all()
     table = with_methods(request, runs, [Submission("Straight", Says(straight))])
-    assert [cell_of(table, row, "car", "acc30")["images"] for row in ("Straight", "ViewNet")] == [120, 120]
+    assert [cell_of(table, row, "car", "acc30")["images"] for row in ("Straight", "ViewNet (matting)")] == [120, 120]
 
 
 def test_a_method_without_labels_is_aligned(photographs):

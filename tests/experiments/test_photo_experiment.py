@@ -14,8 +14,9 @@ from viewnet.evaluation.evaluate import align
 from viewnet.experiments import experiment
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.experiments.request import PHOTO_RECIPE, accepted
-from viewnet.recipes import PROFILES, RECIPES
+from viewnet.recipes import PROFILES, RECIPES, VARIANTS
 from viewnet.tables.layouts import LAYOUTS
+from viewnet.tables.table import named
 from viewnet.training.other_views import on_photographs
 from viewnet.training.run_store import ensure
 
@@ -198,19 +199,19 @@ def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path
     runs = run(request)
     table = request.table(runs)
     assert all(table.checks().values()), table.checks()
-    rows = [row.label for row in LAYOUTS["table3_pascal3d"].rows if row.variant]
+    rows = [named(r.label, "photos" * (r.variant in VARIANTS)) for r in LAYOUTS["table3_pascal3d"].rows if r.variant]
     measured = table.cells[table.cells["seeds"] > 0]
     assert set(measured["row"]) == {*rows, "VGG view* (pixels)"} - {"VGG view*"}
     store = request.stores()["car"]
     car = next(r for r in runs if (r.config.variant, r.config.category) == ("viewnet", "car"))
     said = on_photographs(car, store)
-    for row, kind in (("ViewNet", "procrustes"), ("ViewNet*", "linear")):
+    for row, kind in (("ViewNet (photos)", "procrustes"), ("ViewNet* (photos)", "linear")):
         errors = align(said, kind, 30).selected_errors
         assert cell_of(table, row, "car", "median")["measured"] == pytest.approx(np.median(errors))
     keys = {row: cell_of(table, row, "car", "median")["runs"] for row in table.rows}
-    assert keys["ViewNet"] == car.key and keys["ViewNet*"] == f"{car.key}/linear"
-    assert table.provenance[keys["ViewNet*"]]["alignment"] == "linear"
-    assert table.provenance[keys["ViewNet*"]]["photographs"] == store.identity
+    assert keys["ViewNet (photos)"] == car.key and keys["ViewNet* (photos)"] == f"{car.key}/linear"
+    assert table.provenance[keys["ViewNet* (photos)"]]["alignment"] == "linear"
+    assert table.provenance[keys["ViewNet* (photos)"]]["photographs"] == store.identity
     regression = table.provenance[keys["VGG view* (pixels)"]]
     assert (regression["backbone"], regression["ridge"], regression["calibration"]) == ("pixels", 1000, 30)
     # Reported numbers stay with their rows, whatever the rows are called.
@@ -239,8 +240,9 @@ def test_the_dva_table_tells_the_confidence_index_of_the_photographs(photographs
     assert frame.loc["Confidence index", ("dva", "car", "ours")] == f"{cell['measured']:.2f}"
     found = align(on_photographs(run(request)[0], store), "linear")
     expected = dva(found.selected_errors, test["azimuth"].to_numpy())
-    assert cell_of(table, "ViewNet*", "car", "dva")["measured"] == pytest.approx(expected)
-    assert cell_of(table, "ViewNet*", "car", "dva")["low"] < expected < cell_of(table, "ViewNet*", "car", "dva")["high"]
+    starred = cell_of(table, "ViewNet* (photos)", "car", "dva")
+    assert starred["measured"] == pytest.approx(expected)
+    assert starred["low"] < expected < starred["high"]
     assert list(table.measurements().columns) == ["DVA, % [95 %]", "seeds", "objects", "images"]
     assert "Confidence index" not in table.differences().index
 

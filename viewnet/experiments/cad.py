@@ -35,15 +35,19 @@ class Experiment(Request):
 
     @property
     def configs(self) -> list[RunConfig]:
-        """One configuration a run: by variant, category and seed; untrained variants once a category."""
-        runs = product(self.variants, self.categories, self.seeds)
-        return list(dict.fromkeys(self._config(*run) for run in runs))
+        """One configuration a run: by recipe, variant, category and seed; untrained variants once a category."""
+        runs = product(self.recipes, product(self.variants, self.categories, self.seeds))
+        return list(dict.fromkeys(self._config(*run, recipe=recipe) for recipe, run in runs))
 
-    def _config(self, variant: str, category: str, seed: int, **overrides: Any) -> RunConfig:
-        """A run on CAD models."""
-        trained = "viewnet" if variant in UNTRAINED else variant
+    def _config(
+        self, variant: str, category: str, seed: int, *, recipe: str | None = None, **overrides: Any
+    ) -> RunConfig:
+        """A run on CAD models, of the first recipe unless another is named."""
+        trained, recipe = variant, recipe or self.recipe
+        if variant in UNTRAINED:
+            trained, recipe = "viewnet", self.recipe
         place = (self.cad_collection, self.splits)
-        config = make_config(trained, category, self.profile, self.recipe, seed, *place, **overrides)
+        config = make_config(trained, category, self.profile, recipe, seed, *place, **overrides)
         return untrained(variant, config) if variant in UNTRAINED else config
 
     @property
@@ -58,9 +62,10 @@ class Experiment(Request):
 
     @property
     def settings(self) -> str:
-        """Profile, recipe and number of seeds, in words."""
+        """Profile, recipes and number of seeds, in words."""
         seeds = "1 seed" if len(self.seeds) == 1 else f"mean of {len(self.seeds)} seeds"
-        return f"profile {self.profile}, recipe {self.recipe}, {seeds}"
+        recipes = f"recipe{'s' if len(self.recipes) > 1 else ''} {' and '.join(self.recipes)}"
+        return f"profile {self.profile}, {recipes}, {seeds}"
 
     def run(self, progress: bool = True) -> list[Run]:
         """Every run of the experiment; missing ones are trained first (viewnet.training.run_store.ensure)."""

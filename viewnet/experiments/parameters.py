@@ -79,6 +79,12 @@ def _categories(value: Any, what: str) -> tuple[str, ...]:
     return names
 
 
+def _recipes(value: Any, what: str) -> tuple[str, ...]:
+    if not isinstance(value, str):
+        raise ViewnetError(f"{what} {value!r}: expected a name such as paper, or several: paper,matting")
+    return tuple(dict.fromkeys(known(name.strip(), RECIPES, what) for name in value.split(",")))
+
+
 def _seeds(value: Any, what: str) -> tuple[int, ...]:
     """Seeds from a count, a list, or text of either."""
     problem = ViewnetError(f"{what} {value!r}: expected how many (3) or which (0,2), whole numbers of 0 or more")
@@ -135,7 +141,9 @@ def _folder(name: str, help: str) -> Parameter:
 # fmt: off
 PARAMETERS: dict[str, Parameter] = {
     "profile": _one_of("default", PROFILES, "smoke, tiny, small or paper; default: $VIEWNET_PROFILE or the notebook's"),
-    "recipe": _one_of("default", RECIPES, "how models are trained (viewnet.recipes); default: the profile's"),
+    "recipe": Parameter("default", _recipes,
+                        "how models are trained (viewnet.recipes), one or more: paper,matting; default: the profile's",
+                        "{}", "-".join, "recipes"),
     "variant": _one_name("", (*VARIANTS, *baselines.UNTRAINED), "the row of a figure; empty: the notebook's",
                          "variants", "{0[0]}"),
     "categories": Parameter("all", _categories,

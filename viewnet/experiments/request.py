@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from viewnet.config import SHAPENET_CATEGORIES, known
+from viewnet.errors import ViewnetError
 from viewnet.experiments.parameters import PARAMETERS, SHAPENET
 from viewnet.recipes import PROFILE_RECIPE, VARIANTS
 from viewnet.tables.layouts import LAYOUTS
@@ -47,7 +48,7 @@ class Design:
         values = {p.field or name: p.check(p.default, name) for name, p in PARAMETERS.items() if name not in _DESIGNED}
         recipe = (PROFILE_RECIPE if self.kind == "cad" else PHOTO_RECIPE)[profile]
         variants = self.variants[: self.smoke] if profile == "smoke" else self.variants
-        designed = {"profile": self.profile, "recipe": recipe, "categories": self.categories, "variants": variants}
+        designed = {"profile": self.profile, "recipes": (recipe,), "categories": self.categories, "variants": variants}
         return values | designed | self.fixed
 
 
@@ -88,7 +89,7 @@ class Request:
 
     name: str
     profile: str
-    recipe: str
+    recipes: tuple[str, ...]
     variants: tuple[str, ...]
     categories: tuple[str, ...]
     seeds: tuple[int, ...]
@@ -144,7 +145,15 @@ class Request:
         # The profile stands first wherever there is anything, except for a list of viewpoints, which has none.
         if parts not in ([], ["viewpoints"]) and parts[0] != values["profile"]:
             parts = [values["profile"], *parts]
-        return cls(name=name, **(usual | values), label="-".join(parts))
+        request = cls(name=name, **(usual | values), label="-".join(parts))
+        if len(request.recipes) > 1 and design.kind != "cad":
+            raise ViewnetError(f"recipe {','.join(request.recipes)}: {name} takes one")
+        return request
+
+    @property
+    def recipe(self) -> str:
+        """The recipe, the first of several."""
+        return self.recipes[0]
 
     @property
     def smoke(self) -> bool:

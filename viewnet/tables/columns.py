@@ -50,16 +50,17 @@ NOVEL_VIEWS = tuple(METRICS)[4:]
 """The metrics of novel views (viewnet.tables.novel_view_scores)."""
 
 
-def text(value: float, metric: str) -> str:
-    """A number with the digits that the paper has, -- for NaN."""
-    return DASH if math.isnan(value) else f"{value:.{METRICS[metric].digits}f}"
+def text(value: float, metric: str, degenerate: float = 0) -> str:
+    """A number with the digits that the paper has, -- for NaN; in brackets where alignments are `degenerate`."""
+    number = DASH if math.isnan(value) else f"{value:.{METRICS[metric].digits}f}"
+    return f"({number})" if degenerate else number
 
 
 Key = tuple[str, str, str]
 """Row, category and metric of a cell."""
 UNMEASURED: dict[str, Any] = {
     **dict.fromkeys(("measured", "sd", "low", "high"), math.nan),
-    **dict.fromkeys(("seeds", "images", "objects"), 0),
+    **dict.fromkeys(("seeds", "images", "objects", "degenerate"), 0),
 }
 
 
@@ -72,13 +73,18 @@ def measured(
     """
     spread = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
     numbers = (float(np.mean(values)), spread, *(interval or (math.nan, math.nan)))
-    return dict(zip(UNMEASURED, (*numbers, len(objects), len(objects[0]), len(set(objects[0]))), strict=True))
+    return dict(zip(UNMEASURED, (*numbers, len(objects), len(objects[0]), len(set(objects[0])), 0), strict=True))
 
 
 def best(cells: pd.DataFrame, digits: Callable[[str], int]) -> set[Key]:
-    """The best measured cells of each column when rounded to `digits`, ties included; none in a column of one."""
+    """The best measured cells of each column when rounded to `digits`, ties included; none in a column of one.
+
+    Those of degenerate alignments are not among them.
+    """
     keys: set[Key] = set()
-    for (category, metric), column in cells.dropna(subset="measured").groupby(["category", "metric"]):
+    scores = cells.dropna(subset="measured")
+    scores = scores[scores["degenerate"] == 0]
+    for (category, metric), column in scores.groupby(["category", "metric"]):
         rounded = column["measured"].astype(float).round(digits(metric))
         if len(rounded) > 1:
             top = rounded.min() if metric.endswith("median") else rounded.max()  # medians are of errors

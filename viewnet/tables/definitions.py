@@ -6,6 +6,7 @@ that most predictions agree on.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from viewnet.evaluation import metrics
 from viewnet.evaluation.alignment import Procrustes
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Floats
+from viewnet.runtime.files import write_text
 from viewnet.tables.table import Table
 
 
@@ -35,22 +37,27 @@ DEFINITIONS = {
 
 
 def by_definition(table: Table) -> pd.DataFrame:
-    """A line for each row and category of learned viewpoints: means over seeds.
+    """A line for each row and category whose predictions are aligned by Procrustes: means over seeds.
 
-    acc30 and median by each of DEFINITIONS, and `spread`, that of Procrustes (viewnet.evaluation.alignment), below
-    which, at a quarter, its rotation is hardly determined: `degenerate` says of how many seeds.
+    acc30 and median by each of DEFINITIONS; `spread`, that of Procrustes (viewnet.evaluation.alignment), below a
+    quarter of which its rotation is hardly determined; `degenerate`, of how many of the `seeds` that is so.
     """
-    lines: dict[tuple[str, str], list[dict[str, float]]] = {}
+    lines = []
     for entry in (entry for entry in table.entries if entry.alignment == "procrustes"):
-        values: dict[str, float] = {}
+        line: dict[str, object] = {"row": table.label(entry), "category": entry.category}
         for name, definition in DEFINITIONS.items():
             aligned = align(entry.predictions, definition.alignment, entry.calibration)
             errors = definition.error(aligned.selected_errors)
-            values |= {f"{name}_acc30": metrics.accuracy(errors, 30), f"{name}_median": metrics.median(errors)}
+            line |= {f"{name}_acc30": metrics.accuracy(errors, 30), f"{name}_median": metrics.median(errors)}
             if name == "geodesic" and isinstance(aligned.alignment, Procrustes):
-                values |= {"spread": aligned.alignment.spread, "degenerate": float(aligned.alignment.degenerate)}
-        lines.setdefault((entry.row, entry.category), []).append(values)
-    found = {key: pd.DataFrame(seeds).mean() | {} for key, seeds in lines.items()}
-    frame = pd.DataFrame(found).T.rename_axis(index=["row", "category"])
-    frame["degenerate"] *= [len(seeds) for seeds in lines.values()]
-    return frame.assign(seeds=[len(seeds) for seeds in lines.values()])
+                line |= {"spread": aligned.alignment.spread, "degenerate": int(aligned.alignment.degenerate)}
+        lines.append(line)
+    seeds = pd.DataFrame(lines).groupby(["row", "category"], sort=False)
+    return seeds.mean().round(4).assign(degenerate=seeds["degenerate"].sum(), seeds=seeds.size())
+
+
+def write(table: Table, folder: Path) -> Path:
+    """`<name>_definitions.csv` of `by_definition`."""
+    path = folder / f"{table.name}_definitions.csv"
+    write_text(path, by_definition(table).to_csv(lineterminator="\n"))
+    return path

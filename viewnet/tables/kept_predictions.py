@@ -15,7 +15,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Predictions, read_parquet
 from viewnet.runtime.files import read_json
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.table import Entry, Table, run_of
+from viewnet.tables.table import Entry, Table, run_of, unnamed
 
 NUMBERS = ("measured", "sd", "low", "high")
 """The columns of a table's cells that predictions decide."""
@@ -61,11 +61,12 @@ def _table(about: dict[str, Any], runs: Mapping[str, Predictions]) -> Table:
     """The table of a table's JSON from predictions by run."""
     cells = pd.DataFrame(about["cells"])
     labels, layout = about.get("renamed", {}), LAYOUTS[about["table"]]  # of renamed rows the layout's
-    own, added = [], []
-    for (row, category), group in cells.groupby(["row", "category"], sort=False):
+    own: list[Entry] = []
+    added: list[Entry] = []
+    for (row, recipe, category), group in cells.groupby(["row", "recipe", "category"], sort=False):
+        label = labels.get(unnamed(row, recipe), unnamed(row, recipe))
         for key in group["runs"].iloc[0]:
             origin = about["runs"][key]
-            label = labels.get(row, row)
             entry = Entry(label, category, origin["seed"], origin["alignment"], key, runs[run_of(key)], origin,
                           origin["calibration"])  # fmt: skip
             (own if label in {each.label for each in layout.rows} else added).append(entry)

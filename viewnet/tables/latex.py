@@ -120,7 +120,10 @@ def _pairs(cells: pd.DataFrame) -> dict[Key, tuple[str, str]]:
     """(row, category, metric) -> reported and measured number, the best of each in bold."""
     top = best(cells, lambda metric: METRICS[metric].digits)
     return {
-        key: (_bold(cell["printed"] or DASH, cell["bold"]), _bold(text(cell["measured"], key[2]), key in top))
+        key: (
+            _bold(cell["printed"] or DASH, cell["bold"]),
+            _bold(text(cell["measured"], key[2], cell["degenerate"]), key in top),
+        )
         for key, cell in by_key(cells).items()
     }
 

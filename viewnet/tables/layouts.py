@@ -85,8 +85,9 @@ LAYOUTS = {
             Row("ViewNet", "viewnet"), Row("Single-head", "single_head"),
             Row("Segmentation Target", "segmentation_target"), Row("No Shape Prior", "no_shape_prior"),
             Row("Encoder-Decoder", "encoder_decoder"), Row("HoloGAN-Decoder", "hologan_decoder"),
-            Row("Constant", "constant"),
-            Row("Best constant", "best_constant"),  # not in the paper, whose constant points to the sky
+            Row("Constant", "best_constant"),
+            Row("Constant, as printed", "constant"),  # the mean of view vectors, which points to the sky
+            Row("Random", "random"),  # not in the paper
         ),
     ),
     "recipe_ablation": Layout(

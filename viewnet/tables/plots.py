@@ -11,6 +11,7 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import EngFormatter
 
 from viewnet import geometry
 from viewnet.errors import ViewnetError
@@ -69,10 +70,10 @@ def azimuth_scatter(runs: Sequence[Run]) -> Figure:
 
 @matplotlib.rc_context(STYLE)
 def training_curves(runs: Sequence[Run]) -> Figure:
-    """Validation accuracy and error, the loss and each of its terms over epochs: a colour a variant, a dash a category.
+    """Validation accuracy and error, the loss and each of its terms over the target images seen.
 
-    Terms are weighted, so they sum to the loss. Seeds look alike. Raises ViewnetError without runs, and for a run that
-    has not been validated yet.
+    A colour a variant and recipe, a dash a category. Terms are weighted, so they sum to the loss. Seeds look alike.
+    Raises ViewnetError without runs, and for a run that has not been validated yet.
     """
     if not runs:
         raise ViewnetError("training curves: no runs to show: train some first")
@@ -83,7 +84,10 @@ def training_curves(runs: Sequence[Run]) -> Figure:
     columns = dict.fromkeys(column for _, log in logs for column in log.columns if column not in COUNTED)
     titles = {column: title for column, title in LOGGED.items() if column in columns}
     titles |= {term: f"loss: {term}" for term in columns if term not in LOGGED}
-    colours = dict(zip(dict.fromkeys(run.config.variant for run in runs), itertools.cycle(COLOURS), strict=False))
+    recipes = len({run.config.recipe for run in runs}) > 1
+    names = {run.key: LABELS.get(run.config.variant, run.config.variant) for run in runs}
+    names = {run.key: f"{names[run.key]} ({run.config.recipe})" if recipes else names[run.key] for run in runs}
+    colours = dict(zip(dict.fromkeys(names.values()), itertools.cycle(COLOURS), strict=False))
     dashes = dict(zip(dict.fromkeys(run.config.category for run in runs), itertools.cycle(DASHES), strict=False))
     across = min(4, len(titles))
     down = -(-len(titles) // across)
@@ -92,16 +96,21 @@ def training_curves(runs: Sequence[Run]) -> Figure:
     for axes, (column, title) in zip(grid, titles.items(), strict=False):
         for run, log in logs:
             if column in log:
-                style: Any = {"color": colours[run.config.variant], "linestyle": dashes[run.config.category]}
-                axes.plot(log["epoch"], log[column], linewidth=1, marker="o", markersize=2, **style)
+                style: Any = {"color": colours[names[run.key]], "linestyle": dashes[run.config.category]}
+                targets = log["step"] * run.config.train.batch_size
+                axes.plot(targets, log[column], linewidth=1, marker="o", markersize=2, **style)
         axes.set_title(title, fontsize=8)
         axes.set_ylim(0, 100 if column in ("val_accuracy", "val_folded") else None)
-        axes.set_xlim(left=0)
+        if recipes:
+            axes.set_xscale("log")
+        else:
+            axes.set_xlim(left=0)
+            axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     for axes in grid[len(titles) :]:
         axes.remove()
     for axes in grid[max(0, len(titles) - across) : len(titles)]:
-        axes.set_xlabel("epoch")
-    handles = [Line2D([], [], color=c, linewidth=1, label=LABELS.get(name, name)) for name, c in colours.items()]
+        axes.set_xlabel("target images")
+    handles = [Line2D([], [], color=c, linewidth=1, label=name) for name, c in colours.items()]
     if len(dashes) > 1:
         handles += [Line2D([], [], color="0.3", linestyle=d, linewidth=1, label=name) for name, d in dashes.items()]
     figure.legend(handles=handles, **LEGEND)

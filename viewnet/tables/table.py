@@ -14,15 +14,18 @@ import pandas as pd
 from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
+from viewnet.evaluation.alignment import Procrustes
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
+from viewnet.recipes import VARIANTS
 from viewnet.runtime.files import replacing, write_json, write_text
 from viewnet.tables import columns, latex, reported
 from viewnet.tables.columns import DASH, HEADLINE, METRICS, text
 from viewnet.tables.layouts import LAYOUTS, NOWHERE, Layout
 
 DRAWS = 1000
+DEGENERATE = "in brackets: of some seed the predictions have too little spread for an alignment, so this is no score"
 ORIGIN = ("variant", "category", "profile", "recipe", "seed", "views", "git", "training")
 """The keys of a run's result.json that a table's JSON repeats."""
 own_predictions: Callable[[Run], Predictions] = operator.attrgetter("predictions")
@@ -41,6 +44,34 @@ class Entry:
     predictions: Predictions
     origin: dict[str, Any]  # where it comes from, as plain JSON types
     calibration: int | None = None  # the number of "val" images to align on; None: all
+
+    @property
+    def recipe(self) -> str:
+        """How a trained predictor was trained; "" for others."""
+        return self.origin.get("recipe", "") if self.origin.get("variant") in VARIANTS else ""
+
+
+def named(label: str, recipe: str) -> str:
+    """The label of a row that says how its predictor was trained.
+
+    >>> named("ViewNet", "paper"), named("ViewNet (robust)", "photos"), named("Constant", "")
+    ('ViewNet (paper)', 'ViewNet (robust, photos)', 'Constant')
+    """
+    if not recipe:
+        return label
+    return f"{label[:-1]}, {recipe})" if label.endswith(")") else f"{label} ({recipe})"
+
+
+def unnamed(label: str, recipe: str) -> str:
+    """The inverse of `named`.
+
+    >>> unnamed("ViewNet (robust, photos)", "photos")
+    'ViewNet (robust)'
+    """
+    alone = f" ({recipe})"
+    if not recipe or label.endswith(alone):
+        return label.removesuffix(alone)
+    return label.removesuffix(f", {recipe})") + ")"
 
 
 def entries(
@@ -68,9 +99,12 @@ def entries(
 class Table:
     """One table. `cells` has a row for each (row, category, metric), measured or not:
 
-    row, variant, category, metric, printed (text in the paper), bold (in the paper), measured (mean over seeds), sd
-    (over seeds), low and high (95 % bootstrap interval over seeds and objects of that mean), seeds (how many), images,
-    objects, runs (their keys)
+    row, variant, recipe, category, metric, printed (text in the paper), bold (in the paper), measured (mean over
+    seeds), sd (over seeds), low and high (95 % bootstrap interval over seeds and objects of that mean), seeds (how
+    many), images, objects, degenerate (of how many seeds the predictions determine hardly any rotation), runs (their
+    keys)
+
+    A trained row is there once for each recipe, which its label names.
     """
 
     name: str
@@ -109,13 +143,16 @@ class Table:
         printed = reported.load(layout.reported or name) if layout.reported != NOWHERE else reported.none()
         paper = {(r.row, r.metric, r.category): (r.value, bool(r.bold)) for r in printed.itertuples()}
         lines: list[dict[str, Any]] = []
-        for row, category in itertools.product(layout.rows, categories):
+        recipes = {row.label: dict.fromkeys(e.recipe for e in given if e.row == row.label) for row in layout.rows}
+        rows = [(row, recipe) for row in layout.rows for recipe in recipes[row.label] or ("",)]
+        for (row, recipe), category in itertools.product(rows, categories):
             label = row.label
-            mine = [e for e in given if e.row == label and e.category == category]
+            mine = [e for e in given if (e.row, e.recipe, e.category) == (label, recipe, category)]
             if len({e.seed for e in mine}) < len(mine):
                 raise ViewnetError(f"{name}: two runs of {label}, {category} have the same seed: choose one")
             variant = "" if row.variant is None or label in unmeasured else row.variant
-            about = {"row": renamed.get(label, label), "variant": variant, "category": category}
+            about = {"row": named(renamed.get(label, label), recipe), "variant": variant, "recipe": recipe}
+            about |= {"category": category}
             row_metrics = (layout.own[label],) if label in layout.own else layout.metrics
             measured = _measure(mine, row_metrics) if mine else {}
             for metric in row_metrics:
@@ -123,8 +160,10 @@ class Table:
                 numbers = measured.get(metric, columns.UNMEASURED)
                 line = {**about, "metric": metric, "printed": value, "bold": bold, **numbers}
                 lines.append(line | {"runs": " ".join(e.key for e in mine)})
-        labels = {new: old for old, new in renamed.items()}
-        return cls(name, note, pd.DataFrame(lines), tuple(given), tuple(remarks), labels, others)
+        labels, cells = {new: old for old, new in renamed.items()}, pd.DataFrame(lines)
+        if cells["degenerate"].any():
+            remarks = tuple(dict.fromkeys([*remarks, DEGENERATE]))
+        return cls(name, note, cells, tuple(given), tuple(remarks), labels, others)
 
     @property
     def layout(self) -> Layout:
@@ -155,7 +194,7 @@ class Table:
         shown = self.layout.metrics
         cells = self.cells.assign(
             print=self.cells["printed"].replace("", DASH),
-            ours=list(map(text, self.cells["measured"], self.cells["metric"])),
+            ours=list(map(text, self.cells["measured"], self.cells["metric"], self.cells["degenerate"])),
             metric=self.cells["metric"].where(self.cells["metric"].isin(shown), shown[0]),
         )
         wide = cells.pivot(index="row", columns=["metric", "category"], values=["print", "ours"])
@@ -163,29 +202,57 @@ class Table:
         wide = wide.reorder_levels([1, 2, 0], axis=1).loc[list(self.rows), order]
         return wide.rename_axis(index=None, columns=[None] * 3)
 
+    def label(self, entry: Entry) -> str:
+        """The label of the row that an entry is a part of."""
+        new = {old: new for new, old in self.labels.items()}
+        return named(new.get(entry.row, entry.row), entry.recipe)
+
     def interval(self, row: str, reference: str, category: str) -> tuple[float, float] | None:
         """95 % interval of Acc@30 of a row minus that of another, over seeds and objects; None where one is missing."""
-        rows = [[e for e in self.entries if (e.row, e.category) == (name, category)] for name in (row, reference)]
+        rows = [[e for e in self.entries if (self.label(e), e.category) == (r, category)] for r in (row, reference)]
         if not all(rows):
             return None
         aligned = [[align(e.predictions, e.alignment, e.calibration) for e in entries] for entries in rows]
-        hits = [[100.0 * (one.selected_errors < 30) for one in entries] for entries in aligned]
+        hits = [[np.where(one.selected_errors < 30, 100.0, 0.0) for one in entries] for entries in aligned]
         objects = [one.predictions.objects for entries in aligned for one in entries]
         return metrics.difference_interval(hits[0], hits[1], objects)
 
-    def differences(self, reference: str = "ViewNet") -> pd.DataFrame:
-        """Accuracy of each row minus that of `reference`, in points: "print", "ours" and its interval by category.
+    def comparison(self, row: str, reference: str, category: str) -> str:
+        """In words, how many points of Acc@30 a row is above or below another one, with the interval in brackets.
 
-        An interval that includes 0 is no difference measured.
+        "no difference measured" where the interval includes 0. ViewnetError where one of them was not measured.
+        """
+        interval = self.interval(row, reference, category)
+        if interval is None:
+            raise ViewnetError(f"{self.name}: {row} and {reference}, {category}: one of them is not measured")
+        cells = self.cells[(self.cells["category"] == category) & (self.cells["metric"] == "acc30")].set_index("row")
+        points = cells.at[row, "measured"] - cells.at[reference, "measured"]
+        low, high = interval
+        what = "no difference measured"
+        if low > 0 or high < 0:
+            what = f"{abs(points):.1f} points {'higher' if points > 0 else 'lower'}"
+        return f"{what} [{low:.1f}, {high:.1f}]"
+
+    def differences(self, reference: str = "ViewNet") -> pd.DataFrame:
+        """Accuracy of each row minus that of a reference, in points: "print", "ours" and its interval by category.
+
+        The reference of a row is the row `reference` of its recipe; of rows without one, of the first recipe. An
+        interval that includes 0 is no difference measured.
         """
         cells = self.cells[self.cells["metric"] == self.layout.metrics[0]]
         values = cells.assign(print=pd.to_numeric(cells["printed"]), ours=cells["measured"].astype(float))
         wide = values.pivot(index="row", columns="category", values=["print", "ours"]).swaplevel(axis=1)
-        rows = [row for row in self.rows if row in wide.index]
-        wide = wide.loc[rows, list(itertools.product(self.categories, ("print", "ours")))]
-        found = (wide - wide.loc[reference]).drop(index=reference).round(1).rename_axis(index=None, columns=[None] * 2)
+        recipes = cells.drop_duplicates("row").set_index("row")["recipe"]
+        base = self.labels.get(reference, reference)
+        named_so = {recipe: named(base, recipe) for recipe in recipes if named(base, recipe) in recipes.index}
+        first = next(iter(named_so.values()))
+        references = {row: named_so.get(recipe, first) for row, recipe in recipes.items()}
+        rows = [row for row in recipes.index if references[row] != row]
+        wide = wide[list(itertools.product(self.categories, ("print", "ours")))]
+        found = wide.loc[rows] - wide.loc[[references[row] for row in rows]].to_numpy()
+        found = found.round(1).rename_axis(index=None, columns=[None] * 2)
         for number, category in enumerate(self.categories, 1):
-            bounds = [self.interval(row, reference, category) for row in found.index]
+            bounds = [self.interval(row, references[row], category) for row in rows]
             texts = [DASH if bound is None else f"[{bound[0]:.1f}, {bound[1]:.1f}]" for bound in bounds]
             found.insert(3 * number - 1, (category, "95 %"), texts)
         return found
@@ -205,7 +272,8 @@ class Table:
         """Properties that hold for every table, whatever was trained and for how long."""
         cells, layout = self.cells, self.layout
         paper = () if layout.reported == NOWHERE else reported.load(layout.reported or self.name)["row"]
-        rows = [self.labels.get(row, row) for row in self.rows]
+        labels = self.cells.drop_duplicates("row")
+        rows = [self.labels.get(base, base) for base in map(unnamed, labels["row"], labels["recipe"])]
         measured = cells[cells["seeds"] > 0]
 
         def within(least: float, most: float, *metrics: str) -> bool:
@@ -294,7 +362,11 @@ def _measure(seeds: Sequence[Entry], row_metrics: Sequence[str]) -> dict[str, di
     rng = np.random.default_rng(0)
     intervals = metrics.bootstrap_intervals(errors, objects, rng, DRAWS, statistics=statistics, azimuths=azimuths)
     values = {metric: list(map(functools.partial(_value, metric), errors, azimuths)) for metric in row_metrics}
-    return {metric: columns.measured(values[metric], intervals.get(metric), objects) for metric in row_metrics}
+    degenerate = sum(isinstance(one.alignment, Procrustes) and one.alignment.degenerate for one in aligned)
+    return {
+        metric: columns.measured(values[metric], intervals.get(metric), objects) | {"degenerate": degenerate}
+        for metric in row_metrics
+    }
 
 
 def _value(metric: str, errors: np.ndarray, azimuths: np.ndarray) -> float:

@@ -73,10 +73,14 @@ def tables(files: Files) -> Content:
     for path in files.values():
         if path.suffix == ".json":
             table = read_json(path)
-            cells = pd.DataFrame([{**cell, "runs": " ".join(cell["runs"])} for cell in table["cells"]])
+            lines = [{"degenerate": 0} | cell | {"runs": " ".join(cell["runs"])} for cell in table["cells"]]
+            cells = pd.DataFrame(lines)
             blocks.append(metric_table(cells.astype(dict.fromkeys(FLOATS, float)), table["title"]))
             notes += [table["measured on"], *table.get("remarks", ()), table["error"], table["interval"]]
             origins |= table["runs"]
+        if path.stem.endswith("_definitions") and path.suffix == ".csv":
+            title = "By other alignments and definitions of the error"
+            blocks.append(plain_table(title, read_csv(path).round(1), folded=True, index=False))
     return Content(tuple(blocks), tuple(dict.fromkeys(notes)), origins)
 
 
@@ -107,6 +111,7 @@ def _cell(line: dict[str, Any] | None, is_best: bool) -> Cell:
     about += "1 seed" if line["seeds"] == 1 else f"mean of {line['seeds']} seeds"
     about += "" if math.isnan(line["sd"]) else f", sd {spread}"
     about += f"; runs: {line['runs']}" if line["runs"] else ""
+    measured = f"({measured})" if line["degenerate"] else measured
     return Cell(reported, bold, measured, "" if math.isnan(line["low"]) else f"[{low}, {high}]", is_best, about)
 
 
@@ -115,7 +120,7 @@ def novel_views(files: Files) -> Content:
     cells = read_csv(files["novel_views.csv"], keep_default_na=False, na_values=dict.fromkeys(FLOATS, ""))
     keys: dict[str, dict[str, Any]] = {key: {} for keys in cells["runs"] for key in keys.split()}
     note = "intervals: 95 % percentile bootstrap over seeds and objects"
-    table = metric_table(cells.assign(printed="", bold=False), "Scores of rendered novel views")
+    table = metric_table(cells.assign(printed="", bold=False, degenerate=0), "Scores of rendered novel views")
     return Content((table,), (note,), keys)
 
 
