@@ -20,8 +20,8 @@ from viewnet.runtime.splits import split_sizes
 
 Generator = Callable[[np.random.Generator], Builder]
 
-# Part of every model's name: raise it when any generator changes, so that old and new models are never mixed.
-VERSION = 2
+# Part of every model's name: raise a category's when its generator changes, so that old and new models are never mixed.
+VERSIONS = dict.fromkeys(CATEGORIES, 2) | {"car": 3}
 FOLDERS = {"bicycle": "cycles", "motorbike": "cycles", "diningtable": "furniture", "sofa": "furniture"}
 """Categories that share parts share a folder; any other has one of its own."""
 CHUNK = 16
@@ -35,7 +35,9 @@ GENERATORS: dict[str, Generator] = {
 
 def model_id(category: str, index: int, seed: int = 0) -> str:
     """32 hex digits that name model `index` of a category under a seed and the generators' version."""
-    return hashlib.md5(f"viewnet-cad {VERSION} {seed} {category} {index}".encode(), usedforsecurity=False).hexdigest()
+    return hashlib.md5(
+        f"viewnet-cad {VERSIONS[category]} {seed} {category} {index}".encode(), usedforsecurity=False
+    ).hexdigest()
 
 
 def make_model(category: str, index: int, seed: int = 0) -> Builder:

@@ -47,7 +47,11 @@ def view_store(
     models: list[ModelFile] | None = None
     if config.root is None:
         # Known without looking at a file, so that a store is found when its collection has been removed.
-        made_by["models"] = {"built-in": cad.VERSION, "count": config.models, "category": config.category}
+        made_by["models"] = {
+            "built-in": cad.VERSIONS[config.category],
+            "count": config.models,
+            "category": config.category,
+        }
     else:
         models = take(find_models(config.root, config.category, config.splits, config.seed), config.models, config.seed)
         made_by["models"] = digest(models)
@@ -83,7 +87,7 @@ def built_in(
     """The folder of built-in models of one category, written if missing. ViewnetError for less than one model."""
     if models < 1:
         raise ViewnetError("models 0 means all of a collection, but built-in ones have no end: give a number or a root")
-    root = paths.data() / "cad" / f"{category}-{models}-seed{seed}-v{cad.VERSION}"
+    root = paths.data() / "cad" / f"{category}-{models}-seed{seed}-v{cad.VERSIONS[category]}"
     with locked(root):
         if not (root / "all.csv").is_file():  # the list of splits, written last
             cad.write_collection(root, [category], models, seed, progress, executor)

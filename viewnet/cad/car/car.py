@@ -133,24 +133,42 @@ def car(rng: np.random.Generator, kind: str | None = None) -> Builder:
     return builder
 
 
+# Standard deviations of the logarithms of factors.
+_STRETCH = {"length": 0.17, "width": 0.12, "height": 0.17, "wheel": 0.15, "clearance": 0.25}
+_BEYOND = 2.4
+
+
+def _beyond(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number around the middle of a range, up to _BEYOND times as far from it as its ends."""
+    return (low + high) / 2 + _BEYOND * float(rng.uniform(-1, 1)) * (high - low) / 2
+
+
 def draw_shape(rng: np.random.Generator, kind: str, toy: bool) -> Shape:
     """Random dimensions of a kind of car; toys are short and tall with large wheels and few facets."""
-    v = {name: float(rng.uniform(*limits)) for name, limits in _KINDS[kind].items()}
+    v = {name: _beyond(rng, *limits) for name, limits in _KINDS[kind].items()}
+    # Whole bodies differ more in their proportions than any one measure of a kind.
+    for name, spread in _STRETCH.items():
+        v[name] *= float(np.exp(rng.normal(0, spread)))
     length, height = v["length"], v["height"]
     if toy:
         length *= rng.uniform(0.72, 0.92)
         v["wheel"] *= rng.uniform(1.05, 1.3)
         v["clearance"] *= rng.uniform(1.0, 1.4)
-    cowl = v["cowl"] * length
-    screen = cowl + v["screen"] * length
-    roof_end, back = v["roof_end"] * length, v["back"] * length
+    v["wheel"] = min(v["wheel"], 0.3 * height if not toy else 0.34 * height, 0.11 * length)
+    v["clearance"] = min(v["clearance"], 0.85 * v["wheel"])
+    v["tail"] = min(v["tail"], v["deck"])
+    v["nose"] = min(v["nose"], v["cowl_z"] - 0.02)
+    cowl = max(v["cowl"], 0.08) * length
+    screen = cowl + max(v["screen"], 0.03) * length
+    roof_end = min(v["roof_end"], 0.97) * length
+    back = min(max(v["back"], v["roof_end"] + 0.02), 0.988) * length
     front_axle = max(v["front"] * length, 1.16 * v["wheel"] + 0.12)
     rear_axle = min(front_axle + v["base"] * length, length - 1.16 * v["wheel"] - 0.12)
     cowl_z = v["cowl_z"] * height
     belt = (cowl_z - 0.01 * height, min(cowl_z + rng.uniform(-0.02, 0.07) * height, v["deck"] * height + 0.02))
     sharp = kind in ("retro", "van") or toy
     fastback = kind in ("coupe", "sports", "hatchback", "sedan", "micro")
-    roof_drop = rng.uniform(0.02, 0.08) if fastback else rng.uniform(0.0, 0.03)
+    roof_drop = rng.uniform(0.0, 0.16) if fastback else rng.uniform(0.0, 0.06)
     return Shape(
         length=length,
         width=v["width"],
@@ -169,16 +187,18 @@ def draw_shape(rng: np.random.Generator, kind: str, toy: bool) -> Shape:
         deck_z=v["deck"] * height,
         tail_z=v["tail"] * height,
         belt=belt,
-        roof_width=v["roof_width"],
+        roof_width=min(v["roof_width"], 0.95),
         nose_depth=rng.uniform(0.05, 0.14) if sharp else rng.uniform(0.22, 0.55),
         tail_depth=rng.uniform(0.04, 0.10) if sharp else rng.uniform(0.12, 0.35),
         nose_rake=rng.uniform(0.0, 0.08) if sharp else rng.uniform(0.05, 0.22),
         tail_rake=rng.uniform(0.0, 0.08) if sharp else rng.uniform(0.03, 0.16),
-        crown=rng.uniform(0.01, 0.03) if sharp else rng.uniform(0.02, 0.06),
+        crown=rng.uniform(0.01, 0.03) if sharp else rng.uniform(0.02, 0.12),
         flare=float(rng.choice([0.0, 0.0, 0.03, 0.05])),
         windows=_windows(rng, kind, cowl, screen, roof_end, back, length),
         coarse=toy,
         stripe=rng.uniform(0.18, 0.45),
+        bonnet=(rng.uniform(0.1, 0.6), rng.uniform(0.6, 0.95)),
+        taper=rng.uniform(0.0, 0.18),
         bumper=rng.uniform(0.04, 0.1) if sharp or rng.random() < 0.2 else 0.0,
         plan=(0.0, 0.5, 0.94, 1.0) if sharp else (0.0, 0.42, 0.74, 0.91, 1.0),
     )

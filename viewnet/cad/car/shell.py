@@ -47,6 +47,8 @@ class Shape:
     coarse: bool = False
     stripe: float = 0.45  # half-width of the middle band of bonnet and roof, share of the width
     bumper: float = 0.0  # how far the bumper stands out
+    bonnet: tuple[float, float] = (0.3, 0.75)  # its rise at an eighth and at half of its length, shares of the whole
+    taper: float = 0.05  # how much narrower the ends are than the middle, share of the width
     plan: tuple[float, ...] = field(default=(0.0, 0.42, 0.74, 0.91, 1.0))
 
 
@@ -118,8 +120,8 @@ def _sections(shape: Shape, along: Array, across: Array, weight: Array) -> Array
     hood = s.cowl_z - s.nose_z
     top_z = [
         s.nose_z,
-        s.nose_z + 0.3 * hood,
-        s.nose_z + 0.75 * hood + 0.4 * s.crown,
+        s.nose_z + s.bonnet[0] * hood,
+        s.nose_z + s.bonnet[1] * hood + 0.4 * s.crown,
         s.cowl_z,
         s.height - s.crown,
         s.height,
@@ -141,7 +143,7 @@ def _sections(shape: Shape, along: Array, across: Array, weight: Array) -> Array
         bulge = np.maximum(bulge, np.clip(1.35 - np.abs(along - axle) / reach, 0, 0.35) / 0.35)
     arch = np.minimum(arch, edge - 0.06)
 
-    half = s.width / 2 * across * (1 - 0.05 * np.abs(2 * along / s.length - 1) ** 4)
+    half = s.width / 2 * across * (1 - s.taper * np.abs(2 * along / s.length - 1) ** 4)
     y = np.zeros((len(along), HALF))
     z = np.zeros((len(along), HALF))
     inner = half - s.tread - 0.06 * across

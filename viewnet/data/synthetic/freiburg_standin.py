@@ -37,7 +37,7 @@ NO_MASK = 0.02
 
 def describe(sequences: Sequence[int], frames: int, seed: int) -> dict[str, Any]:
     """What decides a stand-in, as JSON values."""
-    return {"version": versions(VERSION), "sequences": sorted(set(sequences)), "frames": frames, "seed": seed}
+    return {"version": versions(VERSION, "car"), "sequences": sorted(set(sequences)), "frames": frames, "seed": seed}
 
 
 def write_stand_in(

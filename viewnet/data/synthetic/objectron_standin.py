@@ -51,7 +51,7 @@ Shot = tuple[np.ndarray, float, tuple[float, float]]
 def describe(category: str, videos: int, frames: int, seed: int, size: tuple[int, int] = SIZE) -> dict[str, Any]:
     """What decides a stand-in, as JSON values, without making it."""
     counts = {"videos": videos, "frames": frames, "seed": seed}
-    return {"version": versions(VERSION), "category": category, **counts, "size": list(size)}
+    return {"version": versions(VERSION, category), "category": category, **counts, "size": list(size)}
 
 
 def write_stand_in(

@@ -59,7 +59,7 @@ def describe(
 ) -> dict[str, Any]:
     """What decides a stand-in, as JSON values, without making it. Backgrounds are known by their paths and sizes."""
     values: dict[str, Any] = {
-        "version": versions(VERSION),
+        "version": versions(VERSION, category),
         "viewpoints": hashlib.sha256(histogram_file().read_bytes()).hexdigest(),
     } | {"category": category, "subset": subset, "models": models, "count": count, "seed": seed}
     if backgrounds is not None:

@@ -15,9 +15,9 @@ from viewnet.render import VERSION as RENDER_VERSION
 from viewnet.render.mesh import Mesh
 
 
-def versions(own: int) -> list[int]:
-    """The versions of all code that decides the bytes of a stand-in."""
-    return [own, cad.VERSION, RENDER_VERSION, scenes.VERSION]
+def versions(own: int, category: str) -> list[int]:
+    """The versions of all code that decides the bytes of a stand-in of a category."""
+    return [own, cad.VERSIONS[category], RENDER_VERSION, scenes.VERSION]
 
 
 def check_request(root: Path, values: dict[str, int], least: int = 1) -> None:
