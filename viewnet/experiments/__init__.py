@@ -11,10 +11,11 @@ from viewnet.experiments.objectron import ObjectronExperiment
 from viewnet.experiments.own_method import OwnMethodExperiment
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.experiments.request import DESIGNS
+from viewnet.experiments.test_sets import TestSetsExperiment
 from viewnet.experiments.videos import VideoExperiment
 
 _KINDS: dict[str, type[Experiment]] = {"cad": Experiment, "photos": PhotoExperiment, "videos": VideoExperiment}
-_KINDS |= {"objectron": ObjectronExperiment, "own_method": OwnMethodExperiment}
+_KINDS |= {"objectron": ObjectronExperiment, "own_method": OwnMethodExperiment, "test_sets": TestSetsExperiment}
 
 
 def experiment(name: str, **parameters: Any) -> Any:
@@ -23,7 +24,7 @@ def experiment(name: str, **parameters: Any) -> Any:
     Raises ViewnetError naming the parameter (viewnet.experiments.parameters.PARAMETERS) and its valid values.
 
     >>> request = experiment("table2_ablation", profile="smoke", categories="car", seeds="0,2")
-    >>> request.label, request.seeds, len(request.configs)  # six trained rows with two seeds, two constants
-    ('smoke-car', (0, 2), 14)
+    >>> request.label, request.seeds, len(request.configs)  # six trained rows with two seeds, three others
+    ('smoke-car', (0, 2), 15)
     """
     return _KINDS[DESIGNS[known(name, DESIGNS, "notebook")].kind].check(name, **parameters)

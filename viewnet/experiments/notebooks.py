@@ -22,7 +22,7 @@ ORDER = (
     *("architecture", "audit_metrics", "table1_shapenet"),
     # The runs of Table 2 serve the figures after it, those of Table 3 what scores photographs.
     *("table2_ablation", "figure3_azimuth", "failures", "learned_volumes", "training_curves", "novel_views"),
-    "recipe_ablation",
+    *("test_sets", "recipe_ablation"),
     *("table3_pascal3d", "table5_dva", "alignment_study", "reconstructions"),
     *("table4_freiburg", "objectron", "your_method"),
 )

@@ -18,6 +18,7 @@ _ALL = ("profile", "seeds", "data_root", "output", "workers")
 _PHOTOS = ("categories", "recipe", "cad_root", "splits", "extra_cad", "backgrounds", "subset", "keep", "margin")
 TAKES = {
     "cad": (*_ALL, "categories", "recipe", "variant", "splits", "eval_root", "viewpoints"),
+    "test_sets": (*_ALL, "categories", "recipe", "splits", "eval_root"),
     "photos": (*_ALL, *_PHOTOS, "backbone", "ridge", "calibration"),
     "videos": (*_ALL, "recipe", "video_root", "split_rule", "masks", "start", "cad_root", "backgrounds", "backbone"),
     "objectron": (*_ALL, "category", "recipe", "video_root", "masks", "weak_masks", "cad_root", "backgrounds"),
@@ -30,7 +31,7 @@ TAKES = {
 class Design:
     """What a notebook shows unless its parameters say otherwise.
 
-    kind    what is trained on and scored on: cad, photos, videos, objectron or own_method (a module each)
+    kind    what is trained on and scored on: cad, test_sets, photos, videos, objectron or own_method (a module each)
     tables  to which a notebook of own methods adds rows
     fixed   values of parameters that it does not take
     """
@@ -54,7 +55,12 @@ class Design:
 
 _DESIGNED = ("profile", "recipe", "categories", "category", "variant")
 """Parameters whose defaults are the notebook's."""
-_TABLE_KINDS = {"table4_freiburg": "videos", "table3_pascal3d": "photos", "table5_dva": "photos"}
+_TABLE_KINDS = {
+    "test_sets": "test_sets",
+    "table4_freiburg": "videos",
+    "table3_pascal3d": "photos",
+    "table5_dva": "photos",
+}
 _ABLATION = tuple(variant for variant in LAYOUTS["table2_ablation"].variants if variant in VARIANTS)
 """The trained rows of Table 2."""
 _METHOD_TABLES = ("table1_shapenet", "table3_pascal3d", "table5_dva")

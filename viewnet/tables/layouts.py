@@ -96,6 +96,11 @@ LAYOUTS = {
          *(Row(f"without {name.replace('_', ' ')}", f"without_{name}") for name in ABLATIONS)),
         reported=NOWHERE,
     ),
+    "test_sets": Layout(
+        "ViewNet on other test models",
+        (Row("Test split", "viewnet"), Row("Another seed", "viewnet"), Row("Another collection", "viewnet")),
+        reported=NOWHERE,
+    ),
     "table3_pascal3d": Layout(
         "PASCAL3D+ results",
         (

@@ -134,8 +134,8 @@ def car(rng: np.random.Generator, kind: str | None = None) -> Builder:
 
 
 # Standard deviations of the logarithms of factors.
-_STRETCH = {"length": 0.17, "width": 0.12, "height": 0.17, "wheel": 0.15, "clearance": 0.25}
-_BEYOND = 2.4
+_STRETCH = {"length": 0.1, "width": 0.06, "height": 0.1, "wheel": 0.08, "clearance": 0.2}
+_BEYOND = 1.5
 
 
 def _beyond(rng: np.random.Generator, low: float, high: float) -> float:
@@ -168,7 +168,7 @@ def draw_shape(rng: np.random.Generator, kind: str, toy: bool) -> Shape:
     belt = (cowl_z - 0.01 * height, min(cowl_z + rng.uniform(-0.02, 0.07) * height, v["deck"] * height + 0.02))
     sharp = kind in ("retro", "van") or toy
     fastback = kind in ("coupe", "sports", "hatchback", "sedan", "micro")
-    roof_drop = rng.uniform(0.0, 0.16) if fastback else rng.uniform(0.0, 0.06)
+    roof_drop = rng.uniform(0.0, 0.12) if fastback else rng.uniform(0.0, 0.04)
     return Shape(
         length=length,
         width=v["width"],
@@ -192,13 +192,13 @@ def draw_shape(rng: np.random.Generator, kind: str, toy: bool) -> Shape:
         tail_depth=rng.uniform(0.04, 0.10) if sharp else rng.uniform(0.12, 0.35),
         nose_rake=rng.uniform(0.0, 0.08) if sharp else rng.uniform(0.05, 0.22),
         tail_rake=rng.uniform(0.0, 0.08) if sharp else rng.uniform(0.03, 0.16),
-        crown=rng.uniform(0.01, 0.03) if sharp else rng.uniform(0.02, 0.12),
+        crown=rng.uniform(0.01, 0.03) if sharp else rng.uniform(0.02, 0.08),
         flare=float(rng.choice([0.0, 0.0, 0.03, 0.05])),
         windows=_windows(rng, kind, cowl, screen, roof_end, back, length),
         coarse=toy,
         stripe=rng.uniform(0.18, 0.45),
-        bonnet=(rng.uniform(0.1, 0.6), rng.uniform(0.6, 0.95)),
-        taper=rng.uniform(0.0, 0.18),
+        bonnet=(rng.uniform(0.15, 0.5), rng.uniform(0.65, 0.9)),
+        taper=rng.uniform(0.0, 0.12),
         bumper=rng.uniform(0.04, 0.1) if sharp or rng.random() < 0.2 else 0.0,
         plan=(0.0, 0.5, 0.94, 1.0) if sharp else (0.0, 0.42, 0.74, 0.91, 1.0),
     )

@@ -18,6 +18,11 @@ from viewnet.tables.architecture import COLUMNS, Architecture
 from viewnet.tables.columns import METRICS, Column, best, by_key
 
 FLOATS = ("measured", "sd", "low", "high")
+BESIDE = {
+    "definitions": "By other alignments and definitions of the error",
+    "nearest": "How near test models are to those trained on: IoU of silhouettes with the most alike",
+}
+"""End of a CSV file's name beside a table -> its title."""
 Files = Mapping[str, Path]
 """Name -> file."""
 
@@ -78,9 +83,8 @@ def tables(files: Files) -> Content:
             blocks.append(metric_table(cells.astype(dict.fromkeys(FLOATS, float)), table["title"]))
             notes += [table["measured on"], *table.get("remarks", ()), table["error"], table["interval"]]
             origins |= table["runs"]
-        if path.stem.endswith("_definitions") and path.suffix == ".csv":
-            title = "By other alignments and definitions of the error"
-            blocks.append(plain_table(title, read_csv(path).round(1), folded=True, index=False))
+        if path.suffix == ".csv" and (title := BESIDE.get(path.stem.rpartition("_")[2])):
+            blocks.append(plain_table(title, read_csv(path).round(3), folded=True, index=False))
     return Content(tuple(blocks), tuple(dict.fromkeys(notes)), origins)
 
 
