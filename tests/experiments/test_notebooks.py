@@ -17,7 +17,7 @@ from viewnet.experiments.request import DESIGNS
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 PATHS = sorted(FOLDER.glob("*.ipynb"))
 IGNORED = "nbval-ignore-output"
-MEASURED = {"run", "table", "measured", "gain", "difference", "constant"}
+MEASURED = {"run", "table", "measured", "gain", "difference", "constant", "definitions", "nearness"}
 """Cells whose outputs depend on training: the only ones that are not compared."""
 WRITTEN = {("your_method", "method")}
 """Cells in which a reader writes code: the only ones with a class of their own."""

@@ -39,6 +39,8 @@ def views(config: DataConfig, workers=None, progress=True, executor=None) -> Fak
     index = make_index(30, 4, config.category, seed=config.seed).assign(source="")
     if config.root is not None:
         index["model_id"] = "real-" + index["model_id"]
+    if config.seed:  # other models
+        index["model_id"] = f"seed{config.seed}-" + index["model_id"]
     with replacing(folder / "index.parquet") as temporary:  # another process may be reading it
         index.to_parquet(temporary)
     return open_store(folder)

@@ -43,6 +43,10 @@ def test_no_runs_cannot_be_plotted():
         plots.azimuth_scatter([])
 
 
+BATCHES = {"paper": 16, "matting": 64}
+"""Recipe -> batch size."""
+
+
 def test_curves_are_the_logs(tmp_path):
     runs = [untrained_run(tmp_path / v, v) for v in ("viewnet", "viewnet_cycle", "hologan_decoder")]
     figure = plots.training_curves(runs)
@@ -50,9 +54,19 @@ def test_curves_are_the_logs(tmp_path):
     assert titles == ["validation accuracy (%)", "validation error", "training loss", "loss: pixels", "loss: masks"]
     for axes, values in zip(figure.axes, ([20, 60], [0.4, 0.2], [2.5, 1.5], [0.5, 0.5], [2, 1]), strict=True):
         assert len(axes.lines) == 3
-        assert axes.lines[0].get_xydata().tolist() == [[1, values[0]], [2, values[1]]]
+        # steps of 16 targets
+        assert axes.lines[0].get_xydata().tolist() == [[9 * 16, values[0]], [18 * 16, values[1]]]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == ["ViewNet", "ViewNet + cycle", "HoloGAN-Decoder"]
+
+
+def test_recipes_are_told_apart_over_the_targets_they_saw(tmp_path):
+    runs = [untrained_run(tmp_path / recipe, recipe=recipe, batch_size=batch) for recipe, batch in BATCHES.items()]
+    figure = plots.training_curves(runs)
+    assert {axes.get_xscale() for axes in figure.axes} == {"log"}
+    assert [line.get_xdata().tolist() for line in figure.axes[0].lines] == [[9 * 16, 18 * 16], [9 * 64, 18 * 64]]
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == ["ViewNet (paper)", "ViewNet (matting)"]
 
 
 def test_a_run_without_a_log_is_named(tmp_path):

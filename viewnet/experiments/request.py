@@ -18,13 +18,15 @@ _ALL = ("profile", "seeds", "data_root", "output", "workers")
 _PHOTOS = ("categories", "recipe", "cad_root", "splits", "extra_cad", "backgrounds", "subset", "keep", "margin")
 TAKES = {
     "cad": (*_ALL, "categories", "recipe", "variant", "splits", "eval_root", "viewpoints"),
-    "test_sets": (*_ALL, "categories", "recipe", "splits", "eval_root"),
+    "test_sets": (*_ALL, "categories", "recipe", "eval_root"),
     "photos": (*_ALL, *_PHOTOS, "backbone", "ridge", "calibration"),
     "videos": (*_ALL, "recipe", "video_root", "split_rule", "masks", "start", "cad_root", "backgrounds", "backbone"),
     "objectron": (*_ALL, "category", "recipe", "video_root", "masks", "weak_masks", "cad_root", "backgrounds"),
     "own_method": (*_ALL, "categories", "cad_root", "backgrounds", "calibration"),
 }
 """Kind of notebook -> the parameters that it takes."""
+ON_CAD = ("cad", "test_sets")
+"""The kinds that are scored on CAD models."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class Design:
     def usual(self, profile: str) -> dict[str, Any]:
         """Field of Request -> its value where no parameter says otherwise: no part of a folder's name."""
         values = {p.field or name: p.check(p.default, name) for name, p in PARAMETERS.items() if name not in _DESIGNED}
-        recipe = (PROFILE_RECIPE if self.kind == "cad" else PHOTO_RECIPE)[profile]
+        recipe = (PROFILE_RECIPE if self.kind in ON_CAD else PHOTO_RECIPE)[profile]
         variants = self.variants[: self.smoke] if profile == "smoke" else self.variants
         designed = {"profile": self.profile, "recipes": (recipe,), "categories": self.categories, "variants": variants}
         return values | designed | self.fixed
@@ -152,7 +154,7 @@ class Request:
         if parts not in ([], ["viewpoints"]) and parts[0] != values["profile"]:
             parts = [values["profile"], *parts]
         request = cls(name=name, **(usual | values), label="-".join(parts))
-        if len(request.recipes) > 1 and design.kind != "cad":
+        if len(request.recipes) > 1 and design.kind not in ON_CAD:
             raise ViewnetError(f"recipe {','.join(request.recipes)}: {name} takes one")
         return request
 
