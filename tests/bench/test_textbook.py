@@ -35,7 +35,7 @@ class Features(PerceptualLoss):
     def __init__(self):
         torch.nn.Module.__init__(self)
         torch.manual_seed(1)
-        self.taps = ((0, 10.0), (2, 1.0))
+        self.taps, self.spreads = ((0, 10.0), (2, 1.0)), {2: 0.5}
         self.layers = torch.nn.Sequential(torch.nn.Conv2d(3, 4, 3), torch.nn.Tanh()).requires_grad_(False)
         self.mean, self.std = torch.full((1, 3, 1, 1), 0.5), torch.full((1, 3, 1, 1), 0.2)
 

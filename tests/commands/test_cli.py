@@ -122,7 +122,7 @@ def test_render_makes_the_views_of_training(folders, capsys, monkeypatch):
     assert cli.main(["render", *arguments, "--workers", "1"]) == 0
     lines = capsys.readouterr().out.splitlines()
     store = ViewStore.open(lines[0].removeprefix("car: "))
-    assert lines[1] == "  20 views: 14 train (7 models), 2 val (1 models), 4 test (2 models)"
+    assert lines[1] == "  20 views: 14 train (7 models), 4 test (2 models), 2 val (1 models)"
     asked = make_config(category="car", profile="smoke", models=10, views=2, image_size=16).data
     monkeypatch.setattr(build, "render_views", lambda *_, **__: pytest.fail("drawn again"))
     assert build.view_store(asked, progress=False).identity == store.identity

@@ -8,14 +8,14 @@ from typing import Any
 from viewnet.config import known
 from viewnet.experiments.cad import Experiment
 from viewnet.experiments.objectron import ObjectronExperiment
+from viewnet.experiments.other_sets import OtherSetsExperiment
 from viewnet.experiments.own_method import OwnMethodExperiment
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.experiments.request import DESIGNS
-from viewnet.experiments.test_sets import TestSetsExperiment
 from viewnet.experiments.videos import VideoExperiment
 
 _KINDS: dict[str, type[Experiment]] = {"cad": Experiment, "photos": PhotoExperiment, "videos": VideoExperiment}
-_KINDS |= {"objectron": ObjectronExperiment, "own_method": OwnMethodExperiment, "test_sets": TestSetsExperiment}
+_KINDS |= {"objectron": ObjectronExperiment, "own_method": OwnMethodExperiment, "test_sets": OtherSetsExperiment}
 
 
 def experiment(name: str, **parameters: Any) -> Any:

@@ -2,13 +2,13 @@
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from viewnet.config import TrainConfig
 from viewnet.data import augment
 from viewnet.data.pairs import Views, resize
-from viewnet.evaluation import metrics
 from viewnet.evaluation.alignment import fit_rotation
 from viewnet.geometry import look_at, rotation_angle, view_vector
 from viewnet.model.reconstruction import reconstruct
@@ -59,7 +59,7 @@ def validate(
         # The learned world frame is any rotation of the annotated one.
         aligned = predicted @ torch.as_tensor(fit_rotation(predicted.numpy(), truth.numpy())).T  # (N, 3)
         errors = rotation_angle(look_at(aligned), look_at(truth)).numpy()  # (N,)
-        accuracy, folded = (metrics.accuracy(each, 30) for each in (errors, metrics.folded(errors)))
+        accuracy, folded = (100 * float((each < 30).mean()) for each in (errors, np.minimum(errors, 180 - errors)))
     model.train()
     scores = {"reconstruction": error / len(rows), "accuracy": accuracy, "folded": folded}
     return scores | {"least_used": 100 * used.min().item() / len(rows), "focal": float(model.focal)}

@@ -8,7 +8,7 @@ from helpers.tables import cell_of
 
 from viewnet.errors import ViewnetError
 from viewnet.experiments import experiment
-from viewnet.experiments.test_sets import OTHER, OWN, SEED, TestSetsExperiment, nearest_iou
+from viewnet.experiments.other_sets import OTHER, OWN, SEED, OtherSetsExperiment, nearest_iou
 from viewnet.tables import kept_predictions
 from viewnet.tables.table import named
 from viewnet.training.run_store import ensure
@@ -23,7 +23,7 @@ def folders(tmp_path, monkeypatch):
 
 def request_and_runs(**parameters):
     request = experiment("test_sets", profile="smoke", categories="car", **parameters)
-    assert isinstance(request, TestSetsExperiment)
+    assert isinstance(request, OtherSetsExperiment)
     return request, ensure(request.configs, workers=1, progress=False, steps=STEPS)
 
 
