@@ -57,7 +57,7 @@ replication: setup ## every table's trainings at tiny: some twenty hours on two 
 	$(NOTEBOOK) table1_shapenet -p recipe paper -p variant viewnet -p seeds 3
 
 test: lint ## style, types, all tests and every notebook
-	$(RUN) pytest --nbval
+	$(RUN) pytest --nbval -n auto --maxprocesses 2 --dist loadfile
 
 test-fast: setup ## the tests that take seconds, without notebooks
 	OMP_NUM_THREADS=1 $(RUN) pytest tests -m "not slow" -q -n auto --maxprocesses 4 --dist loadfile
