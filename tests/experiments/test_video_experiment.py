@@ -126,14 +126,15 @@ def test_the_table_scores_photographs_beside_what_is_printed(fakes, freiburg, tm
     table = request.table(runs)
     assert all(table.checks().values()), table.checks()
     assert table.rows == (
-        "Constant", "VGG view (pixels)", "VGG view, videos (pixels)", "VpDR-Net + FrC", "ViewNet", "ViewNet + cycle"
+        "Constant", "VGG view (pixels)", "VGG view, videos (pixels)", "VpDR-Net + FrC",
+        "ViewNet (photos)", "ViewNet + cycle (photos)",
     )  # fmt: skip
     printed = {row: cell_of(table, row, "car", "acc30")["printed"] for row in table.rows}
     assert list(printed.values()) == ["", "56", "", "50", "61", "59"]
     assert cell_of(table, "VpDR-Net + FrC", "car", "median")["seeds"] == 0
     store = request.stores()["car"]
     errors = align(on_photographs(runs[0], store), "procrustes").selected_errors
-    assert cell_of(table, "ViewNet", "car", "median")["measured"] == pytest.approx(np.median(errors))
+    assert cell_of(table, "ViewNet (photos)", "car", "median")["measured"] == pytest.approx(np.median(errors))
     regression = table.provenance[cell_of(table, "VGG view, videos (pixels)", "car", "acc30")["runs"]]
     assert (regression["alignment"], regression["backbone"]) == ("procrustes", "pixels")
     assert regression["videos"] == video_views(request.regressed, 1, False).identity
