@@ -81,8 +81,8 @@ class Procrustes(Alignment):
 
     @classmethod
     def _of(cls, rotation: Floats, predicted: Floats, truth: Floats) -> Self:
-        values, right = (np.linalg.svd(truth.T @ p / len(truth), compute_uv=False) for p in (predicted, truth))
-        return cls(rotation, values, float(values[1] / max(right[1], 1e-12)))  # type: ignore[arg-type]
+        values, right = (np.asarray(np.linalg.svd(truth.T @ p / len(truth))[1]) for p in (predicted, truth))  # (3,)
+        return cls(rotation, values, float(values[1] / max(right[1], 1e-12)))
 
     @property
     def degenerate(self) -> bool:

@@ -60,11 +60,12 @@ def differences(path: Path) -> pd.DataFrame:
 def _table(about: dict[str, Any], runs: Mapping[str, Predictions]) -> Table:
     """The table of a table's JSON from predictions by run."""
     cells = pd.DataFrame(about["cells"])
-    labels, layout = about.get("renamed", {}), LAYOUTS[about["table"]]  # of renamed rows the layout's
+    renamed, layout = about.get("renamed", {}), LAYOUTS[about["table"]]
+    former = {new: old for old, new in renamed.items()}
     own: list[Entry] = []
     added: list[Entry] = []
     for (row, recipe, category), group in cells.groupby(["row", "recipe", "category"], sort=False):
-        label = labels.get(unnamed(row, recipe), unnamed(row, recipe))
+        label = former.get(unnamed(row, recipe), unnamed(row, recipe))
         for key in group["runs"].iloc[0]:
             origin = about["runs"][key]
             entry = Entry(label, category, origin["seed"], origin["alignment"], key, runs[run_of(key)], origin,
@@ -72,5 +73,5 @@ def _table(about: dict[str, Any], runs: Mapping[str, Predictions]) -> Table:
             (own if label in {each.label for each in layout.rows} else added).append(entry)
     return Table.of(
         about["table"], own, list(dict.fromkeys(cells["category"])), about["measured on"], about.get("remarks", ()),
-        {new: old for old, new in labels.items()}, added=added,
+        renamed, added=added,
     )  # fmt: skip

@@ -112,7 +112,7 @@ class Table:
     cells: pd.DataFrame
     entries: tuple[Entry, ...]
     remarks: tuple[str, ...] = ()  # more lines below the table
-    labels: dict[str, str] = field(default_factory=dict)  # label -> the layout's, for renamed rows
+    renamed: dict[str, str] = field(default_factory=dict)  # the layout's label of a row -> its label here
     added: tuple[str, ...] = ()  # rows of other methods, below the layout's
 
     @classmethod
@@ -160,10 +160,10 @@ class Table:
                 numbers = measured.get(metric, columns.UNMEASURED)
                 line = {**about, "metric": metric, "printed": value, "bold": bold, **numbers}
                 lines.append(line | {"runs": " ".join(e.key for e in mine)})
-        labels, cells = {new: old for old, new in renamed.items()}, pd.DataFrame(lines)
+        cells = pd.DataFrame(lines)
         if cells["degenerate"].any():
             remarks = tuple(dict.fromkeys([*remarks, DEGENERATE]))
-        return cls(name, note, cells, tuple(given), tuple(remarks), labels, others)
+        return cls(name, note, cells, tuple(given), tuple(remarks), renamed, others)
 
     @property
     def layout(self) -> Layout:
@@ -204,18 +204,25 @@ class Table:
 
     def label(self, entry: Entry) -> str:
         """The label of the row that an entry is a part of."""
-        new = {old: new for new, old in self.labels.items()}
-        return named(new.get(entry.row, entry.row), entry.recipe)
+        return named(self.renamed.get(entry.row, entry.row), entry.recipe)
 
     def interval(self, row: str, reference: str, category: str) -> tuple[float, float] | None:
         """95 % interval of Acc@30 of a row minus that of another, over seeds and objects; None where one is missing."""
-        rows = [[e for e in self.entries if (self.label(e), e.category) == (r, category)] for r in (row, reference)]
-        if not all(rows):
-            return None
-        aligned = [[align(e.predictions, e.alignment, e.calibration) for e in entries] for entries in rows]
-        hits = [[np.where(one.selected_errors < 30, 100.0, 0.0) for one in entries] for entries in aligned]
-        objects = [one.predictions.objects for entries in aligned for one in entries]
-        return metrics.difference_interval(hits[0], hits[1], objects)
+        (mine, objects), (other, other_objects) = (
+            self._hits.get((label, category), ([], [])) for label in (row, reference)
+        )
+        return metrics.difference_interval(mine, other, objects + other_objects) if mine and other else None
+
+    @functools.cached_property
+    def _hits(self) -> dict[tuple[str, str], tuple[list[np.ndarray], list[np.ndarray]]]:
+        """Row and category -> for each seed, 100 where a view is right and 0 where not, and the views' objects."""
+        found: dict[tuple[str, str], tuple[list[np.ndarray], list[np.ndarray]]] = {}
+        for entry in self.entries:
+            hits, objects = found.setdefault((self.label(entry), entry.category), ([], []))
+            aligned = align(entry.predictions, entry.alignment, entry.calibration)
+            hits.append(np.where(aligned.selected_errors < 30, 100.0, 0.0))
+            objects.append(aligned.predictions.objects)
+        return found
 
     def comparison(self, row: str, reference: str, category: str) -> str:
         """In words, how many points of Acc@30 a row is above or below another one, with the interval in brackets.
@@ -243,10 +250,9 @@ class Table:
         values = cells.assign(print=pd.to_numeric(cells["printed"]), ours=cells["measured"].astype(float))
         wide = values.pivot(index="row", columns="category", values=["print", "ours"]).swaplevel(axis=1)
         recipes = cells.drop_duplicates("row").set_index("row")["recipe"]
-        base = self.labels.get(reference, reference)
-        named_so = {recipe: named(base, recipe) for recipe in recipes if named(base, recipe) in recipes.index}
-        first = next(iter(named_so.values()))
-        references = {row: named_so.get(recipe, first) for row, recipe in recipes.items()}
+        of_recipe = {recipe: named(self.renamed.get(reference, reference), recipe) for recipe in recipes}
+        of_recipe = {recipe: row for recipe, row in of_recipe.items() if row in recipes.index}
+        references = {row: of_recipe.get(recipe, next(iter(of_recipe.values()))) for row, recipe in recipes.items()}
         rows = [row for row in recipes.index if references[row] != row]
         wide = wide[list(itertools.product(self.categories, ("print", "ours")))]
         found = wide.loc[rows] - wide.loc[[references[row] for row in rows]].to_numpy()
@@ -273,7 +279,8 @@ class Table:
         cells, layout = self.cells, self.layout
         paper = () if layout.reported == NOWHERE else reported.load(layout.reported or self.name)["row"]
         labels = self.cells.drop_duplicates("row")
-        rows = [self.labels.get(base, base) for base in map(unnamed, labels["row"], labels["recipe"])]
+        former = {new: old for old, new in self.renamed.items()}
+        rows = [former.get(label, label) for label in map(unnamed, labels["row"], labels["recipe"])]
         measured = cells[cells["seeds"] > 0]
 
         def within(least: float, most: float, *metrics: str) -> bool:
@@ -311,7 +318,7 @@ class Table:
             "title": self.layout.title,
             "measured on": self.note,
             **({"remarks": list(self.remarks)} if self.remarks else {}),
-            **({"renamed": self.labels} if self.labels else {}),
+            **({"renamed": self.renamed} if self.renamed else {}),
             "error": "geodesic angle between camera frames, degrees; accuracy: per cent strictly below 30",
             "interval": f"95 % percentile bootstrap over seeds and objects, {DRAWS} draws, of the mean over seeds",
         }
