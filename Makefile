@@ -52,7 +52,9 @@ NOTEBOOK := $(VENV)/bin/viewnet notebook
 replication: setup ## every table's trainings at tiny: some twenty hours on two cores; stop it and start it again
 	$(NOTEBOOK) table2_ablation -p seeds 3 -p categories $(CATEGORIES)
 	$(NOTEBOOK) table1_shapenet -p seeds 3 -p categories $(CATEGORIES)
-	$(NOTEBOOK) recipe_ablation -p categories $(CATEGORIES)
+	$(NOTEBOOK) recipe_ablation -p seeds 3 -p categories $(CATEGORIES)
+	$(NOTEBOOK) test_sets -p seeds 3 -p categories $(CATEGORIES)
+	$(VENV)/bin/python benchmarks/ladder.py
 	$(NOTEBOOK) table2_ablation -p recipe paper -p categories car
 	$(NOTEBOOK) table1_shapenet -p recipe paper -p variant viewnet -p seeds 3
 

@@ -1,7 +1,7 @@
 """Numbers and tables of the documents, rendered from the files in `paper_tables/`.
 
 A page asks for them between the markers of cog, which fills in what follows (`make numbers`) and compares it with the
-files (`make lint`). What is below is already imported there:
+files (`make lint`). What is below is already imported there, with pandas as pd:
 
     <!-- [[[cog print(scores("table2_ablation.csv", ["ViewNet"], ["car"], ["acc30"])) ]]] -->
     ...
@@ -12,12 +12,19 @@ A sentence is rendered the same way: `print(f"... {value('trust/fuzz.csv', 'case
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
 
-__all__ = ["HEADINGS", "ROOT", "TABLES", "frame", "markdown", "score", "scores", "tables_1_and_2", "value"]
+from viewnet.tables import definitions, kept_predictions
+from viewnet.tables.table import Table
+
+__all__ = [
+    "HEADINGS", "ROOT", "TABLES", "definitions", "frame", "markdown", "pd", "remade", "score", "scores",
+    "tables_1_and_2", "value",
+]  # fmt: skip
 
 ROOT = Path(__file__).resolve().parent.parent
 TABLES = ROOT / "paper_tables"
@@ -33,6 +40,12 @@ def frame(file: str, **where: object) -> pd.DataFrame:
     for column, wanted in where.items():
         rows = rows[rows[column] == wanted]
     return rows
+
+
+@functools.cache
+def remade(file: str) -> Table:
+    """The table of a JSON file in `paper_tables/`, from the predictions beside it."""
+    return kept_predictions.remade(TABLES / file)
 
 
 def value(file: str, column: str = "measured", **where: object) -> float:

@@ -7,7 +7,7 @@ import pytest
 
 from viewnet.config import CATEGORIES, SYNSETS, RunConfig, VideoConfig, settings
 from viewnet.errors import ViewnetError
-from viewnet.recipes import FILMED, PROFILES, RECIPES, VARIANTS, make_config
+from viewnet.recipes import ABLATIONS, FILMED, PROFILES, RECIPES, VARIANTS, make_config
 
 EVERY = [(v, p, r) for v in VARIANTS for p in PROFILES for r in RECIPES]
 
@@ -63,6 +63,22 @@ def test_a_variant_changes_what_it_is_named_after_and_nothing_else(variant, reci
     assert changed == expected
 
 
+def differences(one, other):
+    one, other = one.to_dict(), other.to_dict()
+    return {name for name, place in settings() if at(one, place) != at(other, place)}
+
+
+def test_each_setting_of_our_recipe_is_taken_away_by_an_ablation():
+    paper, ours = (make_config(profile="paper", recipe=recipe) for recipe in ("paper", "matting"))
+    ablated = [
+        differences(ours, make_config(f"without_{name}", profile="paper", recipe="matting")) for name in ABLATIONS
+    ]
+    assert all(ablated)
+    features, labels, cycles = {"perceptual", "pixel_weight"}, {"select_by"}, {"cycle_weight", "cycle_head"}
+    assert differences(paper, ours) - set().union(*ablated) == features | labels | cycles
+    assert len(differences(paper, ours)) == 17
+
+
 def test_the_paper_recipe_is_what_is_printed():
     config = make_config(profile="paper")
     assert config.recipe == "paper"
@@ -70,23 +86,12 @@ def test_the_paper_recipe_is_what_is_printed():
     assert (config.model.heads, config.model.code_size, config.model.appearance_size) == (3, 1024, 256)
     assert config.data.views == 5
     assert config.train.perceptual == "vgg16"
-    assert config.train.background == "black"
 
 
 def test_overrides_reach_their_section():
     config = make_config(epochs=3, volume_size=16, views=7, elevation_limits=[-10, 30])
     assert (config.train.epochs, config.model.volume_size, config.data.views) == (3, 16, 7)
     assert config.model.elevation_limits == (-10.0, 30.0)
-
-
-def test_configurations_from_before_settings_were_grouped_are_read():
-    """As in the models that come with the package, and in models saved by users."""
-    config = make_config("viewnet_cycle", recipe="photos", search=0.2, views_per_target=4)
-    values = config.to_dict()
-    flat = {name: at(values, place) for name, place in settings() if place[0] == "train"}
-    flat["sightings"] = flat.pop("views_per_target")
-    assert RunConfig.from_dict({**values, "train": flat}) == config
-    assert make_config("viewnet_cycle", recipe="photos", search=0.2, sightings=4) == config
 
 
 @pytest.mark.parametrize(
@@ -118,7 +123,7 @@ def test_videos_are_part_of_a_configuration():
 
 def test_a_start_leaves_out_what_only_a_beginning_needs():
     train = make_config(profile="tiny", start="0123456789ab").train
-    assert (train.start, train.search.share, train.shared_shape) == ("0123456789ab", 0, 0)
+    assert (train.start, train.search.share) == ("0123456789ab", 0)
     assert make_config(profile="tiny", start="0123456789ab", search=0.2).train.search.share == 0.2
     assert make_config(profile="tiny").train.search.share > 0
 

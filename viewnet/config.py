@@ -114,7 +114,6 @@ class ModelConfig:
     # The viewpoint network sees the object's square box enlarged, or its own box stretched [released] (R)
     crop: Literal["none", "square", "stretched"] = "none"
     backdrop: float = 0.0  # grey level in [0, 1] behind what both encoders see [released] (U)
-    encoder_padding: Literal["replicate", "zeros"] = "replicate"  # [released; zeros: ours] (R)
     encoder_channels: tuple[int, ...] = (64, 128, 256, 512, 512, 512)  # [supplement] (P)
     code_size: int = 1024  # channels of the fixed canonical code [supplement] (P)
     generator_channels: tuple[int, ...] = (512, 128, 128, 16)  # at 4, 8, 16, 32 voxels a side [supplement] (P)
@@ -124,15 +123,12 @@ class ModelConfig:
     )
     appearance_size: int = 256  # channels of the appearance code [supplement] (P)
     heads: int = 3  # M, viewpoint hypotheses an image [3.1, 4.1] (V)
-    head_spread: float = 0.0  # length of the vectors, in different azimuths, added to the heads' outputs [ours] (R)
     elevation_limits: tuple[float, float] | None = None  # degrees of predicted elevations; None: the sphere [ours] (R)
     in_plane: bool = False  # learn the camera's up vector too [3.1, the general case] (U)
     decoder: Literal["adain", "encoder_decoder", "hologan"] = "adain"  # [3.2, Table 2] (V)
     shape_prior: bool = True  # the Gaussian S in Q = S + Q' [3.3, Table 2] (V)
-    colour_prior: bool = False  # the generator adds to the appearance image's mean colour [ours] (R)
-    balance_bands: int = 1  # bands of elevation that `search.balance` tells apart [ours] (R)
-    focal: float = 0.4  # initial perspective: half sides of the volume over the camera's distance [released] (R)
-    learn_focal: bool = True  # [3.2] (R)
+    # Perspective: half sides of the volume over the camera's distance. None: learned, from 0.4 on [3.2, released] (R)
+    focal: float | None = None
 
 
 def _setting(default: Any, name: str) -> Any:
@@ -144,10 +140,10 @@ def _setting(default: Any, name: str) -> Any:
 class ComparisonConfig:
     """How the hypotheses of a target are compared: equation 2, whose minimum is the head that learns."""
 
-    colours: float = _setting(1.0, "compare_colours")  # weight of squared errors of colours [eq. 2] (R)
-    masks: float = _setting(0.0, "compare_masks")  # weight of squared errors of masks [ours] (R)
     neighbours: float = 0.0  # degrees to the four viewpoints tried around each head; 0: only its own [ours] (R)
-    pull_weight: float = 0.0  # of the squared distance from the best head to the best viewpoint tried [ours] (R)
+    pull_weight: float = 1.0  # of the squared distance from the best head to a better viewpoint tried [ours] (V)
+    # The selection is taught softmax(-error / (temperature * least error)), [ours]; 0: the best head [3.1] (R)
+    temperature: float = _setting(0.0, "selection_temperature")
 
 
 @dataclass(frozen=True)
@@ -155,17 +151,8 @@ class SearchConfig:
     """The search for viewpoints around the whole object, beside the heads', that begins training (ours)."""
 
     share: float = _setting(0.0, "search")  # of training during which it runs [ours] (R)
-    views: int = _setting(48, "search_views")  # viewpoints tried for each target [ours] (R)
+    views: int = _setting(32, "search_views")  # viewpoints tried for each target [ours] (U)
     balance: float = 0.0  # weight of the penalty on over-represented viewpoints, during all of training [ours] (R)
-
-
-@dataclass(frozen=True)
-class SelectionConfig:
-    """How the viewpoint network learns which of its heads to trust (section 3.1)."""
-
-    weight: float = _setting(1.0, "selection_weight")  # of its cross-entropy in the loss [3.1] (R)
-    angle: float = _setting(0.0, "selection_angle")  # degrees: heads this close to the best count as right [ours] (R)
-    trust: float = 0.0  # weight of its logits when choosing the head, in training's second half [ours] (R)
 
 
 @dataclass(frozen=True)
@@ -174,8 +161,6 @@ class CycleConfig:
 
     on: bool = _setting(False, "cycle")  # [3.4, Table 1] (V)
     weight: float = _setting(1.0, "cycle_weight")  # [released] (R)
-    start: float = _setting(0.0, "cycle_start")  # share of training before it is ramped up over a tenth [ours] (R)
-    elevation: tuple[float, float] = _setting((-36.0, 72.0), "cycle_elevation")  # degrees, uniform [released] (R)
     head: Literal["selected", "closest"] = _setting("selected", "cycle_head")  # which head it pulls [released] (R)
 
 
@@ -214,22 +199,17 @@ class TrainConfig:
     epochs: int = 1000  # an epoch has as many targets as there are views [4.1] (P)
     batch_size: int = 64  # target images a step [4.1] (P)
     targets_per_object: int = 1  # target images that share one appearance image [ours] (P)
-    shared_shape: float = 0.0  # share of training over which objects grow from one common shape apart [ours] (R)
     target: Literal["image", "mask"] = "image"  # what is reconstructed [3.2, Table 2] (V)
-    background: Literal["black", "random"] = "black"  # behind target and reconstruction alike [released] (R, V)
     perceptual: Literal["none", "squeezenet", "vgg16"] = "vgg16"  # network of the perceptual loss [3.2, 4.1] (R)
     pixel_weight: float = 0.0  # of L1 + MSE of pixels at two scales [ours] (R)
-    mask_weight: float = 0.0  # of L1 + MSE of masks at two scales [ours] (R, V)
+    mask_weight: float = 0.0  # of L1 + MSE of masks at two scales, and of masks in comparing heads [ours] (R, V)
     augment: bool = False  # random crop and rotation by +-3 degrees of the viewpoint network's input [released] (R)
-    jitter: float = 0.0  # its colours are permuted, and scaled by up to exp(+-2 jitter); 0: neither [ours] (R)
-    mirror: bool = False  # half of the targets are mirrored, as views of an object as likely [ours] (R)
     patience: int = 30  # epochs without improvement on validation views before stopping [4.1] (P)
     select_by: Literal["accuracy", "reconstruction"] = "accuracy"  # "improvement"; accuracy needs labels [4.1] (R)
     validate_every: int = 1  # epochs [ours] (P)
     amp: Literal["auto", "off"] = "auto"  # bfloat16 where the hardware has it [ours] (U)
     comparison: ComparisonConfig = field(default_factory=ComparisonConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
-    selection: SelectionConfig = field(default_factory=SelectionConfig)
     cycle: CycleConfig = field(default_factory=CycleConfig)
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     photo: PhotoAugmentationConfig = field(default_factory=PhotoAugmentationConfig)
@@ -268,22 +248,13 @@ class RunConfig:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "RunConfig":
-        """The inverse of `to_dict`. Unknown or missing keys and wrong types raise ViewnetError.
-
-        Configurations written before settings were grouped are read too.
-        """
-        if isinstance(values, dict) and isinstance(values.get("train"), dict):
-            values = {**values, "train": grouped(values["train"])}
+        """The inverse of `to_dict`. Unknown or missing keys and wrong types raise ViewnetError."""
         return build(cls, values, "config")
 
     def key(self, *identities: str) -> str:
         """12 hex digits of everything that decides the result; `identities` add the view store's and the code's."""
         canonical = json.dumps([self.to_dict(), *identities], sort_keys=True)
         return hashlib.sha256(canonical.encode()).hexdigest()[:12]
-
-
-FORMER_NAMES = {"sightings": "views_per_target"}
-"""Settings that had another name in configurations written before."""
 
 
 def settings(cls: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -299,21 +270,6 @@ def settings(cls: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[str,
             yield from settings(hints[each.name], place)
         else:
             yield each.metadata.get("setting", each.name), place
-
-
-def grouped(values: dict[str, Any]) -> dict[str, Any]:
-    """Settings of training by name, brought into their groups; what is grouped already, or unknown, stays as it is."""
-    places = {name: place[1:] for name, place in settings(TrainConfig, ("train",))}
-    result: dict[str, Any] = {}
-    for name, value in values.items():
-        place = places.get(FORMER_NAMES.get(name, name), (name,))
-        if len(place) > 1 and not isinstance(value, dict):
-            result.setdefault(place[0], {})[place[1]] = value
-        elif isinstance(value, dict):
-            result.setdefault(name, {}).update(value)
-        else:
-            result[place[0]] = value
-    return result
 
 
 def known(value: str, choices: Iterable[str], what: str) -> str:

@@ -10,7 +10,7 @@ where each setting is decided: recipe, then profile, then variant, then what the
 
 from typing import Any
 
-from viewnet.config import CATEGORIES, FORMER_NAMES, RunConfig, build, known, settings
+from viewnet.config import CATEGORIES, RunConfig, build, known, settings
 from viewnet.errors import ViewnetError
 
 Changes = dict[str, Any]
@@ -31,33 +31,19 @@ RECIPES: dict[str, Changes] = {
     # As reported, and as released where the paper is silent: black background, VGG16 perceptual loss, a learned focal
     # length, the viewpoint network's input cropped to the object, stopping by validation accuracy.
     "paper": {"model": {"crop": "square"}, "train": {"augment": True}},
-    # Ours: masks first, colours over a random background; a search for viewpoints to begin with; heads that start
-    # apart; elevations within a plausible camera range; stopping without labels. See docs/recipes.md.
+    # Ours: masks beside colours, known elevations and focal length, viewpoints tried beside the heads' and evenly from
+    # all around, stopping without labels. See docs/recipes.md.
     "matting": {
-        "model": {
-            "encoder_padding": "zeros",
-            "head_spread": 0.5,
-            "elevation_limits": (-22.0, 42.0),
-            # The camera that rendered the views: a learned focal length shrinks where depth is mirrored.
-            "focal": 0.268,
-            "learn_focal": False,
-            "colour_prior": True,
-            "balance_bands": 4,
-        },
+        "model": {"elevation_limits": (-22.0, 42.0), "focal": 0.268},  # of the camera that rendered the views
         "train": {
-            "shared_shape": 0.15,
-            "background": "random",
             "perceptual": "none",
             "pixel_weight": 0.3,
             "mask_weight": 1.0,
-            "jitter": 0.6,
-            "mirror": True,
             "select_by": "reconstruction",
-            "comparison": {"colours": 0.1, "masks": 1.0, "neighbours": 8.0, "pull_weight": 1.0},
-            "search": {"share": 0.3, "views": 32, "balance": 1.0},
-            "selection": {"weight": 0.2, "angle": 30.0, "trust": 0.5},
-            "cycle": {"weight": 0.3, "start": 0.15, "elevation": (-20.0, 40.0), "head": "closest"},
-            "optimiser": {"learning_rate": 1e-3, "betas": (0.9, 0.99), "muon": 0.02, "schedule": "hold"},
+            "comparison": {"neighbours": 8.0, "temperature": 0.1},
+            "search": {"share": 0.3, "balance": 1.0},
+            "cycle": {"weight": 0.3, "head": "closest"},
+            "optimiser": {"learning_rate": 1e-3, "muon": 0.02, "schedule": "hold"},
         },
     },
 }
@@ -86,25 +72,16 @@ VARIANTS: dict[str, Changes] = {
 """The trained rows of Tables 1 and 2."""
 
 ABLATIONS: dict[str, Changes] = {
-    "zero_padding": {"model": {"encoder_padding": "replicate"}},
-    "head_spread": {"model": {"head_spread": 0.0}},
+    "whole_views": {"model": {"crop": "square"}, "train": {"augment": True}},
     "elevation_limits": {"model": {"elevation_limits": None}},
-    "known_focal": {"model": {"focal": 0.4, "learn_focal": True}},
-    "colour_prior": {"model": {"colour_prior": False}},
-    "balance": {"model": {"balance_bands": 1}, "train": {"search": {"balance": 0.0}}},
-    "shared_shape": {"train": {"shared_shape": 0.0}},
-    "random_background": {"train": {"background": "black"}},
-    "masks": {"train": {"background": "black", "mask_weight": 0.0, "comparison": {"colours": 1.0, "masks": 0.0}}},
-    "jitter": {"train": {"jitter": 0.0}},
-    "mirror": {"train": {"mirror": False}},
-    "comparison_by_masks": {"train": {"comparison": {"colours": 1.0}}},
+    "known_focal": {"model": {"focal": None}},
+    "masks": {"train": {"mask_weight": 0.0}},
     "neighbours": {"train": {"comparison": {"neighbours": 0.0}}},
     "pull": {"train": {"comparison": {"pull_weight": 0.0}}},
+    "temperature": {"train": {"comparison": {"temperature": 0.0}}},
     "search": {"train": {"search": {"share": 0.0}}},
-    "selection_weight": {"train": {"selection": {"weight": 1.0}}},
-    "selection_angle": {"train": {"selection": {"angle": 0.0}}},
-    "trust": {"train": {"selection": {"trust": 0.0}}},
-    "adam_settings": {"train": {"optimiser": {"learning_rate": 1e-4, "betas": (0.9, 0.999)}}},
+    "balance": {"train": {"search": {"balance": 0.0}}},
+    "learning_rate": {"train": {"optimiser": {"learning_rate": 1e-4}}},
     "muon": {"train": {"optimiser": {"muon": 0.0}}},
     "schedule": {"train": {"optimiser": {"schedule": "constant"}}},
 }
@@ -180,13 +157,13 @@ TOGETHER: dict[tuple[str, str], Changes] = {
 """What a profile and a recipe change only together: twice the views a model are half as many epochs, or less."""
 
 # Shapes and viewpoints are there already, so neither is searched for again.
-STARTED: Changes = {"train": {"shared_shape": 0.0, "search": {"share": 0.0}}}
+STARTED: Changes = {"train": {"search": {"share": 0.0}}}
 """What changes for a run that starts from another one's weights."""
+
 
 FILMED: dict[str, Changes] = {
     # All frames of the 48 Freiburg cars, 5800 views: with and without cycles side by side in about ten minutes.
-    # So few cars are told front from rear only while they share a shape.
-    "tiny": {"train": {"epochs": 14, "shared_shape": 0.4}}
+    "tiny": {"train": {"epochs": 14}}
 }
 """What a profile changes only for videos."""
 
@@ -243,7 +220,6 @@ def overridden(overrides: dict[str, Any]) -> Changes:
     places = dict(settings())
     changes: Changes = {}
     for name, value in overrides.items():
-        name = FORMER_NAMES.get(name, name)
         if name not in places:
             raise ViewnetError(f"unknown setting {name!r}: choose one of {', '.join(sorted(places))}")
         change: Any = value

@@ -25,8 +25,8 @@ def test_layers_and_samples_are_counted():
 
 
 def test_the_object_fills_a_quarter_and_the_dense_volume_all():
-    filled = volume.squash(contestants.logits("object", 32, 1), None, None)[0, 3]
+    filled = volume.squash(contestants.logits("object", 32, 1), None)[0, 3]
     assert 0.2 < (filled > 0).float().mean() < 0.3
-    dense = volume.squash(contestants.logits("dense", 32, 1), None, None)[0, 3]
+    dense = volume.squash(contestants.logits("dense", 32, 1), None)[0, 3]
     assert (dense > 0).all()
     assert 0.15 < (1 - dense).prod(0).mean() < 0.3

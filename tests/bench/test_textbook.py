@@ -16,7 +16,7 @@ from viewnet.training.step import step_loss
 
 @pytest.mark.parametrize("occupancy", ["object", "dense"])
 def test_the_textbook_renderer_is_the_definition(occupancy):
-    shape = volume.squash(contestants.logits(occupancy, 11, 2), None, None)
+    shape = volume.squash(contestants.logits(occupancy, 11, 2), None)
     weights = torch.randn(6, 4, 9, 9, generator=torch.Generator().manual_seed(0))
     images, gradients = [], []
     for draw in (textbook.render, volume.render_reference):

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 def config(**overrides) -> RunConfig:
     """Two steps an epoch."""
-    settings = {"epochs": 2, "batch_size": 8, "patience": 100, "amp": "off", "neighbours": 0.0, "pull_weight": 0.0}
+    settings = {"epochs": 2, "batch_size": 8, "patience": 100, "amp": "off", "neighbours": 0.0}
     return make_config(profile="smoke", **{**settings, "search": 0.0, **overrides})
 
 
@@ -55,19 +55,6 @@ def seen(monkeypatch) -> list[dict[str, torch.Tensor]]:
 
     monkeypatch.setattr(training, "step_loss", watched)
     return states
-
-
-def test_weights_of_the_layer_that_saw_a_fixed_code_are_read_as_its_output(first, tmp_path):
-    """Checkpoints of earlier versions have the layer."""
-    weights, path = load_file(first / checkpoint.CHECKPOINT), tmp_path / "of_before.safetensors"
-    name, code = "decoder.stages.0.convolution", weights["decoder.code"].view(-1, 1, 1, 1, 1)
-    output = weights.pop(f"{name}.output")  # (1, C, 4, 4, 4)
-    weights[f"{name}.weight"] = output * code / code.square().sum()
-    network = checkpoint.build(config().model, weights, path)
-    assert torch.allclose(network.decoder.stages[0].convolution.output, output, atol=1e-6)
-    weights[f"{name}.weight"] = weights[f"{name}.weight"][1:]  # not this code's
-    with pytest.raises(ViewnetError, match=f"{name}.output is missing"):
-        checkpoint.build(config().model, weights, path)
 
 
 def same(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> bool:
@@ -120,4 +107,4 @@ def test_a_run_is_known_by_the_weights_it_starts_from_wherever_they_lie(first, t
         for folder in (first, tmp_path / "copy", tmp_path / "changed")
     )
     assert here == copy != other
-    assert run_store.locate(config(shared_shape=0.0), "views") not in (here, other)
+    assert run_store.locate(config(epochs=9), "views") not in (here, other)

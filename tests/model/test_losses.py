@@ -9,33 +9,12 @@ import pytest
 import torch
 import torch.nn.functional as F
 from helpers.cad_files import real_data
-from helpers.smoke_model import images
-from hypothesis import given
-from hypothesis import strategies as st
 from PIL import Image
 
 from viewnet.config import CycleConfig
 from viewnet.errors import ViewnetError
 from viewnet.model.losses import SPREADS, PerceptualLoss, composite, cycle_loss, head_errors, pixel_loss
 from viewnet.model.viewnet import Hypotheses
-
-
-@given(st.integers(0, 1000))
-def test_equal_images_are_equal_over_every_colour(seed):
-    image = images(3, 8, seed)
-    colour = torch.rand(3, 3, generator=torch.Generator().manual_seed(seed + 1))
-    assert pixel_loss(composite(image, colour), composite(image.clone(), colour)) == 0
-
-
-def test_a_wrong_mask_cannot_hide_over_a_random_colour():
-    """Painting black around the object is free over black and costs over any other colour."""
-    target = torch.zeros(1, 4, 8, 8)
-    target[:, :, 2:6, 2:6] = 1
-    painted = target.clone()
-    painted[:, 3] = 1  # the right colours, and black where there should be nothing
-    black, red = torch.zeros(1, 3), torch.tensor([[1.0, 0.0, 0.0]])
-    assert pixel_loss(composite(painted, black), composite(target, black)) == 0
-    assert pixel_loss(composite(painted, red), composite(target, red)) > 0.1
 
 
 def test_compositing_is_a_blend():
@@ -60,17 +39,14 @@ def test_the_cycle_pulls_the_selected_head_or_the_closest():
     truth = torch.tensor([[1.0, 0.0, 0.0]])
     vectors = F.normalize(torch.tensor([[[1.0, 0.2, 0.0], [0.0, 1.0, 0.0]]]), dim=-1)
     logits = torch.tensor([[0.0, 3.0]])  # the second is selected, the first is right
-    moved = {}
-    for head in ("selected", "closest"):
+    for head, place in (("selected", 1), ("closest", 0)):
         v, s = vectors.clone().requires_grad_(), logits.clone().requires_grad_()
         loss = cycle_loss(Hypotheses(v, s), truth, CycleConfig(head=head))
         loss.backward()
-        moved[head] = (v.grad.abs().sum(-1) > 0).flatten().tolist()
+        assert (v.grad.abs().sum(-1) > 0).flatten().tolist() == [place == 0, place == 1]
         assert s.grad[0, 0] < 0 < s.grad[0, 1]  # either way the right head's logit is to rise
-        pulled = {"selected": vectors[0, 1], "closest": vectors[0, 0]}[head]
-        expected = F.mse_loss(pulled, truth[0]) + F.cross_entropy(logits, torch.tensor([0]))
+        expected = F.mse_loss(vectors[0, place], truth[0]) + F.cross_entropy(logits, torch.tensor([0]))
         assert loss.item() == pytest.approx(expected.item())
-    assert moved == {"selected": [False, True], "closest": [True, False]}
 
 
 @pytest.fixture(scope="module")

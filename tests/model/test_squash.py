@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-import torch.nn.functional as F
 
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import volume
@@ -19,9 +18,9 @@ def squash(request, monkeypatch):
     return volume.squash
 
 
-def squashed_step_by_step(blocks, colour, prior):
+def squashed_step_by_step(blocks, prior):
     """By automatic differentiation alone: no gradient outside [0, 1]."""
-    values = torch.sigmoid(F.pad(colour, (0, 1))[:, :, None, None, None] + volume.joined(blocks))
+    values = torch.sigmoid(volume.joined(blocks))
     return torch.cat([values[:, :3], (2 * values[:, 3:] - 1 + prior).clamp(0, 1)], 1)
 
 
@@ -42,12 +41,12 @@ def test_blocks_are_joined_place_by_place():
 @pytest.mark.parametrize("side", [1, 2])
 def test_squashing_is_what_its_formula_says(squash, side):
     blocks, generator = random_blocks(side), torch.Generator().manual_seed(1)
-    colour, weights = torch.randn(2, 3, generator=generator), torch.randn(2, 4, 6, 6, 6, generator=generator)
+    weights = torch.randn(2, 4, 6, 6, 6, generator=generator)
     prior, gradients, values = 0.7 * gaussian_prior(6, 0.5), [], []
     before = blocks.clone()
     for way in (squashed_step_by_step, squash):
         x = blocks.clone().requires_grad_()
-        values.append(way(x, colour, prior))
+        values.append(way(x, prior))
         (values[-1] * weights).sum().backward()
         gradients.append(volume.joined(x.grad))
     assert torch.equal(blocks, before)
@@ -62,7 +61,7 @@ def test_an_emptied_voxel_still_takes_the_gradient_that_fills_it(squash):
     x = torch.zeros(1, 1, 1, 6, 1, 1, 1, 4)
     x[..., 3] = logits.view(1, 1, 1, 6, 1, 1, 1)
     x.requires_grad_()
-    kept = squash(x, None, torch.tensor([0.0, 0.0, 0.0, 0.0, 0.5, 0.5]).view(1, 1, 6))
+    kept = squash(x, torch.tensor([0.0, 0.0, 0.0, 0.0, 0.5, 0.5]).view(1, 1, 6))
     assert kept[0, 3, 0, 0, [0, 1, 4, 5]].tolist() == [0, 0, 1, 1]
     kept[0, 3, 0, 0].backward(torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]))
     slope = 0.5 * (1 - torch.tanh(logits / 2).square())
@@ -72,15 +71,15 @@ def test_an_emptied_voxel_still_takes_the_gradient_that_fills_it(squash):
 
 def test_half_precision_logits_give_full_precision_volumes(squash):
     blocks = random_blocks(2).bfloat16().requires_grad_()
-    found = squash(blocks, None, None)
+    found = squash(blocks, None)
     assert found.dtype == torch.float32
-    assert torch.allclose(found, squash(blocks.float(), None, None), atol=1e-6)
+    assert torch.allclose(found, squash(blocks.float(), None), atol=1e-6)
     found.sum().backward()
     assert blocks.grad.dtype == torch.bfloat16
 
 
 def test_a_squashed_volume_is_drawn_where_it_lies():
-    shape = volume.squash(random_blocks(2), None, gaussian_prior(6, 0.5))
+    shape = volume.squash(random_blocks(2), gaussian_prior(6, 0.5))
     assert volume_cpu.padded(shape, empty=True).untyped_storage().data_ptr() == shape.untyped_storage().data_ptr()
     frames = look_at(view_vector(torch.tensor([20.0, 200.0]), torch.tensor([10.0, 30.0])))
     there = volume.render(shape, frames, torch.tensor(0.3), 8)

@@ -39,7 +39,7 @@ def knowing(renderer, degrees: float):
     volume = torch.rot90(volume, -round(degrees / 90), (4, 3))
     renderer.network.focal.data.fill_(PERSPECTIVE)
 
-    def encode(self, images, own_shape=1.0, background=None):
+    def encode(self, images, background=None):
         return torch.zeros(len(images), 1), volume.expand(len(images), -1, -1, -1, -1)
 
     renderer.network.encode = MethodType(encode, renderer.network)

@@ -49,7 +49,7 @@ BATCHES = {"paper": 16, "matting": 64}
 
 def test_curves_are_the_logs(tmp_path):
     runs = [untrained_run(tmp_path / v, v) for v in ("viewnet", "viewnet_cycle", "hologan_decoder")]
-    figure = plots.training_curves(runs)
+    figure = plots.training_curves(plots.training_logs(runs))
     titles = [axes.get_title() for axes in figure.axes]
     assert titles == ["validation accuracy (%)", "validation error", "training loss", "loss: pixels", "loss: masks"]
     for axes, values in zip(figure.axes, ([20, 60], [0.4, 0.2], [2.5, 1.5], [0.5, 0.5], [2, 1]), strict=True):
@@ -60,9 +60,17 @@ def test_curves_are_the_logs(tmp_path):
     assert legend == ["ViewNet", "ViewNet + cycle", "HoloGAN-Decoder"]
 
 
+def test_the_numbers_of_the_curves_name_their_run(tmp_path):
+    logs = plots.training_logs([untrained_run(tmp_path / v, v) for v in ("viewnet", "single_head")])
+    assert logs[["row", "recipe", "category", "seed", "targets"]].iloc[-1].tolist() == [
+        "Single-head", "matting", "car", 0, 18 * 16,
+    ]  # fmt: skip
+    assert len(logs) == 4 and "val_accuracy" in logs
+
+
 def test_recipes_are_told_apart_over_the_targets_they_saw(tmp_path):
     runs = [untrained_run(tmp_path / recipe, recipe=recipe, batch_size=batch) for recipe, batch in BATCHES.items()]
-    figure = plots.training_curves(runs)
+    figure = plots.training_curves(plots.training_logs(runs))
     assert {axes.get_xscale() for axes in figure.axes} == {"log"}
     assert [line.get_xdata().tolist() for line in figure.axes[0].lines] == [[9 * 16, 18 * 16], [9 * 64, 18 * 64]]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
@@ -73,6 +81,6 @@ def test_a_run_without_a_log_is_named(tmp_path):
     run = untrained_run(tmp_path / "run")
     (run.folder / "log.csv").write_text("epoch,step,seconds,loss\n")
     with pytest.raises(ViewnetError, match=r"viewnet car seed 0 .* log is empty"):
-        plots.training_curves([run])
+        plots.training_logs([run])
     with pytest.raises(ViewnetError, match="no runs"):
-        plots.training_curves([])
+        plots.training_logs([])

@@ -1,4 +1,4 @@
-"""The search for viewpoints: neighbours, sectors, noise, balance, and the weight of the selection."""
+"""The search for viewpoints: neighbours, sectors, noise and balance."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def model():
 
 def test_heads_are_compared_by_the_best_viewpoint_around_each(model):
     """A head that is off by the step between neighbours reconstructs the target without an error."""
-    config = settings(neighbours=8.0, pull_weight=1.0)
+    config = settings(neighbours=8.0)
     objects, azimuth, elevation, target = known_targets(model)
     heads = torch.stack([view_vector(azimuth + 170, elevation), view_vector(azimuth + 8, elevation)], dim=1)
     hypotheses = Hypotheses(heads, torch.zeros(6, 2))
@@ -91,9 +91,9 @@ def test_an_azimuth_chosen_too_often_is_avoided():
     front, back = view_vector(torch.tensor([15.0, 195.0]), torch.zeros(2))
     views = torch.stack([front, back]).expand(1, 2, 3)
     score = torch.tensor([[1.0, 1.1]])  # both much alike, the front a little better
-    even, limits = torch.full((12, 1), 1 / 12), (-90.0, 90.0)
+    even, limits = torch.full((12, 4), 1 / 48), (-90.0, 90.0)
     assert balanced(score, views, even, limits, 1.0).argmin().item() == 0
-    often = torch.tensor([0.6, 0.4, *[0.0] * 9, 0.0])[:, None]
+    often = torch.tensor([0.6, 0.4, *[0.0] * 10])[:, None].expand(12, 4) / 4
     assert balanced(score, views, often, limits, 1.0).argmin().item() == 1
     assert torch.equal(balanced(score, views, often, limits, 0.0), score)
 
@@ -106,16 +106,3 @@ def test_an_elevation_chosen_too_often_is_avoided():
     assert balanced(score, views, even, limits, 1.0).argmin().item() == 1
     below = torch.tensor([0.7, 0.1, 0.1, 0.1]).expand(12, 4) / 12
     assert balanced(score, views, below, limits, 1.0).argmin().item() == 0
-
-
-def test_the_selection_has_a_weight_in_the_choice_and_none_in_what_it_is_taught(model):
-    """Heads a little and far off: the first explains the targets better, unless the selection is sure of the other."""
-    objects, azimuth, elevation, target = known_targets(model)
-    heads = torch.stack([view_vector(azimuth + 2, elevation), view_vector(azimuth + 60, elevation)], dim=1)
-    sure = torch.tensor([0.0, 30.0]).expand(6, 2)
-    for logits, trust, chosen in ((sure, 0.5, 1), (sure, 0.0, 0), (-sure, 0.5, 0), (0 * sure, 0.5, 0)):
-        choice = PoseSearch(trust=trust)(model, objects, Hypotheses(heads, logits), target, SMOKE.train)
-        assert choice.head.tolist() == [chosen] * 6
-        assert torch.equal(choice.viewpoint, heads[:, chosen])
-        assert choice.label.tolist() == [0] * 6
-        assert (choice.errors[:, 0] < choice.errors[:, 1]).all()

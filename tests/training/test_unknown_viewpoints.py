@@ -37,7 +37,7 @@ def blind(folder: Path) -> ViewStore:
 
 
 def plain(**changes):
-    settings = {"epochs": 1, "batch_size": 4, "amp": "off", "neighbours": 0.0, "pull_weight": 0.0, "search": 0.0}
+    settings = {"epochs": 1, "batch_size": 4, "amp": "off", "neighbours": 0.0, "search": 0.0}
     return make_config(profile="smoke", recipe="matting", **{**settings, **changes})
 
 

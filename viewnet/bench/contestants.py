@@ -92,7 +92,7 @@ def camera_frames(count: int) -> Tensor:
 
 def images(count: int, size: int) -> tuple[Tensor, Tensor, Tensor]:
     """Three images (count, 4, size, size) each of blobs in different colours: appearance, target, viewpoint input."""
-    shapes = volume.squash(logits("object", 16, count), None, None)
+    shapes = volume.squash(logits("object", 16, count), None)
     with torch.no_grad():
         rendered = volume.render_reference(shapes, camera_frames(3 * count), torch.tensor(FOCAL), size, 16)
     appearance, target, inputs = rendered.unflatten(0, (count, 3)).unbind(1)
@@ -111,7 +111,7 @@ def prepare(work: Work, contestant: str, device: torch.device) -> Call:
 
 
 def _renderer(work: Work, by_textbook: bool, device: torch.device) -> Call:
-    shape = volume.squash(logits(work.occupancy, work.size, work.batch).to(device), None, None)
+    shape = volume.squash(logits(work.occupancy, work.size, work.batch).to(device), None)
     shape = shape.contiguous() if by_textbook else shape
     cameras, focal, size = camera_frames(work.images).to(device), torch.tensor(FOCAL, device=device), work.size
     weights = torch.randn(work.images, 4, size, size, generator=torch.Generator(device).manual_seed(0), device=device)

@@ -180,7 +180,7 @@ def need(work: Work, device: torch.device) -> Need:
     """
     size = work.size
     occupancy = "dense" if work.occupancy == "initial" else work.occupancy
-    shape = volume.squash(contestants.logits(occupancy, size, 1).to(device), None, None).expand(VIEWS, -1, -1, -1, -1)
+    shape = volume.squash(contestants.logits(occupancy, size, 1).to(device), None).expand(VIEWS, -1, -1, -1, -1)
     cameras, focal = contestants.camera_frames(VIEWS).to(device), torch.tensor(contestants.FOCAL, device=device)
     with torch.no_grad():
         samples = lit_samples(textbook.rotate(shape, cameras, focal, size, size)) / VIEWS

@@ -251,7 +251,7 @@ def needs(step: Step, progress: float) -> dict[str, Need]:
     """The least amount of work of the parts that have one: the others are nothing that must be done."""
     config, model, settings = step.config, step.config.model, step.config.train
     objects, targets, size = settings.objects, settings.batch_size, model.render_size
-    cycle = settings.cycle.on and progress > settings.cycle.start
+    cycle = settings.cycle.on
     seen = targets * (settings.photo.views_per_target if step.backgrounds is not None else 1) + objects * cycle
     result = _networks(step, seen, objects) | {OPTIMISERS: _optimisers(step)}
     if model.decoder == "hologan":

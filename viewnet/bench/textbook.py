@@ -53,7 +53,7 @@ def encoder(config: ModelConfig, outputs: int) -> nn.Sequential:
     while side > 1:
         width = config.encoder_channels[len(layers) // 3]
         shape: dict[str, Any] = {"kernel_size": 3, "stride": 2, "padding": 1} if side > 2 else {"kernel_size": 2}
-        convolution = nn.Conv2d(before, width, padding_mode=config.encoder_padding, bias=False, **shape)
+        convolution = nn.Conv2d(before, width, padding_mode="replicate", bias=False, **shape)
         layers += [convolution, nn.BatchNorm2d(width), nn.ReLU()]
         before, side = width, side // 2
     return nn.Sequential(*layers, nn.Conv2d(before, outputs, 1), nn.Flatten())
@@ -120,7 +120,7 @@ class TextbookViewNet(nn.Module):
         self.viewpoint = nn.ModuleDict({"encoder": encoder(config, 4 * config.heads)})
         self.appearance = encoder(config, config.appearance_size)
         self.decoder = Generator(config)
-        self.focal = nn.Parameter(torch.tensor(config.focal))
+        self.focal = nn.Parameter(torch.tensor(0.4))  # learned
         axis = (torch.arange(config.volume_size) * 2 + 1) / config.volume_size - 1
         squares = axis[:, None, None] ** 2 + axis[:, None] ** 2 + axis**2
         self.register_buffer("prior", torch.exp(-squares / 0.05), persistent=False)  # S of section 3.3
@@ -173,7 +173,7 @@ def step_loss(
     errors = (rendered[:, :, :3] - resized[:, None, :3]).square().mean((2, 3, 4))  # equation 2
     best = errors.argmin(1)
     image = rendered[torch.arange(len(best), device=best.device), best][:, :3]
-    loss = config.selection.weight * F.cross_entropy(logits, best)
+    loss = F.cross_entropy(logits, best)
     if config.pixel_weight:
         covered = target[:, 3].mean().clamp(min=0.01)
         loss = loss + config.pixel_weight * pixel_loss(image, resized[:, :3]) / covered

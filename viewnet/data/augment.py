@@ -66,20 +66,6 @@ def crop_and_rotate(images: Tensor, generator: RandomSource) -> Tensor:
     return F.grid_sample(images, grid, align_corners=False)
 
 
-def jitter(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
-    """Images (N, 4, S, S), RGB times alpha and alpha, in other colours, on which a viewpoint hardly depends.
-
-    Red, green and blue are permuted; then each, and all together, are multiplied by up to exp(strength) or its
-    reciprocal, and what exceeds 1 is cut off.
-    """
-    count, alpha = len(images), images[:, 3:]
-    order = rand(count, 3, generator=generator).argsort(1).to(images.device)  # (N, 3), a permutation each
-    uniform = 2 * rand(count, 4, generator=generator) - 1  # one for each colour, one for all
-    gain = torch.exp(strength * (uniform[:, :3] + uniform[:, 3:])).to(images)[:, :, None, None]  # (N, 3, 1, 1)
-    colours = images[torch.arange(count, device=images.device)[:, None], order] * gain  # (N, 3, S, S)
-    return torch.cat([torch.minimum(colours, alpha), alpha], 1)  # RGB is premultiplied: at most alpha
-
-
 def photograph(crops: Tensor, backgrounds: Tensor, config: PhotoAugmentationConfig, generator: RandomSource) -> Tensor:
     """Crops of views (N, 4, S, S), RGB times alpha and alpha, as if cut from photographs: (N, 4, S, S) with alpha 1.
 

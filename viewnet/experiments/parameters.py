@@ -144,7 +144,7 @@ PARAMETERS: dict[str, Parameter] = {
     "recipe": Parameter("default", _recipes,
                         "how models are trained (viewnet.recipes), one or more: paper,matting; default: the profile's",
                         "{}", "-".join, "recipes"),
-    "variant": _one_name("", (*VARIANTS, *baselines.UNTRAINED), "the row of a figure; empty: the notebook's",
+    "variant": _one_name("", (*VARIANTS, *baselines.UNTRAINED), "one row, such as viewnet; empty: all",
                          "variants", "{0[0]}"),
     "categories": Parameter("all", _categories,
                             "car, or car,chair, or a list; all: the notebook's; everything: all twelve of PASCAL3D+",

@@ -20,7 +20,7 @@ from torch import Tensor
 from viewnet import paths
 from viewnet.config import ModelConfig, RunConfig
 from viewnet.errors import ViewnetError
-from viewnet.model.viewnet import ViewNet
+from viewnet.model.viewnet import BANDS, ViewNet
 
 CHECKPOINT = "checkpoint.safetensors"
 LARGEST_VOLUME = 256
@@ -94,7 +94,7 @@ def build(config: ModelConfig, weights: dict[str, Tensor], path: Path) -> ViewNe
     # Counted before room is made for it: a forged configuration must not allocate more than its file holds.
     if fewest_weights(config) > sum(map(Tensor.numel, weights.values())) or config.volume_size > LARGEST_VOLUME:
         raise ViewnetError(f"{path}: its configuration is of a larger network: weights and configuration do not match")
-    weights, network = updated(weights), ViewNet(config)
+    network = ViewNet(config)
     expected = network.state_dict()
     for name in sorted(expected.keys() | weights.keys()):  # sorted, so that the fault named first is always the same
         if name not in weights or name not in expected:
@@ -125,24 +125,13 @@ def starting_weights(start: str, model: ModelConfig) -> dict[str, Tensor]:
             raise ViewnetError(
                 f"{path}: its network has {field.name} {there!r}, the one to train {here!r}: start from one like it"
             )
-    return updated(read(path)[0])
-
-
-def updated(weights: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of an earlier version as this one has them: of a fixed code's layer its output, not the layer's own."""
-    first, code = "decoder.stages.0", weights.get("decoder.code")
-    layer = weights.get(f"{first}.convolution.weight")  # (n, C, 4, 4, 4)
-    if layer is None or code is None or f"{first}.norm.affine.weight" not in weights or len(layer) != code.numel():
-        return weights  # of this version; or not of one network, which the caller says
-    output = (code.float().view(-1, 1, 1, 1, 1) * layer.float()).sum(0, keepdim=True)  # (1, C, 4, 4, 4)
-    others = {name: weight for name, weight in weights.items() if weight is not layer}
-    return others | {f"{first}.convolution.output": output}
+    return read(path)[0]
 
 
 def fewest_weights(config: ModelConfig) -> int:
     """How many weights the largest layer of a network has at least."""
     encoder, generator = config.encoder_channels, config.generator_channels
-    layers = [*pairwise(encoder), *pairwise(generator), (12, config.balance_bands)]
+    layers = [*pairwise(encoder), *pairwise(generator), (12, BANDS)]
     layers += [(min(encoder), outputs) for outputs in (config.heads, config.appearance_size)]
     if config.decoder == "adain":
         layers += [(64, generator[0]), (1, config.code_size)]

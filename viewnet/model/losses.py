@@ -89,7 +89,6 @@ def cycle_loss(hypotheses: Hypotheses, truth: Tensor, config: CycleConfig) -> Te
     The head that the network selects is pulled (the released code), or the closest one; either way the selection is
     taught which was the closest.
     """
-    with torch.no_grad():
-        closest = (hypotheses.vectors - truth[:, None]).square().sum(-1).argmin(1)  # (N,)
-        pulled = closest if config.head == "closest" else hypotheses.logits.argmax(1)
+    closest = (hypotheses.vectors.detach() - truth[:, None]).square().sum(-1).argmin(1)  # (N,)
+    pulled = closest if config.head == "closest" else hypotheses.logits.argmax(1)  # (N,)
     return F.mse_loss(hypotheses.of_heads(pulled), truth) + F.cross_entropy(hypotheses.logits, closest)

@@ -24,7 +24,6 @@ class Choice:
 
     head: Tensor  # (N,) the head to teach
     viewpoint: Tensor  # (N, 3) the view vector to teach it
-    label: Tensor  # (N,) the head that the selection is to choose
     errors: Tensor  # (N, M) reconstruction error of each head
     render_from: Tensor | None = None  # (N, 3) view vectors to reconstruct from; None: the hypothesis of `head`
 
@@ -60,7 +59,6 @@ def reconstruct(
     viewpoint_input: Tensor,
     config: TrainConfig,
     choose: Choose | None = None,
-    own_shape: float = 1.0,
     background: Tensor | None = None,
 ) -> Reconstruction:
     """Reconstructs targets (N, 4, S, S), S = render_size, from appearance images (B, 4, s, s), N = B K.
@@ -68,10 +66,10 @@ def reconstruct(
     All heads are compared without gradients; only the best is rendered with them ("gradients will only be propagated
     through m*", section 3.1). `viewpoint_input` (N, 4, s, s) are the targets as the viewpoint network sees them: whole,
     or cropped and augmented; (N + K N, 4, s, s) where it sees each more than once, all targets in turn.
-    `own_shape` and `background` (B, 3, s, s) as in ViewNet.encode; `choose` defaults to `best_head`.
+    `background` (B, 3, s, s) as in ViewNet.encode; `choose` defaults to `best_head`.
     """
     with autocast(appearance.device, config):
-        objects = Encoded(*model.encode(appearance, own_shape, background))  # f^a and the generator
+        objects = Encoded(*model.encode(appearance, background))  # f^a and the generator
         predicted = model.viewpoint(model.composite(viewpoint_input))  # f^v, logits and vectors for all M
     hypotheses, repeated = predicted.rows(slice(len(target))), predicted.rows(slice(len(target), None))
     with torch.no_grad():  # equation 2 chooses; losing heads learn nothing
@@ -90,7 +88,7 @@ def best_head(model: ViewNet, objects: Encoded, hypotheses: Hypotheses, target: 
     rows = torch.arange(len(target), device=target.device)
     _, errors = compare(model, objects, hypotheses.vectors[:, :, None], hypotheses.ups, target, config)  # (N, M)
     head = errors.argmin(1)  # (N,)
-    return Choice(head, hypotheses.vectors[rows, head], head, errors)
+    return Choice(head, hypotheses.vectors[rows, head], errors)
 
 
 def compare(
@@ -99,14 +97,12 @@ def compare(
     """How well viewpoints explain targets (N, 4, S, S): T candidates for each head, as view vectors (N, M, T, 3).
 
     Returns each head's best candidate (N, M, 3) and its error (N, M), equation 2. Colours are compared over black, and
-    masks apart from them: over a random background the silhouette is hidden where it happens to have the object's
-    colour.
+    masks apart from them.
     """
     if ups is not None:
         ups = ups[:, :, None].expand_as(candidates)  # (N, M, T, 3)
     cameras = look_at(candidates, ups)  # (N, M, T, 3, 3)
-    of_images = config.target == "image"
-    weights = (config.comparison.colours, config.comparison.masks) if of_images else (0.0, 1.0)
+    weights = (1.0, config.mask_weight) if config.target == "image" else (0.0, 1.0)
     in_a_volume = model.config.decoder != "hologan"
     if in_a_volume and volume.fused_kernels(objects.volume.device) is volume_cpu:
         best, errors = volume_cpu.compare(objects.volume, cameras, model.focal, target, weights)  # (N, M) each

@@ -11,7 +11,11 @@ from viewnet.config import ModelConfig
 from viewnet.geometry import look_at
 from viewnet.model import volume
 from viewnet.model.networks import Encoder, Generator, HoloGANDecoder, gaussian_prior
-from viewnet.runtime import distributed
+
+FOCAL = 0.4
+"""What a learned focal length starts from, as released."""
+BANDS = 4
+"""Of elevation, by which ViewpointNetwork.shares tells viewpoints apart."""
 
 
 @dataclass
@@ -39,7 +43,7 @@ class Hypotheses:
 class ViewpointNetwork(nn.Module):
     """f^v: images (N, 3, S, S) -> Hypotheses. One encoder whose last layer gives logits and vectors (section 3.1).
 
-    `shares` (12, bands) is kept by training: the share of chosen viewpoints in each part of the sphere.
+    `shares` (12, BANDS) is kept by training: the share of chosen viewpoints in each part of the sphere.
     """
 
     shares: Tensor
@@ -48,19 +52,14 @@ class ViewpointNetwork(nn.Module):
         super().__init__()
         self.heads, self.in_plane, self.limits = config.heads, config.in_plane, config.elevation_limits
         outputs = (7 if config.in_plane else 4) * config.heads
-        self.encoder = Encoder(config.encoder_channels, outputs, config.input_size, config.encoder_padding)
-        azimuth = torch.arange(config.heads) * (2 * math.pi / config.heads)  # (M,), evenly around the object
-        # Heads that start in one place would all learn the same viewpoint.
-        offset = config.head_spread * torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros_like(azimuth)], dim=1)
-        self.register_buffer("offset", offset, persistent=False)  # (M, 3); follows from the settings: not saved
-        bands = config.balance_bands
-        self.register_buffer("shares", torch.full((12, bands), 1 / (12 * bands)))  # all alike
+        self.encoder = Encoder(config.encoder_channels, outputs, config.input_size)
+        self.register_buffer("shares", torch.full((12, BANDS), 1 / (12 * BANDS)))  # all alike
 
     def forward(self, images: Tensor) -> "Hypotheses":
         """The hypotheses for images (N, 3, S, S), as `ViewNet.composite` gives them."""
         out = self.encoder(images).float()  # (N, 4 M), or (N, 7 M) with ups
         logits, rest = out[:, : self.heads], out[:, self.heads :].unflatten(1, (-1, self.heads, 3))  # (N, 1 or 2, M, 3)
-        vectors = self.on_sphere(rest[:, 0] + self.offset)  # (N, M, 3)
+        vectors = self.on_sphere(rest[:, 0])  # (N, M, 3)
         # A learned up starts near the world's: the network only has to predict how far it is tilted.
         ups = F.normalize(rest[:, 1] + rest.new_tensor([0.0, 0.0, 1.0]), dim=-1) if self.in_plane else None
         return Hypotheses(vectors, logits, ups)
@@ -86,11 +85,10 @@ class ViewNet(nn.Module):
         super().__init__()
         self.config = config
         self.viewpoint = ViewpointNetwork(config)
-        self.appearance = Encoder(
-            config.encoder_channels, config.appearance_size, config.input_size, config.encoder_padding
-        )
+        self.appearance = Encoder(config.encoder_channels, config.appearance_size, config.input_size)
         self.decoder = HoloGANDecoder(config) if config.decoder == "hologan" else Generator(config)
-        self.focal = nn.Parameter(torch.tensor(config.focal), requires_grad=config.learn_focal)  # f of the renderer
+        learned = config.focal is None
+        self.focal = nn.Parameter(torch.tensor(FOCAL if learned else config.focal), requires_grad=learned)
         prior = gaussian_prior(config.volume_size) if config.shape_prior else torch.empty(0)
         self.register_buffer("prior", prior, persistent=False)
 
@@ -98,33 +96,25 @@ class ViewNet(nn.Module):
         """Images (N, 4, S, S) over backgrounds (N, 3, S, S) or the backdrop: (N, 3, S, S), as encoders take them."""
         return images[:, :3] + (self.config.backdrop if background is None else background) * (1 - images[:, 3:])
 
-    def encode(self, images: Tensor, own_shape: float = 1.0, background: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def encode(self, images: Tensor, background: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Appearance codes (N, A) and volumes, as `generate` gives them, of the objects in images (N, 4, S, S).
 
-        `own_shape` below 1 moves codes towards their mean, which they are at 0: one shape for all, in many colours.
         `background` as in `composite`.
         """
         code = self.appearance(self.composite(images, background))  # (N, A)
-        if own_shape < 1:
-            code = torch.lerp(distributed.mean(code.mean(0, keepdim=True)), code, own_shape)  # (N, A)
-        colour = None
-        if self.config.colour_prior:
-            colour = images[:, :3].sum((2, 3)) / images[:, 3].sum((1, 2))[:, None].clamp(min=1)  # (N, 3)
-        return code, self.generate(code, colour)
+        return code, self.generate(code)
 
-    def generate(self, code: Tensor, colour: Tensor | None = None) -> Tensor:
+    def generate(self, code: Tensor) -> Tensor:
         """Volumes (N, 4, n, n, n) of appearance codes (N, A): colour and occupancy in [0, 1] (section 3.3).
 
         Q = S + Q' as reported, where Q' = 2 sigmoid - 1 lies in [-1, 1] and the sum is limited to [0, 1]. Without the
-        prior S is 0, and nothing else changes. With `colour` (N, 3), an object's mean colour, the generator's colours
-        are differences to it. The HoloGAN decoder's volumes are features.
+        prior S is 0, and nothing else changes. The HoloGAN decoder's volumes are features.
         """
         if isinstance(self.decoder, HoloGANDecoder):
             return self.decoder.features(code)
         # Squashed before it is sampled (both orders are in use), so that the volume itself holds colours.
         blocks = self.decoder.blocks(code)
-        logit = None if colour is None else colour.clamp(0.03, 0.97).logit()  # (N, 3); finite
-        return volume.squash(blocks, logit, self.prior if self.config.shape_prior else None)
+        return volume.squash(blocks, self.prior if self.config.shape_prior else None)
 
     def render(self, volumes: Tensor, code: Tensor, world_from_camera: Tensor, size: int | None = None) -> Tensor:
         """Images (N, 4, size, size) of volumes (B, ...) from camera frames (N, 3, 3), N a multiple of B (section 3.3).

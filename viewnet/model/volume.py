@@ -60,19 +60,15 @@ def joined(blocks: Tensor) -> Tensor:
     return blocks.permute(0, 7, 1, 4, 2, 5, 3, 6).flatten(6, 7).flatten(4, 5).flatten(2, 3)  # (B, 4, s z, s y, s x)
 
 
-def squash(blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
-    """Logits as `joined` takes them to volumes: colours sigmoid(x + c), occupancy Q = 2 sigmoid(x) - 1 + S in [0, 1].
+def squash(blocks: Tensor, prior: Tensor | None) -> Tensor:
+    """Logits as `joined` takes them to volumes: colours sigmoid(x), occupancy Q = 2 sigmoid(x) - 1 + S in [0, 1].
 
-    `colour` (B, 3) is c and `prior` (n, n, n) is S; 0 where None. Voxels outside [0, 1] still take the gradient that
-    pulls them back in: a plain clamp gives those that were once emptied none, so that thin parts, once lost, never come
-    back.
+    `prior` (n, n, n) is S; 0 where None. Voxels outside [0, 1] still take the gradient that pulls them back in: a plain
+    clamp gives those that were once emptied none, so that thin parts, once lost, never come back.
     """
     if blocks.device.type == "cpu" and numba_call.available():
-        return volume_cpu.squash(blocks, colour, prior)
-    logits = joined(blocks).float()  # (B, 4, n, n, n)
-    if colour is not None:
-        logits = logits + F.pad(colour, (0, 1))[:, :, None, None, None]  # (B, 4, n, n, n)
-    values = torch.sigmoid(logits)
+        return volume_cpu.squash(blocks, prior)
+    values = torch.sigmoid(joined(blocks).float())  # (B, 4, n, n, n)
     occupancy = 2 * values[:, 3:] - 1 + (0 if prior is None else prior)  # (B, 1, n, n, n), Q = Q' + S
     return torch.cat([values[:, :3], _Clamp.apply(occupancy)], 1)  # (B, 4, n, n, n)
 

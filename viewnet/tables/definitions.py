@@ -36,15 +36,15 @@ DEFINITIONS = {
 """Column -> definition; "geodesic" is the headline."""
 
 
-def by_definition(table: Table) -> pd.DataFrame:
-    """A line for each row and category whose predictions are aligned by Procrustes: means over seeds.
+def of_seeds(table: Table) -> pd.DataFrame:
+    """A line for each row, category and seed whose predictions are aligned by Procrustes.
 
     acc30 and median by each of DEFINITIONS; `spread`, that of Procrustes (viewnet.evaluation.alignment), below a
-    quarter of which its rotation is hardly determined; `degenerate`, of how many of the `seeds` that is so.
+    quarter of which its rotation is hardly determined; `degenerate`, whether that is so.
     """
     lines = []
     for entry in (entry for entry in table.entries if entry.alignment == "procrustes"):
-        line: dict[str, object] = {"row": table.label(entry), "category": entry.category}
+        line: dict[str, object] = {"row": table.label(entry), "category": entry.category, "seed": entry.seed}
         for name, definition in DEFINITIONS.items():
             aligned = align(entry.predictions, definition.alignment, entry.calibration)
             errors = definition.error(aligned.selected_errors)
@@ -52,7 +52,12 @@ def by_definition(table: Table) -> pd.DataFrame:
             if name == "geodesic" and isinstance(aligned.alignment, Procrustes):
                 line |= {"spread": aligned.alignment.spread, "degenerate": int(aligned.alignment.degenerate)}
         lines.append(line)
-    seeds = pd.DataFrame(lines).groupby(["row", "category"], sort=False)
+    return pd.DataFrame(lines)
+
+
+def by_definition(table: Table) -> pd.DataFrame:
+    """`of_seeds` as means over seeds; `degenerate` counts them, of so many `seeds`."""
+    seeds = of_seeds(table).drop(columns="seed").groupby(["row", "category"], sort=False)
     return seeds.mean().round(4).assign(degenerate=seeds["degenerate"].sum(), seeds=seeds.size())
 
 

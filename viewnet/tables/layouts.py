@@ -74,6 +74,15 @@ _CONSTANTS = (
     Row("Constant (rotation)", "constant_rotation"),  # not in the paper: mean of frames, not of view vectors
 )
 
+_TAKEN_AWAY = {
+    "pull": "pull to a better viewpoint",
+    "temperature": "shares in the selection",
+    "balance": "balanced viewpoints",
+    "learning_rate": "learning rate of 1e-3",
+    "muon": "Muon",
+    "schedule": "falling learning rate",
+}
+
 LAYOUTS = {
     "table1_shapenet": Layout(
         "ShapeNet results of unsupervised methods",
@@ -93,7 +102,7 @@ LAYOUTS = {
     "recipe_ablation": Layout(
         "What each setting of the recipe matting brings",
         (Row("ViewNet", "viewnet"),
-         *(Row(f"without {name.replace('_', ' ')}", f"without_{name}") for name in ABLATIONS)),
+         *(Row(f"without {_TAKEN_AWAY.get(name, name.replace('_', ' '))}", f"without_{name}") for name in ABLATIONS)),
         reported=NOWHERE,
     ),
     "test_sets": Layout(

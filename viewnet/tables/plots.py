@@ -35,7 +35,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 """Distinct for colour-blind readers too (Okabe and Ito 2008)."""
 DASHES: Any = ("-", "--", ":", "-.")
 LOGGED = {"val_accuracy": "validation accuracy (%)", "val_folded": "the same, folded (%)",
-    "val_reconstruction": "validation error", "val_least_used": "least used head (% of views)",
+    "val_reconstruction": "validation error", "val_least_used": "least used head (%)",
     "val_focal": "focal length", "loss": "training loss"}  # fmt: skip
 """Columns of a run's log that are no term of its loss, and their titles."""
 COUNTED = ("epoch", "step", "seconds")
@@ -68,44 +68,54 @@ def azimuth_scatter(runs: Sequence[Run]) -> Figure:
     return figure
 
 
-@matplotlib.rc_context(STYLE)
-def training_curves(runs: Sequence[Run]) -> Figure:
-    """Validation accuracy and error, the loss and each of its terms over the target images seen.
+def training_logs(runs: Sequence[Run]) -> pd.DataFrame:
+    """The logs of runs one below the other: row, recipe, category, seed, `targets` seen so far, and the log's columns.
 
-    A colour a variant and recipe, a dash a category. Terms are weighted, so they sum to the loss. Seeds look alike.
     Raises ViewnetError without runs, and for a run that has not been validated yet.
     """
     if not runs:
         raise ViewnetError("training curves: no runs to show: train some first")
-    logs = [(run, run.log) for run in runs]
-    for run, log in logs:
+    logs = []
+    for run in runs:
+        log, config = run.log, run.config
         if log.empty:
             raise ViewnetError(f"{run.name}: its log is empty: wait for the first validation")
-    columns = dict.fromkeys(column for _, log in logs for column in log.columns if column not in COUNTED)
+        about: dict[str, Any] = {"row": LABELS.get(config.variant, config.variant), "recipe": config.recipe}
+        about |= {"category": config.category, "seed": config.seed}
+        log = log.assign(targets=log["step"] * config.train.batch_size, **about)
+        logs.append(log[[*about, "targets", *(column for column in log if column not in {*about, "targets"})]])
+    return pd.concat(logs, ignore_index=True)
+
+
+@matplotlib.rc_context(STYLE)
+def training_curves(logs: pd.DataFrame) -> Figure:
+    """Validation accuracy and error, the loss and each of its terms over the target images seen, of `training_logs`.
+
+    A colour a row and recipe, a dash a category. Terms are weighted, so they sum to the loss. Seeds look alike.
+    """
+    columns = list(logs.columns[logs.columns.get_loc("targets") + 1 :])
     titles = {column: title for column, title in LOGGED.items() if column in columns}
-    titles |= {term: f"loss: {term}" for term in columns if term not in LOGGED}
-    recipes = len({run.config.recipe for run in runs}) > 1
-    names = {run.key: LABELS.get(run.config.variant, run.config.variant) for run in runs}
-    names = {run.key: f"{names[run.key]} ({run.config.recipe})" if recipes else names[run.key] for run in runs}
-    colours = dict(zip(dict.fromkeys(names.values()), itertools.cycle(COLOURS), strict=False))
-    dashes = dict(zip(dict.fromkeys(run.config.category for run in runs), itertools.cycle(DASHES), strict=False))
+    titles |= {term: f"loss: {term}" for term in columns if term not in {*LOGGED, *COUNTED}}
+    recipes = logs["recipe"].nunique() > 1
+    names = logs["row"] + " (" + logs["recipe"] + ")" if recipes else logs["row"]
+    colours = dict(zip(names.unique(), itertools.cycle(COLOURS), strict=False))
+    dashes = dict(zip(logs["category"].unique(), itertools.cycle(DASHES), strict=False))
     across = min(4, len(titles))
     down = -(-len(titles) // across)
     figure = Figure(figsize=(1.75 * across + 1.4, 1.5 * down + 0.2), layout="constrained")
     grid = figure.subplots(down, across, squeeze=False).ravel()
     for axes, (column, title) in zip(grid, titles.items(), strict=False):
-        for run, log in logs:
-            if column in log:
-                style: Any = {"color": colours[names[run.key]], "linestyle": dashes[run.config.category]}
-                targets = log["step"] * run.config.train.batch_size
-                axes.plot(targets, log[column], linewidth=1, marker="o", markersize=2, **style)
+        for (name, category, _), log in logs.groupby([names, "category", "seed"], sort=False):
+            if log[column].notna().any():
+                style: Any = {"color": colours[name], "linestyle": dashes[category]}
+                axes.plot(log["targets"], log[column], linewidth=1, marker="o", markersize=2, **style)
         axes.set_title(title, fontsize=8)
-        axes.set_ylim(0, 100 if column in ("val_accuracy", "val_folded") else None)
+        axes.set_ylim(min(0, logs[column].min()), 100 if column in ("val_accuracy", "val_folded") else None)
         if recipes:
-            axes.set_xscale("log")
+            axes.set(xscale="log", xlim=(logs["targets"].min() * 0.8, logs["targets"].max() * 1.25))
         else:
             axes.set_xlim(left=0)
-            axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     for axes in grid[len(titles) :]:
         axes.remove()
     for axes in grid[max(0, len(titles) - across) : len(titles)]:

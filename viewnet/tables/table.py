@@ -349,13 +349,14 @@ def scores_by_definition(runs: Sequence[Run], table: str, row: str) -> pd.DataFr
     """
     paper = reported.load(table)
     paper = paper[paper["row"] == row].set_index(["category", "metric"])["value"]
-    lines = {}
+    lines: dict[tuple[str, str], dict[str, str]] = {}
     for run in runs:
         scores = run.result["metrics"][run.alignment]
         for name, values in {"geodesic": scores, **scores["audit"]}.items():
             lines[run.config.category, name] = {m: text(values[m], m) for m in HEADLINE}
         lines[run.config.category, "printed"] = {m: paper.get((run.config.category, m), DASH) for m in HEADLINE}
-    return pd.DataFrame(lines).T.rename_axis(index=["category", "definition"])
+    index = pd.MultiIndex.from_tuples(list(lines), names=["category", "definition"])
+    return pd.DataFrame(list(lines.values()), index, columns=list(HEADLINE))
 
 
 def _measure(seeds: Sequence[Entry], row_metrics: Sequence[str]) -> dict[str, dict[str, Any]]:

@@ -13,7 +13,7 @@ from viewnet.config import TrainConfig
 from viewnet.data.pairs import resize
 from viewnet.geometry import azimuth_elevation, view_vector
 from viewnet.model.reconstruction import Choice, Encoded, compare
-from viewnet.model.viewnet import Hypotheses, ViewNet
+from viewnet.model.viewnet import BANDS, Hypotheses, ViewNet
 from viewnet.model.volume import halved
 from viewnet.runtime import distributed
 from viewnet.runtime.random import RandomSource, rand
@@ -52,7 +52,6 @@ class PoseSearch:
     """The choice of viewpoints at one point of training; called as viewnet.model.reconstruction.Choose."""
 
     search: Search | None = None  # its viewpoints compete with the heads', and are reconstructed from
-    trust: float = 0.0  # weight of the selection logits in the choice (SelectionConfig.trust)
 
     def __call__(
         self, model: ViewNet, objects: Encoded, hypotheses: Hypotheses, target: Tensor, config: TrainConfig
@@ -65,9 +64,6 @@ class PoseSearch:
             coarse = half_resolution(model, objects, target)
         candidates, errors = compare_heads(model, objects, hypotheses, target, config, coarse)  # (N, M, 3), (N, M)
         score = errors
-        if self.trust and heads > 1:
-            spread = distributed.mean(errors.std(1, keepdim=True).mean())  # `trust` is in units of the errors' spread
-            score = errors - self.trust * spread * hypotheses.logits.log_softmax(1)
         if self.search:
             grid = self.search.grid(len(target), limits).to(vectors)
             searched, search_errors = compare_grid(model, objects, grid, target, config, coarse)
@@ -79,14 +75,12 @@ class PoseSearch:
         winner = score.argmin(1)
         viewpoint = candidates[torch.arange(len(target), device=target.device), winner]  # (N, 3)
         if balance:
-            shares = model.viewpoint.shares  # (12, bands), moved after the choice, for the next step
-            counts = torch.bincount(_part(viewpoint, limits, shares.shape[1]), minlength=shares.numel())  # (12 bands,)
+            shares = model.viewpoint.shares  # (12, BANDS), moved after the choice, for the next step
+            counts = torch.bincount(_part(viewpoint, limits), minlength=shares.numel())  # (12 BANDS,)
             shares.lerp_(distributed.mean(counts / len(viewpoint)).view_as(shares), 0.02)  # averages some 50 steps
         closest = (vectors - viewpoint[:, None]).square().sum(-1).argmin(1)  # (N,)
         head = torch.where(winner < heads, winner, closest)  # a searched winner teaches the nearest head
-        # Were the selection taught a choice in which it took part, it would confirm itself.
-        label = errors.argmin(1) if self.trust else head
-        return Choice(head, viewpoint, label, errors, viewpoint if self.search else None)
+        return Choice(head, viewpoint, errors, viewpoint if self.search else None)
 
 
 def compare_heads(
@@ -136,18 +130,18 @@ def balanced(score: Tensor, views: Tensor, shares: Tensor, limits: tuple[float, 
 
     A volume that has grown alike on two sides explains images of either from one of them, is never reconstructed from
     the other, and would stay as it is. Images are taken from all around and from all elevations within the limits, so
-    no part of the sphere is due more than its share of `shares` (12, bands).
+    no part of the sphere is due more than its share of `shares` (12, BANDS).
     """
-    smooth = (2 * shares + shares.roll(1, 0) + shares.roll(-1, 0)) / 4  # (12, bands), blurred around the horizon
-    excess = torch.log(smooth * smooth.numel() + 0.05).flatten()[_part(views, limits, shares.shape[1])]  # (N, T)
+    smooth = (2 * shares + shares.roll(1, 0) + shares.roll(-1, 0)) / 4  # (12, BANDS), blurred around the horizon
+    excess = torch.log(smooth * smooth.numel() + 0.05).flatten()[_part(views, limits)]  # (N, T)
     return score + weight * score.std(1, keepdim=True) * excess  # in units of the errors' spread
 
 
-def _part(views: Tensor, limits: tuple[float, float], bands: int) -> Tensor:
-    """The part of the sphere of view vectors (..., 3): one of 12 sectors of azimuth times bands of elevation."""
+def _part(views: Tensor, limits: tuple[float, float]) -> Tensor:
+    """The part of the sphere of view vectors (..., 3): one of 12 sectors of azimuth times BANDS of elevation."""
     azimuth, elevation = azimuth_elevation(views)
-    band = ((elevation - limits[0]) / (limits[1] - limits[0]) * bands).long().clamp(0, bands - 1)  # both limits count
-    return (azimuth / 30).long() % 12 * bands + band  # sectors of 30 degrees
+    band = ((elevation - limits[0]) / (limits[1] - limits[0]) * BANDS).long().clamp(0, BANDS - 1)  # both limits count
+    return (azimuth / 30).long() % 12 * BANDS + band  # sectors of 30 degrees
 
 
 def neighbours(vectors: Tensor, angle: float) -> Tensor:

@@ -1,7 +1,5 @@
 """One training step: the terms of the loss on a batch of pairs (sections 3.1 to 3.4)."""
 
-import math
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -10,13 +8,16 @@ from viewnet.config import TrainConfig
 from viewnet.data import augment
 from viewnet.data.pairs import resize, tight_crop
 from viewnet.geometry import look_at, view_vector
-from viewnet.model.losses import PerceptualLoss, composite, cycle_loss, pixel_loss
+from viewnet.model.losses import PerceptualLoss, cycle_loss, pixel_loss
 from viewnet.model.precision import autocast
 from viewnet.model.reconstruction import Reconstruction, reconstruct
-from viewnet.model.viewnet import Hypotheses, ViewNet
+from viewnet.model.viewnet import ViewNet
 from viewnet.runtime import distributed
 from viewnet.runtime.random import RandomSource, rand, repeated
 from viewnet.training.pose_search import PoseSearch, Search
+
+RELEASED_ELEVATIONS = (-36.0, 72.0)
+"""Degrees of the novel views of cycles where a model's elevations have no limits, as released."""
 
 
 def step_loss(
@@ -39,14 +40,7 @@ def step_loss(
     # ---- what the networks see
     if config.augment:
         viewpoint_input = augment.crop_and_rotate(viewpoint_input, generator)  # as in the released code
-    if config.jitter:
-        viewpoint_input = augment.jitter(viewpoint_input, config.jitter, generator)  # f^v cannot rely on colours
     target = resize(target, model.config.render_size)  # (N, 4, S, S), S = render_size
-    if config.mirror:  # of a symmetric object the mirrored image is another of its views
-        mirrored = (rand(len(target), 1, 1, 1, generator=generator) < 0.5).to(device)  # (N, 1, 1, 1)
-        viewpoint_input, target = (
-            torch.where(mirrored, images.flip(-1), images) for images in (viewpoint_input, target)
-        )
     background = None
     if backgrounds is not None:
         times = config.photo.views_per_target
@@ -55,16 +49,14 @@ def step_loss(
         background = augment.windows(backgrounds, len(appearance), appearance.shape[-1], generator, device)
 
     # ---- reconstruction from the best viewpoint (equations 1 and 2)
-    own_shape = min(1.0, progress / config.shared_shape) if config.shared_shape else 1.0  # one for all at first
     choose = pose_search(config, progress, generator)
-    result = reconstruct(model, appearance, target, viewpoint_input, config, choose, own_shape, background)
+    result = reconstruct(model, appearance, target, viewpoint_input, config, choose, background)
 
     # ---- losses on images
     if config.target == "mask":
         image, reference = result.rendered[:, 3:], result.target[:, 3:]  # (N, 1, S, S)
     else:
-        colour = background_colours(config, len(target), generator, device)
-        image, reference = composite(result.rendered, colour), composite(result.target, colour)
+        image, reference = result.rendered[:, :3], result.target[:, :3]  # (N, 3, S, S), over black
     terms: dict[str, Tensor] = {}
     if perceptual is not None:
         terms["perceptual"] = perceptual(image.expand(-1, 3, -1, -1), reference.expand(-1, 3, -1, -1))  # (N, 3, S, S)
@@ -77,19 +69,16 @@ def step_loss(
 
     # ---- losses on viewpoints
     choice, hypotheses = result.choice, result.hypotheses
-    if config.comparison.pull_weight:
+    if config.comparison.pull_weight and (config.comparison.neighbours or config.search.share):
         pulled = hypotheses.of_heads(choice.head)  # (N, 3)
         terms["pull"] = config.comparison.pull_weight * (choice.viewpoint - pulled).square().sum(-1).mean()
     if model.config.heads > 1:
-        right = hypotheses.of_heads(choice.label).detach()  # (N, 3)
-        terms["selection"] = config.selection.weight * selection_loss(
-            hypotheses, choice.label, right, config.selection.angle
-        )
+        wanted = selection_target(choice.errors, config.comparison.temperature)  # (N, M)
+        terms["selection"] = F.cross_entropy(hypotheses.logits, wanted)
     if len(result.repeated.logits):  # K > 0 more images of each target
         terms["repeated_views"] = repeated_views_loss(result, config)
-    ramp = min(1.0, (progress - config.cycle.start) / 0.1) if config.cycle.start else 1.0  # over a tenth of training
-    if config.cycle.on and ramp > 0:
-        terms["cycle"] = ramp * config.cycle.weight * _cycle(model, result, config, generator, backgrounds)
+    if config.cycle.on:
+        terms["cycle"] = config.cycle.weight * _cycle(model, result, config, generator, backgrounds)
     return terms
 
 
@@ -98,48 +87,41 @@ def pose_search(config: TrainConfig, progress: float, generator: RandomSource) -
     searching = progress < config.search.share
     # The noise is gone half-way through the search.
     noise = max(0.0, 1 - 2 * progress / config.search.share) if searching else 0.0
-    return PoseSearch(
-        search=Search(config.search.views, noise, generator) if searching else None,
-        # A selection that has seen little knows little.
-        trust=config.selection.trust if progress >= 0.5 else 0.0,
-    )
+    return PoseSearch(Search(config.search.views, noise, generator) if searching else None)
 
 
-def background_colours(config: TrainConfig, count: int, generator: RandomSource, device: torch.device) -> Tensor:
-    """Colours (count, 3) behind target and reconstruction: black as reported, or one random colour a sample."""
-    if config.background == "black":
-        return torch.zeros(count, 3, device=device)  # (N, 3)
-    return rand(count, 3, generator=generator).to(device)
+def selection_target(errors: Tensor, temperature: float) -> Tensor:
+    """How the selection should share itself out among heads with these reconstruction errors (N, M): (N, M).
+
+    All of it for the best, as reported (section 3.1). With a temperature, heads that explain an image nearly as well
+    have nearly the same share: which of them has the lower error is often chance, and nothing to learn.
+    """
+    least, best = errors.min(1, keepdim=True)  # (N, 1) each
+    if not temperature:
+        return torch.zeros_like(errors).scatter_(1, best, 1.0)
+    return (-errors / (temperature * least.clamp(min=1e-9))).softmax(1)
 
 
 def repeated_views_loss(result: Reconstruction, config: TrainConfig) -> Tensor:
-    """What one reconstruction teaches of a target's other images: its viewpoint, and which head to select.
+    """What one reconstruction teaches of a target's other images: its viewpoint, and which heads to select.
 
-    As for the image it was made for, the closest head is pulled, and the one closest to the head to select is selected.
+    As for the image it was made for: the head closest to the viewpoint is pulled, and each head's share of the
+    selection is that of those heads of the first image which it is closest to.
     """
     hypotheses, choice = result.repeated, result.choice
-    times = len(hypotheses.logits) // len(choice.label)
-    viewpoint, right = (
-        view.detach().repeat(times, 1)  # (K N, 3)
-        for view in (choice.viewpoint, result.hypotheses.of_heads(choice.label))
+    times = len(hypotheses.logits) // len(choice.head)
+    viewpoint, heads = (
+        view.detach().repeat(times, *[1] * (view.dim() - 1))  # (K N, 3) and (K N, M, 3)
+        for view in (choice.viewpoint, result.hypotheses.vectors)
     )
-    closest, label = ((hypotheses.vectors - view[:, None]).square().sum(-1).argmin(1) for view in (viewpoint, right))
+    closest = (hypotheses.vectors - viewpoint[:, None]).square().sum(-1).argmin(1)  # (K N,)
     loss = config.comparison.pull_weight * (viewpoint - hypotheses.of_heads(closest)).square().sum(-1).mean()
-    if hypotheses.logits.shape[1] > 1:
-        loss = loss + config.selection.weight * selection_loss(hypotheses, label, right, config.selection.angle)
+    if heads.shape[1] > 1:
+        wanted = selection_target(choice.errors, config.comparison.temperature).repeat(times, 1)  # (K N, M)
+        same = (hypotheses.vectors[:, :, None] - heads[:, None]).square().sum(-1).argmin(1)  # (K N, M)
+        shares = torch.zeros_like(wanted).scatter_add_(1, same, wanted)  # (K N, M)
+        loss = loss + F.cross_entropy(hypotheses.logits, shares)
     return times * loss  # K images count K times
-
-
-def selection_loss(hypotheses: Hypotheses, label: Tensor, right: Tensor, angle: float) -> Tensor:
-    """Cross-entropy of selecting the head `label` (N,), or any other within `angle` degrees of `right` (N, 3).
-
-    Where two heads predict the same, which of them explains an image better is random: there is nothing to learn.
-    """
-    vectors, logits = hypotheses.vectors.detach(), hypotheses.logits
-    accepted = F.one_hot(label, logits.shape[1]).bool()  # (N, M)
-    if angle:
-        accepted |= (vectors * right[:, None]).sum(-1) > math.cos(math.radians(angle))  # (N, M)
-    return -logits.log_softmax(1).masked_fill(~accepted, -math.inf).logsumexp(1).mean()  # (N,), averaged
 
 
 def _cycle(
@@ -147,7 +129,7 @@ def _cycle(
 ) -> Tensor:
     """Section 3.4: the same objects rendered from random viewpoints, which the viewpoint network is to predict."""
     count = len(result.objects.code)
-    low, high = config.cycle.elevation
+    low, high = model.config.elevation_limits or RELEASED_ELEVATIONS
     azimuth = 360 * rand(count, generator=generator)  # (B,)
     elevation = low + (high - low) * rand(count, generator=generator)
     truth = view_vector(azimuth, elevation).to(result.objects.code.device)  # (B, 3)

@@ -24,7 +24,7 @@ def warm_up() -> None:
     if not available():
         return
     blocks = torch.zeros(1, 2, 2, 2, 1, 1, 1, 4).requires_grad_()  # types choose the compiled kernel, not sizes
-    render(squash(blocks, None, None), torch.eye(3)[None], torch.zeros(()), 2, 2, sparse=False).sum().backward()
+    render(squash(blocks, None), torch.eye(3)[None], torch.zeros(()), 2, 2, sparse=False).sum().backward()
 
 
 def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
@@ -35,9 +35,9 @@ def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int,
     return _Render.apply(volume, frames, focal, size, steps, sparse)
 
 
-def squash(blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
+def squash(blocks: Tensor, prior: Tensor | None) -> Tensor:
     """As viewnet.model.volume.squash, to a volume that lies in memory as the renderer wants it."""
-    volume: Tensor = _Squash.apply(blocks, colour, prior)
+    volume: Tensor = _Squash.apply(blocks, prior)
     _empty_around[volume] = True
     return volume
 
@@ -55,26 +55,23 @@ def halved(volume: Tensor) -> Tensor:
 
 class _Squash(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, blocks: Tensor, colour: Tensor | None, prior: Tensor | None) -> Tensor:
+    def forward(ctx: Any, blocks: Tensor, prior: Tensor | None) -> Tensor:
         count, z, y, x, side = blocks.shape[:5]
         shape = z * side, y * side, x * side  # voxels a side
         blocks = blocks.contiguous()
-        added = torch.zeros(count, 4)  # occupancy's stays 0
-        if colour is not None:
-            added[:, :3] = colour
         scale, offset = torch.tensor([1.0, 1.0, 1.0, 2.0]), torch.zeros(z, side, y, side, x, side, 4)
         offset[..., 3] = -1.0 if prior is None else prior.view(z, side, y, side, x, side) - 1  # Q = 2 sigmoid - 1 + S
         offset = offset.permute(0, 2, 4, 1, 3, 5, 6).reshape(z, y, -1)  # (z, y, x s^3 4), as blocks lie
         voxels = torch.empty(count, math.prod(n + 2 for n in shape), 4)  # (B, P, 4), framed by the kernel
-        _run("squash", blocks, added, offset, scale, voxels)
-        ctx.save_for_backward(blocks, added, offset, scale)  # voxels are computed again from these: less to keep
+        _run("squash", blocks, offset, scale, voxels)
+        ctx.save_for_backward(blocks, offset, scale)  # voxels are computed again from these: less to keep
         return unpadded(voxels, shape)  # a view: no copy before rendering
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
         grad = torch.empty_like(ctx.saved_tensors[0])  # of the blocks
         _run("squash_backward", *ctx.saved_tensors, padded(grads[0]), grad)
-        return grad, None, None  # mean colour and prior are data
+        return grad, None  # the prior is data
 
 
 def compare(

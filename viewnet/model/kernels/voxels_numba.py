@@ -39,10 +39,10 @@ def _occupied(voxels, shape, cells, boxes):
 
 
 @njit(inline="always", **FLAGS)
-def _sigmoids(line, added, values):
-    """Fills `values` from the logits `line` and what is added to them, four numbers over and over."""
+def _sigmoids(line, values):
+    """Fills `values` from the logits `line`."""
     for t in range(len(values)):  # without conditions: exponentials vectorise
-        values[t] = sigmoid(widened(line[t]) + added[t])
+        values[t] = sigmoid(widened(line[t]))
 
 
 @njit(inline="always", **FLAGS)
@@ -77,10 +77,10 @@ def _copy(source, at, target, to, count):
         target[to : to + count] = source[at : at + count]
 
 
-def _squash(blocks, colour, offset, scale, voxels):
+def _squash(blocks, offset, scale, voxels):
     """Fills `voxels` (B, P, 4) from logits `blocks` (B, z, y, x, s, s, s, 4): sigmoid times `scale` plus `offset`.
 
-    `colour` (B, 4) is added to the logits; `offset` (z, y, x s^3 4) and `scale` (4,) turn sigmoids into occupancies.
+    `offset` (z, y, x s^3 4) and `scale` (4,) turn sigmoids into occupancies.
     """
     side = blocks.shape[4]
     run = blocks.shape[3] * side**3 * 4  # numbers in a row of blocks
@@ -90,9 +90,9 @@ def _squash(blocks, colour, offset, scale, voxels):
     for b in prange(len(blocks)):
         volume = voxels[b].reshape(-1)  # (P 4,)
         _empty_frame(volume, nz, ny, nx)
-        added, values = _repeated(colour[b], run), np.empty(run, np.float32)
+        values = np.empty(run, np.float32)
         for z, y in np.ndindex(blocks.shape[1], blocks.shape[2]):
-            _sigmoids(blocks[b, z, y].reshape(run), added, values)
+            _sigmoids(blocks[b, z, y].reshape(run), values)
             for t in range(run):
                 value = values[t] * scales[t] + offset[z, y, t]
                 value = ZERO if value < ZERO else value  # unlike max, lets NaN through to be noticed
@@ -105,7 +105,7 @@ def _squash(blocks, colour, offset, scale, voxels):
                     t += count
 
 
-def _squash_backward(blocks, colour, offset, scale, grad_voxels, grad):
+def _squash_backward(blocks, offset, scale, grad_voxels, grad):
     """Fills `grad` (B, z, y, x, s, s, s, 4), the gradient of `blocks`; voxels outside [0, 1] are let back in."""
     side = blocks.shape[4]
     run = blocks.shape[3] * side**3 * 4
@@ -113,7 +113,7 @@ def _squash_backward(blocks, colour, offset, scale, grad_voxels, grad):
     ny, nx = blocks.shape[2] * side, blocks.shape[3] * side
     scales = _repeated(scale, run)
     for b in prange(len(blocks)):
-        volume, added = grad_voxels[b].reshape(-1), _repeated(colour[b], run)
+        volume = grad_voxels[b].reshape(-1)
         values, change = np.empty(run, np.float32), np.empty(run, np.float32)
         for z, y in np.ndindex(blocks.shape[1], blocks.shape[2]):
             t = 0
@@ -126,7 +126,7 @@ def _squash_backward(blocks, colour, offset, scale, grad_voxels, grad):
             if not change.any():  # far from the object: most rows
                 result[:] = 0  # of both types
                 continue
-            _sigmoids(blocks[b, z, y].reshape(run), added, values)
+            _sigmoids(blocks[b, z, y].reshape(run), values)
             for t in range(run):  # vectorised again
                 value = values[t] * scales[t] + offset[z, y, t]
                 # Only gradients that point back inside pass, as in viewnet.model.volume.
