@@ -47,8 +47,8 @@ from torchvision import models
 from viewnet import paths
 from viewnet.data import rendered_store as rendering
 from viewnet.estimator import ViewpointEstimator
+from viewnet.runs.make_run import STATE
 from viewnet.runtime.files import replacing
-from viewnet.training.make_run import STATE
 
 SIZES = [4**power for power in range(3, 14)]
 """Of files and disks: 64 bytes to 64 MiB."""

@@ -20,8 +20,8 @@ import pandas as pd
 from viewnet.config import RunConfig
 from viewnet.evaluation.run import read_log
 from viewnet.recipes import make_config
+from viewnet.runs import run_store
 from viewnet.runtime.files import write_text
-from viewnet.training import run_store
 
 RUNGS: dict[str, dict[str, Any]] = {
     "paper": {},

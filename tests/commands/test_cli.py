@@ -18,8 +18,8 @@ from viewnet.data import build
 from viewnet.data.store import ViewStore
 from viewnet.experiments import notebooks
 from viewnet.recipes import make_config
+from viewnet.runs import make_run
 from viewnet.runtime.files import read_json
-from viewnet.training import make_run
 
 COMMANDS = (
     *("notebook", "tables", "render", "train", "evaluate", "predict", "turntable", "save", "demo"),

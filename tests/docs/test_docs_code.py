@@ -28,8 +28,8 @@ from viewnet import cli, config, recipes
 from viewnet.data import catalogue
 from viewnet.data.store import ViewStore
 from viewnet.experiments import notebooks, request, score_model
+from viewnet.runs.run_store import ensure
 from viewnet.runtime import torchvision_weights
-from viewnet.training.run_store import ensure
 
 KEY = "0123456789ab"
 FOREIGN = {"dask", "srun", "helm", "kubectl"}
@@ -120,9 +120,7 @@ def run_command(words: list[str], world: Path, monkeypatch) -> None:
     requests = []
     page = SimpleNamespace(local_url="here", share_url=None, block_thread=lambda: None)
     monkeypatch.setattr("viewnet.commands.demo.start", lambda options: requests.append(options) or page)
-    monkeypatch.setattr(
-        "viewnet.training.run_store.ensure", lambda configs, workers=None: requests.extend(configs) or []
-    )
+    monkeypatch.setattr("viewnet.runs.run_store.ensure", lambda configs, workers=None: requests.extend(configs) or [])
     monkeypatch.setattr("papermill.execute_notebook", lambda source, *_, **__: requests.append(source))
     monkeypatch.setattr("viewnet.bench.measure.measure", lambda settings: requests.append(settings) or {})
     monkeypatch.setattr("viewnet.bench.steps.measure", lambda configs, settings: requests.append(settings) or {})
@@ -276,7 +274,7 @@ PYTHON = [pytest.param(b.text, id=f"{p.name}: {b.text.splitlines()[0]}") for p, 
 def test_python_runs(source, world, monkeypatch, capsys):
     monkeypatch.setenv("VIEWNET_PROFILE", "smoke")
     monkeypatch.setattr("viewnet.experiments.cad.ensure", lambda configs, *_: ensure(configs, 1, False, STEPS))
-    monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
+    monkeypatch.setattr("viewnet.runs.make_run.default_steps", lambda: STEPS)
     monkeypatch.setattr("viewnet.data.build.photo_views", lambda *_, **__: photographs(world))
     monkeypatch.setattr("viewnet.data.photo_store.summary", lambda store: f"{len(store)} photographs")
     names = {"my_network": lambda images: (images.mean((1, 2, 3)), np.zeros(len(images)))}

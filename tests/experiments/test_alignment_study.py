@@ -178,14 +178,14 @@ def test_the_study_of_an_experiment_has_every_predictor_of_the_table(tmp_path, m
     from helpers.fake_steps import STEPS
 
     from viewnet.experiments import experiment
-    from viewnet.training.run_store import ensure
+    from viewnet.runs.run_store import ensure
 
     for name in ("RUNS", "DATA"):
         monkeypatch.setenv(f"VIEWNET_{name}", str(tmp_path / name.lower()))
     store = make_photos(tmp_path / "photos", 100, size=16)
     monkeypatch.setattr("viewnet.data.build.photo_views", lambda *a: store, raising=False)
     monkeypatch.setitem(sys.modules, "viewnet.data.photo_store", types.SimpleNamespace(summary=str))
-    monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
+    monkeypatch.setattr("viewnet.runs.make_run.default_steps", lambda: STEPS)
     monkeypatch.setattr("viewnet.evaluation.features.SIZE", 16)
     request = experiment("alignment_study", profile="smoke", categories="car", backbone="pixels", seeds=2)
     found = study_alignment(request, ensure(request.configs, workers=1, progress=False, steps=STEPS))

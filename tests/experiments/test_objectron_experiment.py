@@ -37,7 +37,7 @@ def fakes(tmp_path, monkeypatch):
     monkeypatch.setattr("viewnet.data.clip_store.summary", lambda video: f"cut out by {video.mask_folder}/")
     monkeypatch.setattr("viewnet.data.photo_store.summary", lambda store: f"{len(store)} photographs")
     monkeypatch.setattr("viewnet.model.checkpoint.identity", lambda start: Path(start).name)
-    monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
+    monkeypatch.setattr("viewnet.runs.make_run.default_steps", lambda: STEPS)
 
 
 def test_defaults_start_on_models_and_go_on_to_ten_frames_a_video_with_either_masks():

@@ -9,16 +9,16 @@ from helpers.tables import cell_of
 from viewnet.errors import ViewnetError
 from viewnet.experiments import experiment
 from viewnet.experiments.other_sets import OTHER, OWN, SEED, OtherSetsExperiment, nearest_iou
+from viewnet.runs.run_store import ensure
 from viewnet.tables import kept_predictions
 from viewnet.tables.table import named
-from viewnet.training.run_store import ensure
 
 
 @pytest.fixture(autouse=True)
 def folders(tmp_path, monkeypatch):
     keep_apart(tmp_path, monkeypatch)
     monkeypatch.setattr("viewnet.data.build.view_store", views)
-    monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
+    monkeypatch.setattr("viewnet.runs.make_run.default_steps", lambda: STEPS)
 
 
 def request_and_runs(**parameters):

@@ -31,10 +31,10 @@ from viewnet.experiments.own_method import (
     with_methods,
 )
 from viewnet.experiments.request import accepted
+from viewnet.runs.other_views import on_photographs
+from viewnet.runs.run_store import ensure
 from viewnet.tables.columns import DASH
 from viewnet.tables.table import Entry, Table, named
-from viewnet.training.other_views import on_photographs
-from viewnet.training.run_store import ensure
 
 SCORES = ("measured", "low", "high", "images", "objects")
 
@@ -89,7 +89,7 @@ def trained(tmp_path_factory):
 def apart(tmp_path, monkeypatch, trained):
     keep_apart(tmp_path, monkeypatch)
     monkeypatch.setenv("VIEWNET_RUNS", str(trained))
-    monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
+    monkeypatch.setattr("viewnet.runs.make_run.default_steps", lambda: STEPS)
 
 
 @pytest.fixture

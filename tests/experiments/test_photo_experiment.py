@@ -15,10 +15,10 @@ from viewnet.experiments import experiment
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.experiments.request import PHOTO_RECIPE, accepted
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS
+from viewnet.runs.other_views import on_photographs
+from viewnet.runs.run_store import ensure
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import named
-from viewnet.training.other_views import on_photographs
-from viewnet.training.run_store import ensure
 
 
 @pytest.fixture(autouse=True)
@@ -54,7 +54,7 @@ def run(request: PhotoExperiment):
 
 @pytest.fixture
 def steps(monkeypatch):
-    monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
+    monkeypatch.setattr("viewnet.runs.make_run.default_steps", lambda: STEPS)
 
 
 def test_defaults_train_over_backgrounds_and_make_a_stand_in(folders):
@@ -185,7 +185,7 @@ def test_predictions_of_other_code_or_weights_are_made_anew(photographs, monkeyp
 
 @pytest.mark.slow
 def test_only_what_was_trained_looks_at_photographs(photographs):
-    from viewnet.training.run_store import untrained
+    from viewnet.runs.run_store import untrained
 
     request = experiment("table3_pascal3d", profile="smoke", categories="car")
     (constant,) = ensure([untrained("constant", request.configs[0])], progress=False, steps=STEPS)

@@ -26,7 +26,7 @@ from viewnet.experiments import score_model
 from viewnet.experiments.score_model import ScoredData, scores
 from viewnet.geometry import view_vector
 from viewnet.recipes import make_config
-from viewnet.training import make_run, other_views, run_store
+from viewnet.runs import make_run, other_views, run_store
 
 KEY = "0123456789ab"
 

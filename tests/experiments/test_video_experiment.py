@@ -18,7 +18,7 @@ from viewnet.evaluation.evaluate import align
 from viewnet.experiments import experiment
 from viewnet.experiments.request import accepted
 from viewnet.experiments.videos import VideoExperiment
-from viewnet.training.other_views import on_photographs
+from viewnet.runs.other_views import on_photographs
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +48,7 @@ def fakes(tmp_path, monkeypatch):
 
     monkeypatch.setattr("viewnet.data.build.photo_views", photo_views)
     monkeypatch.setattr("viewnet.data.photo_store.summary", lambda store: f"{len(store)} photographs")
-    monkeypatch.setattr("viewnet.training.make_run.default_steps", lambda: STEPS)
+    monkeypatch.setattr("viewnet.runs.make_run.default_steps", lambda: STEPS)
 
 
 def test_defaults_train_on_every_frame_of_a_stand_in_without_labels():

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from concurrent.futures import Executor, Future
 
-from viewnet.training.worker_pool import WorkerDied
+from viewnet.runs.worker_pool import WorkerDied
 
 
 class Mortal(Executor):

@@ -16,8 +16,8 @@ from viewnet.config import DataConfig, RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Predictions
 from viewnet.recipes import make_config
+from viewnet.runs.make_run import Steps
 from viewnet.runtime.files import replacing
-from viewnet.training.make_run import Steps
 
 EPOCHS = 4
 

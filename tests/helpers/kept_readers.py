@@ -31,10 +31,10 @@ from viewnet.experiments import notebooks
 from viewnet.model import checkpoint
 from viewnet.model.checkpoint import load_model
 from viewnet.recipes import make_config
+from viewnet.runs import make_run, worker_pool
 from viewnet.runtime.files import write_json
 from viewnet.tables import reported
 from viewnet.tables.run_renderer import RunRenderer
-from viewnet.training import make_run, worker_pool
 
 INDEX = make_index(8, 2).assign(source="model.obj")
 

@@ -17,7 +17,7 @@ from viewnet.data.build import view_store
 from viewnet.errors import ViewnetError
 from viewnet.experiments import experiment
 from viewnet.recipes import make_config
-from viewnet.training.run_store import ensure
+from viewnet.runs.run_store import ensure
 
 
 @dataclass(frozen=True)

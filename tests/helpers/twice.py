@@ -40,7 +40,7 @@ class Pair:
 def ask_for_run(root: Path) -> tuple[int, Path]:
     """A run of the profile smoke; the number of trainings this process started, and the run's folder."""
     from viewnet.recipes import make_config
-    from viewnet.training import make_run, run_store
+    from viewnet.runs import make_run, run_store
 
     trained: list[Path] = []
     steps = make_run.default_steps()

@@ -18,9 +18,9 @@ from viewnet.evaluation.predict import predict
 from viewnet.evaluation.run import Run
 from viewnet.model.viewnet import ViewNet
 from viewnet.recipes import make_config
+from viewnet.runs.make_run import SCHEMA
 from viewnet.runtime.files import write_json
 from viewnet.tables.run_renderer import RunRenderer
-from viewnet.training.make_run import SCHEMA
 
 LOG = """epoch,step,seconds,loss,val_reconstruction,val_accuracy,pixels,masks
 1,9,1,2.5,0.4,20,0.5,2

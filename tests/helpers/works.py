@@ -17,8 +17,8 @@ import nbformat
 import torch
 from safetensors import safe_open
 
+from viewnet.runs.make_run import STATE
 from viewnet.runtime.files import PART
-from viewnet.training.make_run import STATE
 
 PLACES = {"data": "VIEWNET_DATA", "runs": "VIEWNET_RUNS", "tables": "VIEWNET_TABLES"}
 VOLATILE = {"started", "finished", "seconds", "resumed", "git"}

@@ -15,7 +15,7 @@ from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.model import checkpoint
 from viewnet.recipes import make_config
-from viewnet.training import run_store
+from viewnet.runs import run_store
 from viewnet.training import train as training
 from viewnet.training.train import train
 

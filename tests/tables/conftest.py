@@ -6,7 +6,7 @@ import pytest
 from helpers.fake_steps import STEPS
 
 from viewnet.recipes import make_config
-from viewnet.training.run_store import ensure, untrained
+from viewnet.runs.run_store import ensure, untrained
 
 
 @pytest.fixture(scope="package")

@@ -17,9 +17,9 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.geometry import azimuth_elevation, look_at, view_vector
 from viewnet.model import rendering
+from viewnet.runs.run_store import untrained
 from viewnet.runtime.files import write_json
 from viewnet.tables import run_renderer
-from viewnet.training.run_store import untrained
 
 
 @pytest.fixture(scope="module")

@@ -19,12 +19,12 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.evaluate import align
 from viewnet.recipes import make_config
+from viewnet.runs.run_store import ensure, untrained
 from viewnet.tables import kept_predictions, reported
 from viewnet.tables.columns import DASH
 from viewnet.tables.latex import escape
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry, Table, entries, scores_by_definition
-from viewnet.training.run_store import ensure, untrained
 
 
 @pytest.fixture(scope="module")

@@ -30,9 +30,9 @@ from viewnet.data.rendered_store import partial_folder
 from viewnet.data.store import ViewStore, write_store
 from viewnet.errors import ViewnetError
 from viewnet.recipes import make_config
+from viewnet.runs.make_run import STATE
+from viewnet.runs.run_store import ensure
 from viewnet.runtime.parallel import pool
-from viewnet.training.make_run import STATE
-from viewnet.training.run_store import ensure
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "faults.py"
 spec = importlib.util.spec_from_file_location("faults", SCRIPT)
@@ -158,7 +158,7 @@ def test_a_crash_where_nothing_can_be_written_is_told_too(tmp_path, monkeypatch)
         raise ViewnetError(f"{path}: cannot be written")
 
     with monkeypatch.context() as patch, pytest.raises(ViewnetError) as caught:
-        patch.setattr("viewnet.training.make_run.write_text", full)
+        patch.setattr("viewnet.runs.make_run.write_text", full)
         ensure([config()], workers=1, progress=False, steps=replace(STEPS, train=crashes))
     assert str(caught.value).endswith("ZeroDivisionError: division by zero")
     with pytest.raises(ViewnetError, match=r"division by zero \(see .*error.log\)$"):

@@ -8,8 +8,8 @@ from typing import Any
 from viewnet.config import CATEGORIES, RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS, make_config
+from viewnet.runs.dask_cluster import VARIABLE
 from viewnet.runtime import parallel
-from viewnet.training.dask_cluster import VARIABLE
 
 Options = argparse.Namespace
 """The parsed arguments that a command is run with."""

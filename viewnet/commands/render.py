@@ -28,7 +28,7 @@ ARGUMENTS = (
 
 def run(options: Options) -> None:
     """Render what is missing and print what is there."""
-    from viewnet.training import dask_cluster, make_run
+    from viewnet.runs import dask_cluster, make_run
 
     configs = shared.configurations(options)
     shared.choose_cluster(options)

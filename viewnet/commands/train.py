@@ -30,8 +30,8 @@ def run(options: Options) -> None:
     shared.choose_cluster(options)
     shared.choose_threads(options)
     from viewnet.evaluation.run import NOT_SCORED
+    from viewnet.runs import run_store
     from viewnet.runtime import distributed
-    from viewnet.training import run_store
 
     distributed.start()
     configs = shared.configurations(options, options.seed)

@@ -137,7 +137,7 @@ def _same_for_all(index: pd.DataFrame, vector: Floats) -> Predictions:
     return Predictions(ids, np.broadcast_to(vector, (len(ids), 1, 3)), np.zeros((len(ids), 1)))
 
 
-# Fitted on training views, by variant: runs of the run store (viewnet.training.run_store.untrained).
+# Fitted on training views, by variant: runs of the run store (viewnet.runs.run_store.untrained).
 UNTRAINED: dict[str, Callable[[pd.DataFrame], Predictions]] = {
     "constant": constant,
     "best_constant": best_constant,

@@ -16,10 +16,10 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.request import Request, accepted
 from viewnet.recipes import make_config
+from viewnet.runs.other_views import transferred
+from viewnet.runs.run_store import ensure, untrained
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry, Table, entries
-from viewnet.training.other_views import transferred
-from viewnet.training.run_store import ensure, untrained
 
 Rows = dict[str, tuple[ViewStore, NDArray[np.intp]]]
 """Split, "val" to align on and "test" to score -> a view store and which of its rows."""
@@ -68,7 +68,7 @@ class Experiment(Request):
         return f"profile {self.profile}, {recipes}, {seeds}"
 
     def run(self, progress: bool = True) -> list[Run]:
-        """Every run of the experiment; missing ones are trained first (viewnet.training.run_store.ensure)."""
+        """Every run of the experiment; missing ones are trained first (viewnet.runs.run_store.ensure)."""
         return ensure(self.configs, self.workers, progress)
 
     def table(self, runs: Sequence[Run], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:

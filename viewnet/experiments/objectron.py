@@ -16,9 +16,9 @@ from viewnet.data.synthetic.objectron_standin import WEAK
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.run import Run
 from viewnet.experiments.videos import SMOKE_SIZE, VideoExperiment
+from viewnet.runs.run_store import ensure
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry
-from viewnet.training.run_store import ensure
 
 FRAMES = 10
 """Of every video, sampled at random, as reported."""

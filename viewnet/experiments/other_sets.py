@@ -19,10 +19,10 @@ from viewnet.data.store import ViewStore
 from viewnet.evaluation.run import Run
 from viewnet.experiments.cad import Experiment
 from viewnet.render import render_mesh
+from viewnet.runs.other_views import transferred
 from viewnet.runtime.splits import SHARES
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry, Table, entries
-from viewnet.training.other_views import transferred
 
 OWN, SEED, OTHER = (row.label for row in LAYOUTS["test_sets"].rows)
 AZIMUTHS = np.array([0.0, 45, 90, 135, 225, 300])  # degrees; not in pairs that mirror each other

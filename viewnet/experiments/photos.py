@@ -19,10 +19,10 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.cad import Experiment, Rows
 from viewnet.recipes import RECIPES, VARIANTS
+from viewnet.runs import other_views
 from viewnet.runtime import provenance
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry, Table, entries
-from viewnet.training import other_views
 
 SMOKE_MODELS, SMOKE_COUNT = 8, 80
 """The size of the stand-in for photographs at the smallest profile."""

@@ -28,9 +28,9 @@ from viewnet.experiments import photos
 from viewnet.experiments.parameters import SUBSETS, folder_named
 from viewnet.model import checkpoint
 from viewnet.recipes import make_config
+from viewnet.runs import make_run, other_views
+from viewnet.runs.make_run import Steps
 from viewnet.runtime.files import read_json, write_json
-from viewnet.training import make_run, other_views
-from viewnet.training.make_run import Steps
 
 LEARNED = ("procrustes", "robust", "linear")
 """The alignments of a trained network's predictions."""

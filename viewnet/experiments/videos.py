@@ -20,7 +20,7 @@ from viewnet.evaluation.run import Run
 from viewnet.experiments.parameters import SHAPENET
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.recipes import make_config
-from viewnet.training.run_store import ensure
+from viewnet.runs.run_store import ensure
 
 SMOKE_SIZE = 32
 SMOKE: dict[str, Any] = {"sequences": (1, 2, 3, 4), "frames": 8, "size": SMOKE_SIZE}

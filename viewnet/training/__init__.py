@@ -1,1 +1,1 @@
-"""From pairs of views to a checkpoint, and the run store that trains whatever is missing."""
+"""From pairs of views to a checkpoint: the steps of a training and its loop."""

@@ -18,8 +18,8 @@ from helpers.fake_steps import STEPS, calls, config, plan
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import evaluate
 from viewnet.evaluation.predictions import Predictions
-from viewnet.training import other_views, run_store
-from viewnet.training.run_store import ensure
+from viewnet.runs import other_views, run_store
+from viewnet.runs.run_store import ensure
 
 pytestmark = pytest.mark.usefixtures("folders")
 

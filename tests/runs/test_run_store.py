@@ -12,9 +12,9 @@ from helpers.fake_steps import STEPS, calls, config, plan
 from viewnet.config import RunConfig, VideoConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines
+from viewnet.runs import make_run, run_store
+from viewnet.runs.run_store import ensure
 from viewnet.runtime import provenance
-from viewnet.training import make_run, run_store
-from viewnet.training.run_store import ensure
 
 pytestmark = pytest.mark.usefixtures("folders")
 

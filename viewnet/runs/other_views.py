@@ -7,8 +7,8 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Predictions, joined
 from viewnet.evaluation.run import Run
 from viewnet.model import checkpoint
-from viewnet.training import make_run
-from viewnet.training.make_run import Steps, code_identities
+from viewnet.runs import make_run
+from viewnet.runs.make_run import Steps, code_identities
 
 
 def transferred(run: Run, views: Any, steps: Steps | None = None) -> Predictions:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from viewnet.training import dask_cluster
+from viewnet.runs import dask_cluster
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from helpers.fake_steps import STEPS, config
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import evaluate
 from viewnet.recipes import make_config
-from viewnet.training import run_store
-from viewnet.training.other_views import transferred
-from viewnet.training.run_store import ensure
+from viewnet.runs import run_store
+from viewnet.runs.other_views import transferred
+from viewnet.runs.run_store import ensure
 
 pytestmark = pytest.mark.usefixtures("folders")
 

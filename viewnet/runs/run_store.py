@@ -26,11 +26,11 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.run import Run
 from viewnet.model import checkpoint
+from viewnet.runs import dask_cluster, make_run
+from viewnet.runs.make_run import Job, Steps
+from viewnet.runs.worker_pool import make_together, run_all
 from viewnet.runtime import distributed, provenance
 from viewnet.runtime.parallel import cores, pool
-from viewnet.training import dask_cluster, make_run
-from viewnet.training.make_run import Job, Steps
-from viewnet.training.worker_pool import make_together, run_all
 
 # fmt: off
 TRAINING = (

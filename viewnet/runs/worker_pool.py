@@ -17,10 +17,10 @@ from typing import Any, TypeVar
 
 import torch
 
+from viewnet.runs.make_run import Job, Steps, attempt, make, one_line
 from viewnet.runtime import distributed, parallel
 from viewnet.runtime.parallel import environment, follow_parent
 from viewnet.runtime.progress import bar as progress_bar
-from viewnet.training.make_run import Job, Steps, attempt, make, one_line
 
 T = TypeVar("T")
 POLL = 1.0  # seconds between looks at the logs

@@ -18,11 +18,11 @@ from helpers.executors import Mortal
 from helpers.fake_steps import STEPS, calls, config, plan
 
 from viewnet.errors import ViewnetError
+from viewnet.runs import make_run, worker_pool
+from viewnet.runs.run_store import ensure
+from viewnet.runs.worker_pool import TRIES, LocalPool, WorkerDied
 from viewnet.runtime import parallel
 from viewnet.runtime.parallel import threads
-from viewnet.training import make_run, worker_pool
-from viewnet.training.run_store import ensure
-from viewnet.training.worker_pool import TRIES, LocalPool, WorkerDied
 
 pytestmark = pytest.mark.usefixtures("folders")
 

@@ -10,8 +10,8 @@ import pytest
 from helpers.fake_steps import STEPS, config, plan
 
 from viewnet.errors import ViewnetError
-from viewnet.training import dask_cluster
-from viewnet.training.run_store import ensure
+from viewnet.runs import dask_cluster
+from viewnet.runs.run_store import ensure
 
 pytestmark = pytest.mark.usefixtures("folders")
 
