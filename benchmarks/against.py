@@ -47,27 +47,17 @@ class Steps:
         import torch
 
         torch.set_num_threads(1)
+        from viewnet.data.augment import load
+        from viewnet.model.kernels import volume_cpu
+        from viewnet.model.viewnet import ViewNet
+        from viewnet.recipes import make_config
+        from viewnet.training.optimisers import make_optimisers
+        from viewnet.training.step import step_loss
+
         try:
-            from viewnet.data.augment import load
-            from viewnet.model.kernels import volume_cpu
-            from viewnet.model.viewnet import ViewNet
-            from viewnet.recipes import make_config
-            from viewnet.training import pose_search
-            from viewnet.training.optimisers import make_optimisers
-            from viewnet.training.step import step_loss
-
-            owner, name = pose_search.PoseSearch, "__call__"
-        except ModuleNotFoundError:  # a version whose modules were not in folders yet
-            from viewnet.scene import load
-            from viewnet.step import step_loss
-            from viewnet.train import make_optimisers
-
-            from viewnet import step as owner
-            from viewnet import volume_cpu
-            from viewnet.config import make_config
-            from viewnet.model import ViewNet
-
-            name = "_choose"
+            from viewnet.training import matting as choosing
+        except ImportError:  # its name in earlier versions
+            from viewnet.training import pose_search as choosing
         volume_cpu.warm_up()
         config = make_config(**settings)
         self.config, self.batches, self.step_loss = config.train, batches, step_loss
@@ -77,7 +67,7 @@ class Steps:
         self.optimisers = make_optimisers(self.model, config.train)
         self.model.train()
         self.seconds = {part: [0.0, 0.0] for part in PARTS}
-        self.measure(owner, name, PARTS[1])
+        self.measure(choosing.PoseSearch, "__call__", PARTS[1])
         for name in {"render", "compare"} & set(vars(volume_cpu)):
             self.measure(volume_cpu, name, PARTS[2])
 

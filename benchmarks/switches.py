@@ -59,7 +59,7 @@ def _plain_layers() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _full_resolution() -> Iterator[None]:
-    with mock.patch("viewnet.training.pose_search.half_resolution", lambda model, objects, target: (objects, target)):
+    with mock.patch("viewnet.training.matting.half_resolution", lambda model, objects, target: (objects, target)):
         yield
 
 

@@ -12,7 +12,7 @@ from torch.autograd import DeviceType
 
 from viewnet import cli
 from viewnet.bench import measure, steps
-from viewnet.training import pose_search
+from viewnet.training import matting
 
 
 @pytest.fixture(scope="module")
@@ -79,13 +79,13 @@ def test_time_goes_to_the_first_part_that_a_path_names():
 def test_as_many_viewpoints_are_compared_as_are_counted(profile, progress, variant, data, monkeypatch):
     config = steps.configuration(profile, "matting", variant, 4)
     count = {True: 0, False: 0}
-    compare = pose_search.compare
+    compare = matting.compare
 
     def counted(model, objects, candidates, ups, target, settings):
         count[target.shape[-1] == config.model.render_size] += candidates.shape[1] * candidates.shape[2]
         return compare(model, objects, candidates, ups, target, settings)
 
-    monkeypatch.setattr(pose_search, "compare", counted)
+    monkeypatch.setattr(matting, "compare", counted)
     steps.Step(config, torch.device("cpu"))(progress)
     assert (count[True], count[False]) == steps.compared(config, progress)
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from viewnet.config import DataConfig, PhotoAugmentationConfig
 from viewnet.data import augment
-from viewnet.data.pairs import CROP_MARGIN
+from viewnet.runtime.images import CROP_MARGIN
 
 PLAIN = PhotoAugmentationConfig()
 PHOTO = PhotoAugmentationConfig(box_error=0.05, tilt=5.0, occlude=0.5, exposure=1.0)

@@ -13,13 +13,17 @@ from PIL import Image
 
 from viewnet.config import CycleConfig
 from viewnet.errors import ViewnetError
-from viewnet.model.losses import SPREADS, PerceptualLoss, composite, cycle_loss, head_errors, pixel_loss
+from viewnet.model.losses import (
+    SPREADS,
+    PerceptualLoss,
+    cycle_loss,
+    head_errors,
+    pixel_loss,
+    pull_loss,
+    selection_loss,
+    selection_target,
+)
 from viewnet.model.viewnet import Hypotheses
-
-
-def test_compositing_is_a_blend():
-    image = torch.tensor([0.3, 0.2, 0.1, 0.5]).view(1, 4, 1, 1)
-    assert composite(image, torch.tensor([[1.0, 0.0, 0.5]])).flatten().tolist() == pytest.approx([0.8, 0.2, 0.35])
 
 
 def test_pixel_loss_by_hand():
@@ -113,3 +117,25 @@ def test_files_without_weights_are_refused(tmp_path: Path):
     torch.save({"features.0.weight": torch.zeros(3)}, tmp_path / "other.pth")
     with pytest.raises(ViewnetError, match="does not hold squeezenet weights"):
         PerceptualLoss("squeezenet", tmp_path / "other.pth")
+
+
+def test_the_selection_is_taught_the_best_head_or_how_well_each_explains_the_image():
+    errors = torch.tensor([[0.2, 0.1, 0.4], [0.01, 0.04, 0.02]])
+    assert selection_target(errors, 0.0).tolist() == [[0, 1, 0], [1, 0, 0]]
+    shares = selection_target(errors, 0.5)
+    assert torch.allclose(shares[:, 0] / shares[:, 1], torch.tensor([-2.0, 6.0]).exp())  # (0.1 - 0.2) / (0.5 * 0.1)
+    assert torch.allclose(selection_target(10 * errors, 0.5), shares, atol=1e-6)  # whatever the errors' size
+    assert torch.equal(selection_target(torch.zeros(1, 3), 0.5), torch.full((1, 3), 1 / 3))
+
+
+def test_the_selection_loss_is_least_where_the_best_head_is_selected():
+    errors = torch.tensor([[0.2, 0.1, 0.4]])
+    found = [selection_loss(10 * torch.eye(3)[head, None], errors).item() for head in range(3)]
+    assert found[1] == pytest.approx(0, abs=1e-3)
+    assert found[0] == found[2] == pytest.approx(10, abs=1e-3)
+
+
+def test_pulling_is_by_the_squared_distance():
+    found, better = torch.eye(3)[:2], torch.eye(3)[1:]
+    assert pull_loss(found, better).item() == 2
+    assert pull_loss(better, better).item() == 0

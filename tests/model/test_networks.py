@@ -11,7 +11,8 @@ from torch import nn
 from viewnet.config import ModelConfig
 from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation
-from viewnet.model.networks import AdaIN, Doubling, Encoder, Generator, Opening, gaussian_prior, parameters
+from viewnet.model.fast_layers import FirstDeconv, Upsample2x
+from viewnet.model.networks import AdaIN, Encoder, Generator, gaussian_prior, parameters
 from viewnet.model.viewnet import ViewNet, ViewpointNetwork
 from viewnet.model.volume import joined
 from viewnet.recipes import make_config
@@ -108,7 +109,7 @@ def test_adain_applies_one_affine_map_to_all_of_a_channel():
 
 def test_the_opening_is_the_transposed_convolution_it_stands_for():
     torch.manual_seed(0)
-    layer, x = Opening(5, 3), torch.randn(2, 5, 1, 1, 1)
+    layer, x = FirstDeconv(5, 3), torch.randn(2, 5, 1, 1, 1)
     for weight in (layer.weight, layer.weight.contiguous(memory_format=torch.channels_last_3d)):
         layer.weight.data = weight.data
         assert torch.allclose(layer(x), F.conv_transpose3d(x, layer.weight), atol=1e-6)
@@ -116,7 +117,7 @@ def test_the_opening_is_the_transposed_convolution_it_stands_for():
 
 def test_doubling_is_the_transposed_convolution_it_stands_for():
     torch.manual_seed(0)
-    layer = Doubling(5)
+    layer = Upsample2x(5)
     nn.init.normal_(layer.weight)
     x = torch.randn(2, 5, 3, 4, 2, requires_grad=True)
     expected = F.conv_transpose3d(x, layer.weight, layer.bias, stride=2)
@@ -134,7 +135,7 @@ def test_doubling_is_the_transposed_convolution_it_stands_for():
 
 def test_the_eight_of_a_voxel_start_equal():
     torch.manual_seed(0)
-    fresh = joined(Doubling(5).blocks(torch.randn(2, 5, 3, 3, 3)))
+    fresh = joined(Upsample2x(5).blocks(torch.randn(2, 5, 3, 3, 3)))
     assert torch.allclose(fresh, F.interpolate(F.avg_pool3d(fresh, 2), scale_factor=2), atol=1e-5)
 
 

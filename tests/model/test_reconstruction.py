@@ -7,11 +7,11 @@ import torch
 import torch.nn.functional as F
 from helpers.smoke_model import SMOKE, images, settings
 
-from viewnet.data.pairs import resize
 from viewnet.geometry import look_at
 from viewnet.model.losses import pixel_loss
 from viewnet.model.reconstruction import reconstruct
 from viewnet.model.viewnet import ViewNet
+from viewnet.runtime.images import resize
 
 
 @pytest.fixture

@@ -39,8 +39,8 @@ from viewnet.model.viewnet import ViewNet
 from viewnet.model.volume import halved
 from viewnet.recipes import make_config
 from viewnet.runtime.progress import bar
+from viewnet.training.matting import SECTORS, PoseSearch
 from viewnet.training.optimisers import make_optimisers
-from viewnet.training.pose_search import SECTORS, PoseSearch
 from viewnet.training.step import step_loss
 
 IMAGES, CHOICE = "reading images", "choice of viewpoints"

@@ -12,7 +12,7 @@ from torch import Tensor
 from viewnet.config import DataConfig, PhotoAugmentationConfig
 from viewnet.data.backgrounds import Backgrounds
 from viewnet.data.backgrounds import load as load_backgrounds
-from viewnet.data.pairs import CROP_MARGIN
+from viewnet.runtime.images import CROP_MARGIN, composite
 from viewnet.runtime.random import RandomSource, rand, randint, randn
 
 COUNT = 1000
@@ -48,8 +48,7 @@ def windows(images: Tensor, count: int, size: int, generator: RandomSource, devi
 
 def over(images: Tensor, background: Tensor) -> Tensor:
     """Images (N, 4, S, S), RGB times alpha and alpha, over backgrounds (N, 3, S, S): the same, without transparency."""
-    alpha = images[:, 3:]  # (N, 1, S, S)
-    return torch.cat([images[:, :3] + background * (1 - alpha), torch.ones_like(alpha)], 1)
+    return torch.cat([composite(images, background), torch.ones_like(images[:, 3:])], 1)
 
 
 def crop_and_rotate(images: Tensor, generator: RandomSource) -> Tensor:

@@ -16,10 +16,10 @@ from torch import Tensor
 
 from viewnet.config import RunConfig
 from viewnet.data.crop import Crop, bounds, cut
-from viewnet.data.pairs import resize, tight_crop
 from viewnet.errors import ViewnetError
 from viewnet.estimator.inputs import ImageLike, ImagesLike, InputImage, as_list, boxes_of, masks_of, read_image
 from viewnet.runtime import parallel
+from viewnet.runtime.images import resize, tight_crop
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")

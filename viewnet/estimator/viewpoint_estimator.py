@@ -27,7 +27,6 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from viewnet.data.pairs import tight_crop
 from viewnet.errors import ViewnetError
 from viewnet.estimator import hub, preprocess, pretrained
 from viewnet.estimator.inputs import ImageLike, ImagesLike, as_list
@@ -39,6 +38,7 @@ from viewnet.model import rendering
 from viewnet.model.reconstruction import Encoded
 from viewnet.model.rendering import ObjectRenderer
 from viewnet.model.viewnet import Hypotheses
+from viewnet.runtime.images import tight_crop
 
 if TYPE_CHECKING:
     import trimesh

@@ -1,4 +1,4 @@
-"""The losses of training: reconstruction by pixels and by features, the choice among heads, cycle consistency."""
+"""Every loss of training: images by pixels and by features, the choice among heads, viewpoints, the cycle."""
 
 from pathlib import Path
 
@@ -20,11 +20,6 @@ FEATURE_NETWORKS = {
 SPREADS = {"squeezenet": {2: 36.0, 5: 63.0, 8: 63.0}}
 """Network -> what its taps are divided by: their standard deviation over photographs of 64 pixels a side, about the
 channels' means. Undivided, features of SqueezeNet, which has no normalisation, outweigh pixels and all other losses."""
-
-
-def composite(image: Tensor, colour: Tensor) -> Tensor:
-    """Images (N, 4, H, W), RGB times mask and mask, over colours (N, 3): (N, 3, H, W)."""
-    return image[:, :3] + colour[:, :, None, None] * (1 - image[:, 3:])  # (N, 3, H, W)
 
 
 def pixel_loss(image: Tensor, target: Tensor) -> Tensor:
@@ -81,6 +76,28 @@ class PerceptualLoss(nn.Module):
 def head_errors(images: Tensor, target: Tensor) -> Tensor:
     """Mean squared error (N, M) of images (N, M, C, H, W) against targets (N, C, H, W): the norm of equation 2."""
     return (images - target[:, None]).square().mean(dim=(2, 3, 4))  # (N, M)
+
+
+def selection_loss(logits: Tensor, errors: Tensor, temperature: float = 0.0) -> Tensor:
+    """Cross-entropy of the selection's logits (N, M) to the head m* with the least error (N, M) (section 3.1).
+
+    With a temperature (ours) to shares among heads: those that explain an image nearly as well as the best have nearly
+    the same share. Which of them has the lower error is often chance, and nothing to learn.
+    """
+    return F.cross_entropy(logits, selection_target(errors, temperature))
+
+
+def selection_target(errors: Tensor, temperature: float) -> Tensor:
+    """The share (N, M) of each head by its error (N, M): all for the best, or softmax(-error / (T * least error))."""
+    least, best = errors.min(1, keepdim=True)  # (N, 1) each
+    if not temperature:
+        return torch.zeros_like(errors).scatter_(1, best, 1.0)  # (N, M)
+    return (-errors / (temperature * least.clamp(min=1e-9))).softmax(1)  # (N, M)
+
+
+def pull_loss(vectors: Tensor, viewpoint: Tensor) -> Tensor:
+    """Mean squared distance of view vectors (N, 3) from better ones that were tried (N, 3) (ours)."""
+    return (viewpoint - vectors).square().sum(-1).mean()
 
 
 def cycle_loss(hypotheses: Hypotheses, truth: Tensor, config: CycleConfig) -> Tensor:

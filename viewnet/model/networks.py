@@ -1,20 +1,21 @@
 """The networks: encoder, AdaIN generator and the decoders of the ablation (the supplement's architecture tables).
 
+Layers of viewnet.model.fast_layers stand for PyTorch's, as their names say.
+
 Where the paper is silent or contradicts itself, docs/decisions.md says what was chosen and why.
 """
 
 import math
 from itertools import pairwise
-from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from torch.nn.grad import conv2d_input
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from viewnet.config import ModelConfig
 from viewnet.errors import ViewnetError
+from viewnet.model.fast_layers import FirstDeconv, FixedCodeDeconv, LastConv, Stride2Conv, Upsample2x, batch_norm_relu
 from viewnet.model.kernels import norm_relu_cpu
 from viewnet.model.volume import joined, ray_points
 
@@ -42,12 +43,12 @@ class Encoder(nn.Sequential):
         layers: list[nn.Module] = []
         previous = 3
         for width in channels[: levels - 1]:  # each halves the side, until it is 2
-            layers += [Halving(previous, width, 3, stride=2, bias=False)]
+            layers += [Stride2Conv(previous, width, 3, stride=2, bias=False)]
             layers += [nn.BatchNorm2d(width), nn.ReLU(inplace=True)]  # takes the mean away: convolutions need no bias
             previous = width
         last = channels[levels - 1]
-        layers += [Closing(previous, last, 2, bias=False), nn.BatchNorm2d(last), nn.ReLU(inplace=True)]
-        layers += [Closing(last, outputs, 1), nn.Flatten()]  # (N, outputs, 1, 1) -> (N, outputs)
+        layers += [LastConv(previous, last, 2, bias=False), nn.BatchNorm2d(last), nn.ReLU(inplace=True)]
+        layers += [LastConv(last, outputs, 1), nn.Flatten()]  # (N, outputs, 1, 1) -> (N, outputs)
         super().__init__(*layers)
         self.to(memory_format=torch.channels_last)  # a pixel's features side by side, as norm_relu reads them
 
@@ -56,67 +57,10 @@ class Encoder(nn.Sequential):
         x = images.contiguous(memory_format=torch.channels_last)
         for layer in self:
             if isinstance(layer, _BatchNorm):
-                x = _normalised(layer, x)  # with the ReLU behind it, which is passed over
+                x = batch_norm_relu(layer, x)  # with the ReLU behind it, which is passed over
             elif not isinstance(layer, nn.ReLU):
                 x = layer(x)
         return x
-
-
-class Closing(nn.Conv2d):
-    """Convolution with a kernel as large as the image, as the matrix product it is: (N, C, k, k) -> (N, O, 1, 1)."""
-
-    def forward(self, x: Tensor) -> Tensor:
-        """(N, C, k, k) -> (N, outputs, 1, 1)."""
-        flat, weight = (tensor.permute(0, 2, 3, 1).flatten(1) for tensor in (x, self.weight))  # (N or O, k k C)
-        return F.linear(flat, weight, self.bias)[:, :, None, None]
-
-
-class Halving(nn.Conv2d):
-    """Convolution of kernel 3 and stride 2 of an image with its edge repeated, of an even number of pixels a side.
-
-    On CPUs a small image's weights get their gradient by a product: oneDNN takes up to four times as long for them.
-    """
-
-    def forward(self, x: Tensor) -> Tensor:
-        """(N, C, n, n) -> (N, outputs, n / 2, n / 2)."""
-        x = F.pad(x, (1, 0, 1, 0), mode="replicate")  # (N, C, n + 1, n + 1); strides never reach beyond the other edges
-        if not self.training or x.device.type != "cpu" or x.shape[-1] > 9:
-            return super().forward(x)
-        result: Tensor = _Halve.apply(x, self.weight.to(x.dtype))
-        return result
-
-
-class _Halve(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, weight: Tensor) -> Tensor:
-        ctx.save_for_backward(x, weight)
-        return F.conv2d(x, weight, None, 2)
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> Any:
-        x, weight = ctx.saved_tensors
-        grad = grads[0].to(x.dtype, memory_format=torch.channels_last)  # (N, O, h, h)
-        grad_x = conv2d_input(x.shape, weight, grad, 2)
-        patches = x.permute(0, 2, 3, 1).unfold(1, 3, 2).unfold(2, 3, 2)  # (N, h, h, C, 3, 3)
-        patches = patches.permute(0, 1, 2, 4, 5, 3).flatten(0, 2).flatten(1)  # (N h h, 3 3 C)
-        product = grad.permute(0, 2, 3, 1).flatten(0, 2).T @ patches  # (O, 3 3 C)
-        return grad_x, product.unflatten(1, (3, 3, -1)).permute(0, 3, 1, 2)
-
-
-def _normalised(layer: _BatchNorm, x: Tensor) -> Tensor:
-    """Batch normalisation and the ReLU after it."""
-    if not (layer.training and norm_relu_cpu.usable(x) and isinstance(layer, nn.BatchNorm2d | nn.BatchNorm3d)):
-        return F.relu(layer(x), inplace=True)
-    assert layer.momentum is not None and layer.running_mean is not None and layer.running_var is not None
-    assert layer.num_batches_tracked is not None
-    flat = x.movedim(1, -1).flatten(0, -2)[None]  # (1, N P, C): one batch, every place alike
-    out, mean, variance = norm_relu_cpu.norm_relu(flat, layer.weight[None], layer.bias[None], layer.eps)  # (1, N P, C)
-    with torch.no_grad():
-        count = flat.shape[1]
-        layer.num_batches_tracked += 1
-        layer.running_mean.lerp_(mean[0], layer.momentum)
-        layer.running_var.lerp_(variance[0] * (count / (count - 1)), layer.momentum)  # unbiased, as PyTorch has it
-    return out.view(x.movedim(1, -1).shape).movedim(-1, 1)  # (N, C, ...)
 
 
 class AdaIN(nn.Module):
@@ -149,7 +93,7 @@ class Stage(nn.Module):
     With `appearance` None the normalisation is by batch and takes no condition (the encoder-decoder ablation).
     """
 
-    def __init__(self, convolution: "nn.ConvTranspose2d | nn.ConvTranspose3d | FixedOpening", appearance: int | None):
+    def __init__(self, convolution: nn.ConvTranspose2d | nn.ConvTranspose3d | FixedCodeDeconv, appearance: int | None):
         super().__init__()
         self.convolution, outputs = convolution, convolution.out_channels
         self.norm = nn.BatchNorm3d(outputs) if appearance is None else AdaIN(outputs, appearance)
@@ -159,64 +103,7 @@ class Stage(nn.Module):
         x = self.convolution(x)
         if len(x) < len(appearance):
             x = x.expand(len(appearance), *x.shape[1:])  # (N, outputs, ...)
-        return self.norm(x, appearance) if isinstance(self.norm, AdaIN) else _normalised(self.norm, x)
-
-
-class Opening(nn.ConvTranspose3d):
-    """Transposed convolution of kernel 4 on a single voxel, as the matrix product it is: (N, C, 1, 1, 1) to 4^3 voxels.
-
-    In float32: it is the largest of all weights by far, and to convert it takes longer than the product.
-    """
-
-    def __init__(self, inputs: int, outputs: int):
-        super().__init__(inputs, outputs, 4, bias=False)
-
-    def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
-        """(N, C, 1, 1, 1) -> (N, outputs, 4, 4, 4)."""
-        with torch.autocast(x.device.type, enabled=False):
-            flat = x.flatten(1).float() @ self.weight.permute(0, 2, 3, 4, 1).flatten(1)  # (N, 4 4 4 outputs)
-        return flat.view(len(x), 4, 4, 4, self.out_channels).movedim(-1, 1)  # (N, outputs, 4, 4, 4)
-
-
-class FixedOpening(nn.Module):
-    """`Opening` for the one code it ever sees: what is learned is its output, (1, outputs, 4, 4, 4).
-
-    The code z never changes, so nothing of the layer's weights W counts but W z, and their gradient is that of W z
-    times z. A step of Adam with W changes W z as a step with W z itself does, |z|_1 times as far; one of Muon, |z|_2
-    times (viewnet.training.optimisers). At the paper's size 33 thousand numbers learn what 34 million would.
-    """
-
-    kernel_size, stride = (4, 4, 4), (1, 1, 1)  # as the layer it stands for has them
-
-    def __init__(self, code: Tensor, outputs: int):
-        super().__init__()
-        self.out_channels = outputs
-        spread = code.norm() / math.sqrt(3 * 64 * outputs)  # of W z with PyTorch's first weights, nearly normal
-        self.output = nn.Parameter(spread * torch.randn(1, outputs, 4, 4, 4))
-
-    def forward(self, code: Tensor) -> Tensor:
-        """(1, outputs, 4, 4, 4), whatever the code."""
-        return self.output
-
-
-class Doubling(nn.ConvTranspose3d):
-    """Transposed convolution of kernel and stride 2 to four channels, as the matrix product it is.
-
-    Every voxel becomes its own eight, so nothing is summed.
-    The eight start equal: detail is learned where it helps.
-    """
-
-    def __init__(self, inputs: int):
-        super().__init__(inputs, 4, 2, 2)
-        with torch.no_grad():
-            self.weight.copy_(self.weight[:, :, :1, :1, :1].expand_as(self.weight))  # (inputs, 4, 2, 2, 2)
-
-    def blocks(self, x: Tensor) -> Tensor:
-        """(N, inputs, n, n, n) -> the eight of every voxel, (N, n, n, n, 2, 2, 2, 4)."""
-        weight = self.weight.permute(0, 2, 3, 4, 1).flatten(1)  # (inputs, 2 2 2 4)
-        bias = self.bias.repeat(8) if self.bias is not None else None  # (2 2 2 4,), the order of the weight's rows
-        eight = F.linear(x.permute(0, 2, 3, 4, 1), weight.T, bias)  # (N, n, n, n, 2 2 2 4)
-        return eight.view(*eight.shape[:4], 2, 2, 2, 4)  # (N, n, n, n, 2, 2, 2, 4)
+        return self.norm(x, appearance) if isinstance(self.norm, AdaIN) else batch_norm_relu(self.norm, x)
 
 
 class Generator(nn.Module):
@@ -241,7 +128,9 @@ class Generator(nn.Module):
         self.adain = config.decoder != "encoder_decoder"
         appearance = config.appearance_size if self.adain else None
         self.register_buffer("code", torch.randn(1, config.code_size, 1, 1, 1))  # z of section 3.2
-        opening = FixedOpening(self.code, widths[0]) if self.adain else Opening(config.appearance_size, widths[0])
+        opening = (
+            FixedCodeDeconv(self.code, widths[0]) if self.adain else FirstDeconv(config.appearance_size, widths[0])
+        )
         stages = [Stage(opening, appearance)]
         for before, width in pairwise(widths):
             stages.append(Stage(nn.ConvTranspose3d(before, width, 4, 2, 1, bias=False), appearance))
@@ -249,7 +138,7 @@ class Generator(nn.Module):
                 stages.append(Stage(nn.ConvTranspose3d(width, width, 3, 1, 1, bias=False), appearance))
         self.stages = nn.ModuleList(stages).to(memory_format=torch.channels_last_3d)
         kernel = config.generator_last_kernel
-        self.last = Doubling(widths[-1]) if kernel == 2 else nn.ConvTranspose3d(widths[-1], 4, kernel, 2, 1)
+        self.last = Upsample2x(widths[-1]) if kernel == 2 else nn.ConvTranspose3d(widths[-1], 4, kernel, 2, 1)
 
     def blocks(self, appearance: Tensor) -> Tensor:
         """The logits as viewnet.model.volume.squash takes them."""
@@ -257,7 +146,7 @@ class Generator(nn.Module):
         x = self.code if self.adain else appearance[:, :, None, None, None]  # (1 or N, C, 1, 1, 1)
         for stage in self.stages:
             x = stage(x.contiguous(memory_format=torch.channels_last_3d), appearance)
-        if isinstance(self.last, Doubling):
+        if isinstance(self.last, Upsample2x):
             return self.last.blocks(x)
         logits = self.last(x).permute(0, 2, 3, 4, 1)  # (N, n, n, n, 4)
         return logits.reshape(*logits.shape[:4], 1, 1, 1, 4)  # (N, n, n, n, 1, 1, 1, 4)

@@ -1,6 +1,6 @@
 """One pass of the method: targets reconstructed from another view's appearance and the best of M viewpoint hypotheses.
 
-This is all of equations 1 and 2. Training hands in another choice among viewpoints (viewnet.training.pose_search).
+This is all of equations 1 and 2. Training hands in another choice among viewpoints (viewnet.training.matting).
 """
 
 from collections.abc import Callable

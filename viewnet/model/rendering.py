@@ -6,9 +6,9 @@ from torch import Tensor
 
 from viewnet.config import RunConfig
 from viewnet.model import volume
-from viewnet.model.losses import composite
 from viewnet.model.reconstruction import Encoded
 from viewnet.model.viewnet import ViewNet
+from viewnet.runtime.images import composite
 
 SILHOUETTE = 0.35
 """The grey of silhouettes."""
@@ -60,7 +60,6 @@ class ObjectRenderer:
 
 def to_uint8(images: Tensor, grey: float = 1.0) -> np.ndarray:
     """Images (N, 4, H, W), RGB times mask and mask, over a grey level: (N, H, W, 3) uint8."""
-    background = torch.full((len(images), 3), grey, device=images.device)  # (N, 3)
-    colours = composite(images, background).clamp(0, 1) * 255  # beyond 255 uint8 would wrap around
+    colours = composite(images, grey).clamp(0, 1) * 255  # beyond 255 uint8 would wrap around
     array: np.ndarray = colours.round().to(torch.uint8).movedim(1, -1).cpu().numpy()  # (N, H, W, 3)
     return array

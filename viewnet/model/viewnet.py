@@ -11,6 +11,7 @@ from viewnet.config import ModelConfig
 from viewnet.geometry import look_at
 from viewnet.model import volume
 from viewnet.model.networks import Encoder, Generator, HoloGANDecoder, gaussian_prior
+from viewnet.runtime.images import composite
 
 FOCAL = 0.4
 """What a learned focal length starts from, as released."""
@@ -94,7 +95,7 @@ class ViewNet(nn.Module):
 
     def composite(self, images: Tensor, background: Tensor | None = None) -> Tensor:
         """Images (N, 4, S, S) over backgrounds (N, 3, S, S) or the backdrop: (N, 3, S, S), as encoders take them."""
-        return images[:, :3] + (self.config.backdrop if background is None else background) * (1 - images[:, 3:])
+        return composite(images, self.config.backdrop if background is None else background)
 
     def encode(self, images: Tensor, background: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Appearance codes (N, A) and volumes, as `generate` gives them, of the objects in images (N, 4, S, S).

@@ -34,14 +34,15 @@ from viewnet.runtime.parallel import cores, pool
 
 # fmt: off
 TRAINING = (
-    "geometry.py", "data/augment.py", "data/pairs.py", "evaluation/alignment.py", "model/checkpoint.py",
-    "model/losses.py", "model/networks.py", "model/precision.py", "model/reconstruction.py", "model/viewnet.py",
-    "model/volume.py", "runtime/distributed.py", "runtime/random.py", "runtime/torchvision_weights.py",
-    "training/history.py", "training/optimisers.py", "training/pose_search.py", "training/step.py", "training/train.py",
-    "training/validation.py", "model/kernels/bfloat16_numba.py", "model/kernels/norm_relu_cpu.py",
-    "model/kernels/norm_relu_numba.py", "model/kernels/numba_call.py", "model/kernels/rotation_numba.py",
-    "model/kernels/trilinear_llvm.py", "model/kernels/volume_cpu.py", "model/kernels/volume_gpu.py",
-    "model/kernels/volume_numba.py", "model/kernels/volume_triton.py", "model/kernels/voxels_numba.py",
+    "geometry.py", "data/augment.py", "data/pairs.py", "evaluation/alignment.py",
+    *(f"model/{name}.py" for name in (
+        "checkpoint", "fast_layers", "losses", "networks", "precision", "reconstruction", "viewnet", "volume")),
+    *(f"model/kernels/{name}.py" for name in (
+        "bfloat16_numba", "norm_relu_cpu", "norm_relu_numba", "numba_call", "rotation_numba", "trilinear_llvm",
+        "volume_cpu", "volume_gpu", "volume_numba", "volume_triton", "voxels_numba")),
+    "runtime/distributed.py", "runtime/images.py", "runtime/random.py", "runtime/torchvision_weights.py",
+    *(f"training/{name}.py" for name in (
+        "history", "matting", "optimisers", "paper", "step", "train", "validation")),
 )
 # fmt: on
 """The code that decides a training: its statements are part of every key (provenance.code_identity).

@@ -8,7 +8,8 @@ import pandas as pd
 from torch import nn
 
 from viewnet.config import ModelConfig
-from viewnet.model.networks import AdaIN, FixedOpening, Stage, parameters
+from viewnet.model.fast_layers import FixedCodeDeconv
+from viewnet.model.networks import AdaIN, Stage, parameters
 from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import write_text
 from viewnet.tables import reported
@@ -19,7 +20,7 @@ NAMES = {
     nn.Conv2d: "Conv2D",
     nn.ConvTranspose2d: "ConvTranspose2D",
     nn.ConvTranspose3d: "ConvTranspose3D",
-    FixedOpening: "ConvTranspose3D",
+    FixedCodeDeconv: "ConvTranspose3D",
     nn.BatchNorm2d: "BatchNorm",
     nn.BatchNorm3d: "BatchNorm",
     nn.ReLU: "ReLU",
@@ -72,7 +73,7 @@ def layers(network: nn.Module) -> pd.DataFrame:
 
 def _rows(module: nn.Module) -> Iterator[tuple[str, str, str, str]]:
     name = next((name for kind, name in NAMES.items() if isinstance(module, kind)), None)
-    if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.ConvTranspose3d | FixedOpening):
+    if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.ConvTranspose3d | FixedCodeDeconv):
         kernel = "x".join(map(str, module.kernel_size[:2]))  # as in the paper: one face of a cube
         yield str(name), str(module.out_channels), kernel, str(module.stride[0])
     elif name is not None:

@@ -16,7 +16,6 @@ import torch
 from matplotlib.figure import Figure
 
 from viewnet.data import augment
-from viewnet.data.pairs import resize
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
@@ -24,6 +23,7 @@ from viewnet.evaluation.run import Run, run_name
 from viewnet.geometry import look_at, view_vector
 from viewnet.model.reconstruction import reconstruct
 from viewnet.model.rendering import to_uint8
+from viewnet.runtime.images import resize
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.plots import STYLE
 from viewnet.tables.run_renderer import RunRenderer, Stores, own_views, renderers

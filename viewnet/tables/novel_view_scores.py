@@ -21,7 +21,6 @@ import torch.nn.functional as F
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
-from viewnet.data.pairs import tight_crop
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.alignment import fit_rotation
@@ -29,6 +28,7 @@ from viewnet.evaluation.predictions import Floats, true_vectors
 from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
 from viewnet.runtime.files import write_text
+from viewnet.runtime.images import tight_crop
 from viewnet.tables import columns, latex
 from viewnet.tables.columns import DASH, FIDELITY, HEADLINE, METRICS, NOVEL_VIEWS
 from viewnet.tables.layouts import LABELS

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from viewnet.config import RunConfig
 from viewnet.data import augment
-from viewnet.data.pairs import Views, model_views, tight_crop
+from viewnet.data.pairs import Views, model_views
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.alignment import Procrustes
@@ -25,6 +25,7 @@ from viewnet.model.reconstruction import Encoded
 from viewnet.model.rendering import ObjectRenderer, to_uint8
 from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import read_json
+from viewnet.runtime.images import tight_crop
 
 BATCH = 64
 

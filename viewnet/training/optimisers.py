@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.optim.optimizer import ParamsT
 
 from viewnet.config import OptimiserConfig, TrainConfig
-from viewnet.model.networks import FixedOpening
+from viewnet.model.fast_layers import FixedCodeDeconv
 from viewnet.model.precision import half_precision
 from viewnet.model.viewnet import ViewNet
 
@@ -81,7 +81,7 @@ def make_optimisers(model: ViewNet, config: TrainConfig) -> list[torch.optim.Opt
         for layer in part.modules()  # module by module, within stages too
         if isinstance(layer, INNER_LAYERS) and layer.in_channels > 3 and layer.kernel_size[0] > 1
     ]
-    openings = [part.output for part in model.decoder.modules() if isinstance(part, FixedOpening)]
+    openings = [part.output for part in model.decoder.modules() if isinstance(part, FixedCodeDeconv)]
     taken = {id(weight) for weight in (*matrices, *openings)}  # by identity: == compares elements
     others = [weight for weight in model.parameters() if id(weight) not in taken]
     # Where a layer's output is learned in the place of its weights, rates are those of its weights.

@@ -8,11 +8,12 @@ from torch import Tensor
 
 from viewnet.config import TrainConfig
 from viewnet.data import augment
-from viewnet.data.pairs import Views, resize
+from viewnet.data.pairs import Views
 from viewnet.evaluation.alignment import fit_rotation
 from viewnet.geometry import look_at, rotation_angle, view_vector
 from viewnet.model.reconstruction import reconstruct
 from viewnet.model.viewnet import ViewNet
+from viewnet.runtime.images import resize
 
 VALIDATION_VIEWS = 320
 """At most so many target views, those of the first models: enough to rank epochs."""

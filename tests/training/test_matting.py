@@ -7,11 +7,20 @@ import pytest
 import torch
 from helpers.smoke_model import PLAIN, SMOKE, known_targets, settings
 
+from viewnet.config import ComparisonConfig, TrainConfig
 from viewnet.geometry import azimuth_elevation, look_at, view_vector
-from viewnet.model.reconstruction import Encoded, best_head, compare
+from viewnet.model.reconstruction import Choice, Encoded, Reconstruction, best_head, compare
 from viewnet.model.viewnet import Hypotheses, ViewNet
 from viewnet.recipes import make_config
-from viewnet.training.pose_search import SECTORS, PoseSearch, Search, balanced, compare_grid, half_resolution
+from viewnet.training.matting import (
+    SECTORS,
+    PoseSearch,
+    Search,
+    balanced,
+    compare_grid,
+    half_resolution,
+    repeated_views_loss,
+)
 
 
 @pytest.fixture
@@ -106,3 +115,20 @@ def test_an_elevation_chosen_too_often_is_avoided():
     assert balanced(score, views, even, limits, 1.0).argmin().item() == 1
     below = torch.tensor([0.7, 0.1, 0.1, 0.1]).expand(12, 4) / 12
     assert balanced(score, views, below, limits, 1.0).argmin().item() == 0
+
+
+def test_other_images_of_a_target_learn_what_its_one_reconstruction_taught():
+    # Rendered from 10 degrees, where the first image's head 0 is; another image's closest head is number 2.
+    first = Hypotheses(view_vector(torch.tensor([[10.0, 130.0, 250.0]]), torch.zeros(1, 3)), torch.zeros(1, 3))
+    azimuth = torch.tensor([[200.0, 100.0, 30.0]], requires_grad=True)
+    logits = torch.zeros(1, 3, requires_grad=True)
+    others = Hypotheses(view_vector(azimuth, torch.zeros(1, 3)), logits)
+    choice = Choice(torch.tensor([0]), first.vectors[:, 0], torch.tensor([[0.1, 0.2, 0.3]]))
+    objects = Encoded(torch.zeros(()), torch.zeros(()))
+    found = Reconstruction(first, others, choice, torch.zeros(()), torch.zeros(()), objects)
+    loss = repeated_views_loss(found, TrainConfig(comparison=ComparisonConfig()))
+    distance = (view_vector(torch.tensor(10.0), torch.tensor(0.0)) - others.vectors[0, 2]).square().sum()
+    assert torch.allclose(loss, distance + torch.tensor(3.0).log())
+    loss.backward()
+    assert azimuth.grad[0, 2] > 0 and not azimuth.grad[0, :2].any()  # 30 degrees goes down towards 10
+    assert logits.grad[0, 2] < 0 < logits.grad[0, 0]

@@ -1,4 +1,4 @@
-"""Which viewpoints a training step reconstructs from: the heads', their neighbours, a search around the object (ours).
+"""What our recipe adds to the paper's step: other viewpoints than the heads' to reconstruct from, and further terms.
 
 Early on the viewpoint network answers from what little it has learned, and the volume settles on its mistakes: turned
 inside out, or with two sides folded into one. Viewpoints of a search do not depend on it.
@@ -7,16 +7,19 @@ inside out, or with two sides folded into one. Viewpoints of a search do not dep
 from dataclasses import dataclass
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from viewnet.config import TrainConfig
-from viewnet.data.pairs import resize
 from viewnet.geometry import azimuth_elevation, view_vector
-from viewnet.model.reconstruction import Choice, Encoded, compare
+from viewnet.model.losses import pixel_loss, pull_loss, selection_target
+from viewnet.model.reconstruction import Choice, Encoded, Reconstruction, compare
 from viewnet.model.viewnet import BANDS, Hypotheses, ViewNet
 from viewnet.model.volume import halved
 from viewnet.runtime import distributed
+from viewnet.runtime.images import resize
 from viewnet.runtime.random import RandomSource, rand
+from viewnet.training.paper import compared
 
 SECTORS = 4
 """Of azimuth: of a search's viewpoints, the best of each sector is compared with the heads'."""
@@ -24,6 +27,45 @@ SECTORS = 4
 
 Coarse = tuple[Encoded, Tensor]
 """Objects and targets (N, 4, S, S) at half the resolution."""
+
+
+def terms(result: Reconstruction, config: TrainConfig) -> dict[str, Tensor]:
+    """Name -> weighted term, a scalar: "pixels", "masks", "pull" and "repeated_views", each where settings have it."""
+    found: dict[str, Tensor] = {}
+    # Relative to how much of the image objects fill, or thin ones would count for less than other terms.
+    filled = distributed.mean(result.target[:, 3].mean()).clamp(min=0.01)
+    if config.pixel_weight:
+        found["pixels"] = config.pixel_weight * pixel_loss(*compared(result, config)) / filled
+    if config.mask_weight:
+        found["masks"] = config.mask_weight * pixel_loss(result.rendered[:, 3:], result.target[:, 3:]) / filled
+    if config.comparison.pull_weight and (config.comparison.neighbours or config.search.share):
+        chosen = result.hypotheses.of_heads(result.choice.head)  # (N, 3)
+        found["pull"] = config.comparison.pull_weight * pull_loss(chosen, result.choice.viewpoint)
+    if len(result.repeated.logits):  # K > 0 more images of each target
+        found["repeated_views"] = repeated_views_loss(result, config)
+    return found
+
+
+def repeated_views_loss(result: Reconstruction, config: TrainConfig) -> Tensor:
+    """What one reconstruction teaches of a target's other images: its viewpoint, and which heads to select.
+
+    As for the image it was made for: the head closest to the viewpoint is pulled, and each head's share of the
+    selection is that of those heads of the first image which it is closest to.
+    """
+    hypotheses, choice = result.repeated, result.choice
+    times = len(hypotheses.logits) // len(choice.head)
+    viewpoint, heads = (
+        view.detach().repeat(times, *[1] * (view.dim() - 1))  # (K N, 3) and (K N, M, 3)
+        for view in (choice.viewpoint, result.hypotheses.vectors)
+    )
+    closest = (hypotheses.vectors - viewpoint[:, None]).square().sum(-1).argmin(1)  # (K N,)
+    loss = config.comparison.pull_weight * pull_loss(hypotheses.of_heads(closest), viewpoint)
+    if heads.shape[1] > 1:
+        wanted = selection_target(choice.errors, config.comparison.temperature).repeat(times, 1)  # (K N, M)
+        same = (hypotheses.vectors[:, :, None] - heads[:, None]).square().sum(-1).argmin(1)  # (K N, M)
+        shares = torch.zeros_like(wanted).scatter_add_(1, same, wanted)  # (K N, M)
+        loss = loss + F.cross_entropy(hypotheses.logits, shares)
+    return times * loss  # K images count K times
 
 
 @dataclass
@@ -81,6 +123,14 @@ class PoseSearch:
         closest = (vectors - viewpoint[:, None]).square().sum(-1).argmin(1)  # (N,)
         head = torch.where(winner < heads, winner, closest)  # a searched winner teaches the nearest head
         return Choice(head, viewpoint, errors, viewpoint if self.search else None)
+
+
+def pose_search(config: TrainConfig, progress: float, generator: RandomSource) -> PoseSearch:
+    """How viewpoints are chosen when the share `progress` of training is done."""
+    searching = progress < config.search.share
+    # The noise is gone half-way through the search.
+    noise = max(0.0, 1 - 2 * progress / config.search.share) if searching else 0.0
+    return PoseSearch(Search(config.search.views, noise, generator) if searching else None)
 
 
 def compare_heads(
