@@ -172,8 +172,8 @@ def test_boxes_beyond_the_image_and_in_another_scale(tmp_path):
         "imagenet/c/0": (10, 20, 60, 80),
     }
     assert report.mended == [
-        ("imagenet/a/0", "box beyond the picture's edges"),
-        ("imagenet/c/0", "box in another scale than its picture"),
+        ("imagenet/a/0", "box beyond the image's edges"),
+        ("imagenet/c/0", "box in another scale than its image"),
     ]
     where = "Annotations/car_imagenet/b.mat"
     assert report.rejected == [("imagenet/b/0", where, "box has no part in the image (100 x 90)")]

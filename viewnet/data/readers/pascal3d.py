@@ -49,8 +49,8 @@ VOC = Path("PASCAL/VOCdevkit/VOC2012/ImageSets/Main")
 Keep = Literal["all", "easy", "first"]
 
 # These words are counted in a view store's description, and so are part of its identity: they may not change.
-OTHER_SCALE = "box in another scale than its picture"
-BEYOND_EDGES = "box beyond the picture's edges"
+OTHER_SCALE = "box in another scale than its image"
+BEYOND_EDGES = "box beyond the image's edges"
 
 # Suffixes of images in copies of the data set.
 _SUFFIXES = (".JPEG", ".jpg", ".jpeg", ".JPG", ".png", ".PNG")
