@@ -24,7 +24,8 @@ from viewnet.data.build import photo_views, video_views
 from viewnet.data.readers import pascal3d
 from viewnet.data.readers.shapenet import find_models, load_model
 from viewnet.data.store import ViewStore
-from viewnet.data.synthetic import objectron_standin, pascal3d_standin
+from viewnet.data.synthetic import pascal3d_standin
+from viewnet.data.synthetic.objectron_standin import ObjectronStandIn
 from viewnet.render import render_mesh
 
 Rewriter = Callable[[bytes], st.SearchStrategy[bytes]]
@@ -251,7 +252,7 @@ def _video_folder(root: Path) -> None:
 
 
 def _objectron(root: Path) -> None:
-    objectron_standin.write_stand_in(root, "chair", videos=3, frames=3, size=(90, 120), progress=False)
+    ObjectronStandIn("chair", videos=3, frames=3, size=(90, 120)).write(root, progress=False)
 
 
 def _clips(category: str, masks: str = "files") -> Callable[[Path], object]:

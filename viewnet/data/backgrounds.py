@@ -23,6 +23,7 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime.files import load_array
 from viewnet.runtime.image_files import opened
 from viewnet.runtime.progress import bar
+from viewnet.runtime.splits import seeded_generator, seeded_rank
 
 SYNTHETIC = "drawn"
 """The source that needs no images."""
@@ -115,8 +116,7 @@ def _crop_all(
         for path, number in _balanced(listed, seed):
             if len(images) == count:
                 break
-            place = hashlib.sha256(f"{seed} place {path}".encode()).digest()
-            rng = np.random.default_rng(int.from_bytes(place[:8], "little"))
+            rng = seeded_generator(seed, "place", path)
             try:
                 images.append(random_square(root / path, size, rng).transpose(2, 0, 1))  # (3, size, size)
             except ViewnetError as error:
@@ -132,7 +132,7 @@ def _crop_all(
 
 def _balanced(listed: list[tuple[str, int]], seed: int) -> list[tuple[str, int]]:
     """Shuffled so that any beginning has equally many images of each class, but for classes that are exhausted."""
-    shuffled = sorted(listed, key=lambda item: hashlib.sha256(f"{seed} {item[0]}".encode()).digest())
+    shuffled = sorted(listed, key=lambda item: seeded_rank(seed, item[0]))
     rank: defaultdict[int, Iterator[int]] = defaultdict(itertools.count)  # of an image among those of its class
     return sorted(shuffled, key=lambda item: next(rank[item[1]]))
 
