@@ -32,6 +32,7 @@ from viewnet.model import checkpoint
 from viewnet.model.checkpoint import load_model
 from viewnet.recipes import make_config
 from viewnet.runs import make_run, worker_pool
+from viewnet.runtime import torchvision_weights
 from viewnet.runtime.files import write_json
 from viewnet.tables import reported
 from viewnet.tables.run_renderer import RunRenderer
@@ -156,7 +157,7 @@ def _weights(folder: Path) -> None:
 
 def _fill(folder: Path) -> object:
     network = nn.Conv2d(3, 4, 3)
-    masks.load_weights(network, folder / "weights.pth", masks.NETWORKS["deeplabv3"])
+    torchvision_weights.load(network, masks.NETWORKS["deeplabv3"], folder / "weights.pth", "")
     with torch.no_grad():
         return network(torch.zeros(1, 3, 8, 8)).mean()
 
