@@ -124,11 +124,7 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
 
     def make() -> None:
         root = written(photo_stand_in(config), workers, progress) if config.root is None else Path(config.root)
-        photographs = reader.read(config, root)
-        described = made_by | photographs.notes  # notes follow from what is in the store's name already
-        photo_store.photo_store(
-            photographs.usable, folder, crop, described, root, photographs.rejected, reader.upright, workers, progress
-        )
+        photo_store.photo_store(reader.read(config, root), folder, crop, made_by, workers, progress)
 
     return ViewStore.open(made_once(folder, make))
 
@@ -156,16 +152,14 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     known(config.category, CATEGORIES, "category")
     if config.count < 0:
         raise ViewnetError(f"count {config.count}: expected 1 or more frames a clip, or 0 for all")
-    crop = Crop(config.size, config.margin, config.square)
-    limits = clip_store.Limits(config.side, config.blur)
-    source = masks.mask_source(config.masks, config.category)
+    crop, source = Crop(config.size, config.margin, config.square), masks.mask_source(config.masks, config.category)
+    cutting = clip_store.Cutting(source, crop, config.scale, config.side, config.blur)
     root = written(video_stand_in(config), workers, progress) if config.root is None else Path(config.root)
     clips, rejected = _clips(config, root)
-    made_by = clip_store.describe(clips, source, crop, limits, config.scale)
-    folder = _store_folder(f"videos-{config.category}", made_by)
+    folder = _store_folder(f"videos-{config.category}", cutting.describe(clips))
 
     def make() -> None:
-        clip_store.clip_store(clips, folder, root, source, crop, limits, config.scale, rejected, workers, progress)
+        clip_store.clip_store(clips, folder, root, cutting, rejected, workers, progress)
 
     return ViewStore.open(made_once(folder, make))
 

@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 
 from viewnet.config import CATEGORIES, PhotoConfig, known
-from viewnet.data.photo_store import SPLITS, Photograph
-from viewnet.data.readers.reader import Contents, DataSet, Photographs, PhotoReader, Reader
+from viewnet.data.photo_store import SPLITS, Photograph, Photographs
+from viewnet.data.readers.reader import Contents, DataSet, PhotoReader, Reader
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import read_csv
 
@@ -112,5 +112,7 @@ READER = Reader(
     ),
     recognises=lambda folder: (folder / LIST).is_file(),
     count=_count,
-    photographs=PhotoReader(_describe, lambda config, root: Photographs(read(root, config.category)), upright=True),
+    photographs=PhotoReader(
+        _describe, lambda config, root: Photographs(root, read(root, config.category), upright=True)
+    ),
 )
