@@ -68,11 +68,9 @@ class PhotoConfig:
     root: str | None = None  # PASCAL3D+ 1.1, or a folder with images/ and viewpoints.csv; None: a stand-in is made
     subset: Literal["imagenet", "pascal", "both"] = "imagenet"  # of PASCAL3D+; its "train" calibrates, its "val" scores
     keep: Literal["all", "easy", "first"] = "all"  # easy: not difficult, truncated or occluded; first: of each image
-    coarse: bool = False  # also objects whose viewpoint is only known to an eighth of a turn
     size: int = 64  # pixels a side
     margin: float = 0.0  # beyond the box on either side, as a share of its longer side
     square: bool = True  # whether the object keeps its shape, or its box is stretched to a square
-    pad: tuple[int, int, int] = (0, 0, 0)  # RGB beyond the photograph's edges
     models: int = 60  # of the stand-in: CAD models a split
     count: int = 600  # of the stand-in: photographs a split
     backgrounds: str | None = None  # of the stand-in: a folder of images; None: drawn ones

@@ -61,12 +61,12 @@ def test_predict_as_json_has_every_hypothesis(images, tmp_path, capsys):
     estimator = ViewpointEstimator.from_pretrained("0123456789ab")
     said = estimator.predict(images, masks)
     assert found["frame"] == "annotated"
-    assert [row["file"] for row in found["pictures"]] == images
-    assert [row["azimuth"] for row in found["pictures"]] == said.azimuth.tolist()
-    assert [row["probability_2"] for row in found["pictures"]] == said.probabilities[:, 2].tolist()
+    assert [row["file"] for row in found["images"]] == images
+    assert [row["azimuth"] for row in found["images"]] == said.azimuth.tolist()
+    assert [row["probability_2"] for row in found["images"]] == said.probabilities[:, 2].tolist()
     boxed = estimator.predict(images, boxes=[(2, 3, 20, 30)] * 2)
     assert cli.main(["predict", *images, "--box", "2", "3", "20", "30", "--json", "--model", "0123456789ab"]) == 0
-    again = json.loads(capsys.readouterr().out)["pictures"]
+    again = json.loads(capsys.readouterr().out)["images"]
     assert [row["azimuth"] for row in again] == boxed.azimuth.tolist() != said.azimuth.tolist()
 
 

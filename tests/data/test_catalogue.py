@@ -88,11 +88,11 @@ def test_freiburg_and_lists_and_images(tmp_path):
     assert "viewpoints.csv: no row of split test" in check(tmp_path / "half").problems
     for name in ("a/abbey/1.jpg", "a/abbey/2.jpg", "b/bar/3.jpg"):
         image(tmp_path / "sun" / name)
-    assert check(tmp_path / "sun").counts == {"": {"pictures": 3, "classes": 1}}
+    assert check(tmp_path / "sun").counts == {"": {"images": 3, "classes": 1}}
     (tmp_path / "sun" / "ClassName.txt").write_text("/a/abbey\n/b/bar\n/c/cave\n")
     found = check(tmp_path / "sun")
     assert (found.counts, found.problems) == (
-        {"": {"pictures": 3, "classes": 2}}, ["1 left out: no such class folder"]
+        {"": {"images": 3, "classes": 2}}, ["1 left out: no such class folder"]
     )  # fmt: skip
 
 

@@ -147,7 +147,6 @@ def test_boxes_flags_and_several_objects(tmp_path):
     assert [a.number for a in found] == [0, 2]
     assert found[0].box == found[1].box == (10, 20, 60, 80)  # the second one's corners are exchanged
     assert [a.easy for a in found] == [True, False]
-    assert found[0].tilt == 2
     assert found[0].id == "imagenet/a/0"
     assert report.rejected == [] and report.others == 1
     assert report.mended == [("imagenet/a/2", "box with exchanged corners")]
@@ -207,12 +206,11 @@ def test_what_cannot_be_used_is_told(tmp_path):
     found, report = read(tmp_path)
     assert [a.image for a in found] == ["good"]
     assert report.counts == {
-        "only coarsely annotated": 3,
+        "only coarsely annotated": 4,
         "object without a viewpoint": 2,
         "elevation beyond 90 degrees": 1,
         "field 'azimuth' is no finite number": 1,
         "field 'elevation' is no number": 1,
-        "field 'azimuth_coarse' is missing": 1,
         "box is not four numbers": 1,
         "no object of the category": 2,
         "annotation cannot be read": 1,
@@ -226,8 +224,6 @@ def test_what_cannot_be_used_is_told(tmp_path):
     assert report.mended == [("imagenet/good", "listed twice")]
     assert report.others == 1
     assert ("imagenet/missing", "Images/car_imagenet/missing.JPEG", "no such image") in report.rejected
-    with_coarse = {a.image: (a.azimuth, a.tilt) for a in read(tmp_path, coarse=True)[0]}
-    assert with_coarse == {"good": (10, 2), "coarse": (45, 0), "lacking": (45, 0), "hollow": (45, 0)}
 
 
 def test_a_front_view_from_some_distance_is_no_coarse_one(tmp_path):

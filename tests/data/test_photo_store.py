@@ -66,17 +66,17 @@ def test_a_box_is_cut_with_so_much_around_it(crop, wanted):
         assert ((small[..., 0] > 220) == red).all() and ((small[..., 2] > 220) == ~red).all()
 
 
-def test_beyond_the_edge_there_is_the_colour_and_shape_is_kept():
-    small = cut(Image.new("RGB", (40, 10), (200, 200, 200)), None, Crop(8, colour=(1, 2, 3)))
-    assert (small[[0, 1, 6, 7], :, :3] == (1, 2, 3)).all()
+def test_beyond_the_edge_it_is_black_and_shape_is_kept():
+    small = cut(Image.new("RGB", (40, 10), (200, 200, 200)), None, Crop(8))
+    assert (small[[0, 1, 6, 7], :, :3] == 0).all()
     assert (small[3:5, :, :3] > 180).all()
     stretched = cut(Image.new("RGB", (40, 10), (200, 200, 200)), None, Crop(8, square=False))
     assert (stretched[..., :3] == 200).all()
 
 
-def test_a_square_shows_what_is_around_a_narrow_box_not_the_colour():
+def test_a_square_shows_what_is_around_a_narrow_box():
     image = Image.new("RGB", (60, 60), (0, 200, 0))
-    small = cut(image, (10, 25, 50, 35), Crop(8, colour=(255, 0, 0)))
+    small = cut(image, (10, 25, 50, 35), Crop(8))
     assert (small[..., :3] == (0, 200, 0)).all()
 
 
@@ -96,7 +96,6 @@ def test_boxes_outside_of_the_image_are_refused():
     for values, message in (
         ({"size": 0}, "size 0: expected 1 to 1024 pixels"),
         ({"margin": -0.1}, "margin -0.1: expected 0 to 2"),
-        ({"colour": (0, 0, 256)}, "colour .*: expected three numbers from 0 to 255"),
     ):
         with pytest.raises(ViewnetError, match=message):
             Crop(**values)
@@ -137,16 +136,17 @@ def test_the_stand_in_becomes_a_store(monkeypatch, data):
 
 def test_every_setting_that_decides_pixels_is_in_the_key():
     base = views(SMALL)
-    for changes in ({"margin": 0.2}, {"square": False}, {"pad": (9, 9, 9)}, {"size": 16}, {"seed": 1}):
+    for changes in ({"margin": 0.2}, {"square": False}, {"size": 16}, {"seed": 1}):
         assert views(replace(SMALL, **changes)).identity != base.identity, changes
 
 
 def test_the_stand_in_before_given_images(tmp_path):
     (tmp_path / "p").mkdir()
     Image.new("RGB", (300, 300), (0, 255, 0)).save(tmp_path / "p/a.png")
-    config = replace(SMALL, backgrounds=str(tmp_path / "p"), margin=0.1, pad=(0, 255, 0))
+    config = replace(SMALL, backgrounds=str(tmp_path / "p"), margin=0.1)
     edges = views(config).images[:, 0, :, :3].astype(float)
-    assert (edges[..., 1] > edges[..., 0] + 60).mean() > 0.8
+    within = edges.max(axis=-1) > 0  # beyond the photograph it is black
+    assert (edges[..., 1] > edges[..., 0] + 60)[within].mean() > 0.8
     Image.new("RGB", (300, 300), (0, 0, 255)).save(tmp_path / "p/b.png")
     assert views(config).images[:, 0, :, 2].mean() > edges[..., 2].mean() + 20
 
@@ -206,14 +206,14 @@ def test_a_folder_with_a_list_becomes_a_store(tmp_path):
         "2.png,370,0,test,third",
         header="file,azimuth_deg,elevation_deg,split,remark",
     )
-    store = views(PhotoConfig("car", str(root), size=8, pad=(255, 0, 0)))
+    store = views(PhotoConfig("car", str(root), size=8))
     assert store.index[["model_id", "split", "azimuth", "elevation", "source"]].to_numpy().tolist() == [
         ["0.png", "val", 10, 5, "images/0.png"],
         ["1.png", "test", 270, -5, "images/1.png"],
         ["2.png", "test", 10, 0, "images/2.png"],
     ]
     assert (store.images[:, 4, 4, 0] == [30, 90, 150]).all()
-    assert (store.images[:, 0, :, :3] == (255, 0, 0)).all()
+    assert (store.images[:, 0, :, :3] == 0).all()
     assert summary(store) == "car: 1 calibrate, 2 scored"
     # A longer list is another store.
     (root / "viewpoints.csv").write_text((root / "viewpoints.csv").read_text() + "0.png,20,5,val,again\n")
@@ -272,7 +272,7 @@ def test_a_wrong_list_is_named(tmp_path):
         views(PhotoConfig("car", str(folder(tmp_path / "f", "1.png,0,0,val"))))
     with pytest.raises(ViewnetError, match=r"no usable photograph in the val split .*images/9\.png: no such image"):
         views(PhotoConfig("car", str(folder(tmp_path / "f", "1.png,0,0,test", "9.png,0,0,val"))))
-    with pytest.raises(ViewnetError, match="its list has no difficulty or coarse flags: use keep='all'"):
+    with pytest.raises(ViewnetError, match="its list has no difficulty flags: use keep='all'"):
         views(PhotoConfig("car", str(tmp_path / "f"), keep="easy"))
 
 
@@ -292,6 +292,6 @@ def test_real_cars():
     store = views(PhotoConfig("car", str(root)))
     assert summary(store) == "car: 300 calibrate, 700 scored"
     assert store.images.shape == (1000, 64, 64, 4)
-    # Cars are wider than high: above and below the object there is the colour.
+    # Cars are wider than high: above and below the object it is black.
     assert (store.images[:, 0, :, :3].max(axis=(1, 2)) == 0).mean() > 0.9
     assert store.images[:, 24:40, :, :3].mean() > 60

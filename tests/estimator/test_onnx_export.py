@@ -23,13 +23,13 @@ def test_onnx_gives_the_outputs_of_the_network(tmp_path, overrides):
     path = estimator.export_onnx(tmp_path / "models" / "car.onnx")
     onnx.checker.check_model(onnx.load(path), full_check=True)
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
-    assert [given.name for given in session.get_inputs()] == ["pictures"]
+    assert [given.name for given in session.get_inputs()] == ["images"]
     for count in (1, 5):
         seen = torch.rand(count, 3, 32, 32, generator=torch.Generator().manual_seed(count))
         with torch.no_grad():
             expected = estimator.network.viewpoint(seen)
         found = dict(
-            zip([o.name for o in session.get_outputs()], session.run(None, {"pictures": seen.numpy()}), strict=True)
+            zip([o.name for o in session.get_outputs()], session.run(None, {"images": seen.numpy()}), strict=True)
         )
         assert found["vectors"].shape == (count, 3, 3)
         assert np.allclose(found["vectors"], expected.vectors, atol=1e-5)

@@ -100,7 +100,7 @@ def test_features_are_kept_and_made_again_for_other_settings(store, tmp_path, mo
         features.extract(store, "pixels", 32)
 
 
-def test_auto_takes_the_best_backbone_at_hand(tmp_path, monkeypatch):
+def test_auto_takes_the_best_features_at_hand(tmp_path, monkeypatch):
     assert features.choose() == "pixels"
     monkeypatch.setenv("VIEWNET_SQUEEZENET_WEIGHTS", str(made_up_weights("squeezenet1_1", tmp_path / "s.pth")))
     assert features.choose() == "squeezenet1_1"
@@ -113,7 +113,7 @@ def test_auto_takes_the_best_backbone_at_hand(tmp_path, monkeypatch):
 
 def test_what_is_missing_is_said(tmp_path, monkeypatch):
     with pytest.raises(
-        ViewnetError, match=r"no resnet18 weights at .*VIEWNET_RESNET18_WEIGHTS, or use backbone=pixels"
+        ViewnetError, match=r"no resnet18 weights at .*VIEWNET_RESNET18_WEIGHTS, or use features=pixels"
     ):
         features.choose("resnet18")
     with pytest.raises(ViewnetError, match=r"unknown network 'vgg99': choose one of alexnet"):

@@ -187,7 +187,7 @@ def test_the_study_of_an_experiment_has_every_predictor_of_the_table(tmp_path, m
     monkeypatch.setitem(sys.modules, "viewnet.data.photo_store", types.SimpleNamespace(summary=str))
     monkeypatch.setattr("viewnet.runs.make_run.default_steps", lambda: STEPS)
     monkeypatch.setattr("viewnet.evaluation.features.SIZE", 16)
-    request = experiment("alignment_study", profile="smoke", categories="car", backbone="pixels", seeds=2)
+    request = experiment("alignment_study", profile="smoke", categories="car", features="pixels", seeds=2)
     found = study_alignment(request, ensure(request.configs, workers=1, progress=False, steps=STEPS))
     assert all(found.checks().values()), found.checks()
     assert set(found.scores["predictor"]) == {

@@ -83,7 +83,7 @@ def test_parameters_reach_the_photographs_and_the_training(tmp_path):
     request = experiment(
         "table3_pascal3d", data_root=places["pascal"], cad_root=places["cad"], extra_cad=places["pascal"],
         backgrounds=places["cad"], subset="pascal", keep="easy", margin="0.1", ridge="50", calibration=64,
-        backbone="pixels", categories="car", seeds=2,
+        features="pixels", categories="car", seeds=2,
     )  # fmt: skip
     photos = request.photo_config("car")
     assert (photos.root, photos.subset, photos.keep, photos.margin) == (places["pascal"], "pascal", "easy", 0.1)
@@ -102,7 +102,7 @@ def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
     options = [
         {"profile": "smoke"}, {"categories": "everything"}, {"categories": "car"}, {"data_root": root},
         {"cad_root": root}, {"extra_cad": root}, {"backgrounds": root}, {"subset": "both"}, {"keep": "first"},
-        {"margin": 0.2}, {"backbone": "pixels"}, {"ridge": 1}, {"calibration": 16}, {"recipe": "matting"},
+        {"margin": 0.2}, {"features": "pixels"}, {"ridge": 1}, {"calibration": 16}, {"recipe": "matting"},
     ]  # fmt: skip
     labels = [experiment("table5_dva", **option).label for option in options]
     assert len({"", *labels}) == len(options) + 1
@@ -119,8 +119,8 @@ def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
         ({"ridge": 0}, "ridge 0: expected more than 0"),
         ({"calibration": 3}, "calibration 3: expected a whole number from 4, or 0 for all"),
         ({"calibration": True}, "calibration True"),
-        ({"backbone": "vgg99"}, "unknown network 'vgg99'"),
-        ({"backbone": "resnet18"}, "no resnet18 weights at"),
+        ({"features": "vgg99"}, "unknown network 'vgg99'"),
+        ({"features": "resnet18"}, "no resnet18 weights at"),
         ({"data_root": "nowhere"}, "data_root nowhere: no such folder"),
         ({"backgrounds": "nowhere"}, "backgrounds nowhere: no such folder"),
         ({"eval_root": "x"}, "unknown parameter of table3_pascal3d 'eval_root': choose one of"),
@@ -213,7 +213,7 @@ def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path
     assert table.provenance[keys["ViewNet* (photos)"]]["alignment"] == "linear"
     assert table.provenance[keys["ViewNet* (photos)"]]["photographs"] == store.identity
     regression = table.provenance[keys["VGG view* (pixels)"]]
-    assert (regression["backbone"], regression["ridge"], regression["calibration"]) == ("pixels", 1000, 30)
+    assert (regression["features"], regression["ridge"], regression["calibration"]) == ("pixels", 1000, 30)
     # Reported numbers stay with their rows, whatever the rows are called.
     assert cell_of(table, "VGG view* (pixels)", "car", "acc30")["printed"] == "56"
     assert cell_of(table, "Liao (withdrawn)", "car", "acc30")["printed"] == "93"

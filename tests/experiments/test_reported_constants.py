@@ -141,7 +141,7 @@ def test_the_command(tmp_path, capsys):
     assert "; 1 left out: only coarsely annotated" in text
     assert "table3_pascal3d" in text and "Confidence index" in text
     cells = pd.read_csv(tmp_path / "out" / "audit_constants.csv")
-    assert set(cells["table"]) == {"table2_ablation", "table3_pascal3d", "table4_dva"}
+    assert set(cells["table"]) == {"table2_ablation", "table3_pascal3d", "table5_dva"}
     assert set(cells.loc[cells["table"] == "table3_pascal3d", "category"]) == {"bus"}
     assert cli.main(["audit", "--viewpoints", str(path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)

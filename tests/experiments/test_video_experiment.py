@@ -72,7 +72,7 @@ def test_defaults_train_on_every_frame_of_a_stand_in_without_labels():
 def test_parameters_reach_videos_photographs_and_training(tmp_path, freiburg):
     request = experiment(
         "table4_freiburg", video_root=freiburg, data_root=freiburg, cad_root=freiburg, start="shapenet",
-        masks="maskrcnn", split_rule="45/2/rest", backgrounds=freiburg, backbone="pixels", seeds=2,
+        masks="maskrcnn", split_rule="45/2/rest", backgrounds=freiburg, features="pixels", seeds=2,
     )  # fmt: skip
     video = request.configs[0].data.video
     assert (video.root, video.masks, video.split_rule) == (freiburg, "maskrcnn", "45/2/rest")
@@ -93,7 +93,7 @@ def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path, fre
     options = [
         {"profile": "smoke"}, {"video_root": freiburg}, {"data_root": freiburg}, {"split_rule": "45/2/rest"},
         {"masks": "alpha"}, {"start": "shapenet"}, {"start": str(run)}, {"start": "shapenet", "cad_root": freiburg},
-        {"backgrounds": freiburg}, {"backbone": "pixels"}, {"recipe": "matting"},
+        {"backgrounds": freiburg}, {"features": "pixels"}, {"recipe": "matting"},
     ]  # fmt: skip
     labels = [experiment("table4_freiburg", **option).label for option in options]
     assert len({"", *labels}) == len(options) + 1
@@ -110,7 +110,7 @@ def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path, fre
         ({"categories": "chair"}, "unknown parameter of table4_freiburg 'categories'"),
         ({"splits": "."}, "unknown parameter of table4_freiburg 'splits'"),
         ({"ridge": 3}, "unknown parameter of table4_freiburg 'ridge'"),
-        ({"backbone": "vgg99"}, "unknown network 'vgg99'"),
+        ({"features": "vgg99"}, "unknown network 'vgg99'"),
     ],
 )
 def test_bad_parameters_are_named(option, message):
@@ -136,7 +136,7 @@ def test_the_table_scores_photographs_beside_what_is_printed(fakes, freiburg, tm
     errors = align(on_photographs(runs[0], store), "procrustes").selected_errors
     assert cell_of(table, "ViewNet (photos)", "car", "median")["measured"] == pytest.approx(np.median(errors))
     regression = table.provenance[cell_of(table, "VGG view, videos (pixels)", "car", "acc30")["runs"]]
-    assert (regression["alignment"], regression["backbone"]) == ("procrustes", "pixels")
+    assert (regression["alignment"], regression["features"]) == ("procrustes", "pixels")
     assert regression["videos"] == video_views(request.regressed, 1, False).identity
     assert table.provenance[cell_of(table, "VGG view (pixels)", "car", "acc30")["runs"]]["alignment"] == "none"
     assert any("car: 18 views of 3 clips (3 train)" in line and "masks: files" in line for line in table.remarks)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from viewnet.runs import dask_cluster
+from viewnet.runtime import parallel
 
 
 @pytest.fixture
@@ -10,5 +10,5 @@ def folders(tmp_path, monkeypatch):
     """A run store and view stores of the test's own, and no cluster."""
     monkeypatch.setenv("VIEWNET_RUNS", str(tmp_path / "runs"))
     monkeypatch.setenv("VIEWNET_DATA", str(tmp_path / "data"))
-    monkeypatch.delenv(dask_cluster.VARIABLE, raising=False)
+    monkeypatch.delenv(parallel.CLUSTER, raising=False)
     return tmp_path

@@ -12,6 +12,7 @@ from helpers.fake_steps import STEPS, config, plan
 from viewnet.errors import ViewnetError
 from viewnet.runs import dask_cluster
 from viewnet.runs.run_store import ensure
+from viewnet.runtime import parallel
 
 pytestmark = pytest.mark.usefixtures("folders")
 
@@ -20,7 +21,7 @@ def test_clusters_that_are_not_there_are_named(folders, monkeypatch):
     with pytest.raises(ViewnetError, match="no cluster: give tcp://HOST:PORT"), dask_cluster.executor():
         pass
     monkeypatch.setitem(sys.modules, "distributed", None)
-    monkeypatch.setenv(dask_cluster.VARIABLE, "tcp://nowhere:1")
+    monkeypatch.setenv(parallel.CLUSTER, "tcp://nowhere:1")
     with pytest.raises(ViewnetError, match=r"cluster tcp://nowhere:1: Dask is not installed: pip install"):
         ensure([config()], progress=False, steps=STEPS)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.documents import ROOT
 from helpers.evaluation_data import make_index, noisy
 from helpers.fake_steps import STEPS
 from helpers.latex import assert_tabular
@@ -246,6 +247,12 @@ def test_what_has_no_place_is_said(runs):
 
 def test_escape():
     assert escape("50 % & a_b #1 {x}") == r"50 \% \& a\_b \#1 \{x\}"
+
+
+def test_reported_numbers_are_in_files_named_as_their_tables():
+    files = {path.stem for path in reported.folder().glob("*.csv")}
+    assert files - {"architecture", "pascal3d_viewpoints"} == set(reported.TABLES)
+    assert {name for name in reported.TABLES if not (ROOT / f"notebooks/{name}.ipynb").is_file()} == set()
 
 
 @pytest.mark.parametrize("name", reported.TABLES)

@@ -12,9 +12,11 @@ from helpers.latex import assert_tabular
 from helpers.tables import cell_of
 
 from viewnet.errors import ViewnetError
+from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.experiments.page import blocks
 from viewnet.tables import definitions, kept_predictions
+from viewnet.tables import table as table_module
 from viewnet.tables.table import DEGENERATE, Entry, Table, named, unnamed
 
 VARIANTS = {"ViewNet": "viewnet", "Single-head": "single_head"}
@@ -103,6 +105,23 @@ def test_recipes_survive_the_files(table, tmp_path):
     columns = ["row", "recipe", "seeds", "degenerate", "runs"]
     pd.testing.assert_frame_equal(again.cells[columns], table.cells[columns])
     assert {cell["recipe"] for cell in json.loads(path.read_text())["cells"]} == {"", "paper", "matting"}
+
+
+def test_an_alignment_of_predictions_is_fitted_once(monkeypatch, tmp_path):
+    fitted = []
+
+    def counted(predictions, *arguments):
+        fitted.append(arguments[0])
+        return align(predictions, *arguments)
+
+    monkeypatch.setattr(table_module, "align", counted)
+    table = Table.of("table2_ablation", [entry("ViewNet", "matting", 5), entry("Single-head", "matting", 5)], ["car"])
+    table.differences()
+    table.comparison("Single-head (matting)", "ViewNet (matting)", "car")
+    table.write(tmp_path)
+    definitions.of_seeds(table)
+    definitions.write(table, tmp_path)
+    assert sorted(fitted) == ["procrustes"] * 2 + ["robust"] * 2 + ["yaw"] * 2
 
 
 def test_other_definitions_stand_beside_the_headline(table, tmp_path):

@@ -8,7 +8,6 @@ from typing import Any
 from viewnet.config import CATEGORIES, RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS, make_config
-from viewnet.runs.dask_cluster import VARIABLE
 from viewnet.runtime import parallel
 
 Options = argparse.Namespace
@@ -33,7 +32,7 @@ MODEL = (
     argument("--device", "cpu, cuda, cuda:1 ... (default: a GPU if there is one)"),
 )
 SCHEDULER = "a Dask scheduler that renders and trains: tcp://HOST:PORT or scheduler-file:PATH"
-CLUSTER = argument("--cluster", f"{SCHEDULER} (default: ${VARIABLE})", metavar="ADDRESS")
+CLUSTER = argument("--cluster", f"{SCHEDULER} (default: ${parallel.CLUSTER})", metavar="ADDRESS")
 VARIANT = argument("--variant", f"{', '.join(VARIANTS)} (default: viewnet)", default="viewnet")
 RECIPE = argument("--recipe", f"{', '.join(RECIPES)} (default: the profile's)")
 ONE = f"threads of one run, or of the prediction (default: ${parallel.THREADS}, or its share of the cores)"
@@ -92,7 +91,7 @@ def choose_threads(options: Options) -> None:
         return
     if not 1 <= options.threads <= parallel.MOST_THREADS:
         raise ViewnetError(f"--threads {options.threads}: expected 1 to {parallel.MOST_THREADS}")
-    if os.environ.get(VARIABLE):
+    if os.environ.get(parallel.CLUSTER):
         raise ViewnetError(f"--threads: workers of a cluster have their own {parallel.THREADS}: leave one of them out")
     os.environ[parallel.THREADS] = str(options.threads)
 
@@ -100,4 +99,4 @@ def choose_threads(options: Options) -> None:
 def choose_cluster(options: Options) -> None:
     """Set the cluster for this process and the kernels that it starts."""
     if options.cluster:
-        os.environ[VARIABLE] = options.cluster
+        os.environ[parallel.CLUSTER] = options.cluster

@@ -30,7 +30,7 @@ ARGUMENTS = (
 
 
 def run(options: Options) -> None:
-    """Print a line for each image, or JSON: {"frame": "annotated" or "own", "pictures": [...]}."""
+    """Print a line for each image, or JSON: {"frame": "annotated" or "own", "images": [...]}."""
     choose_threads(options)
     from viewnet.estimator import ViewpointEstimator
 
@@ -41,8 +41,8 @@ def run(options: Options) -> None:
     viewpoints = estimator.predict(images, options.masks, boxes)
     if options.json:
         rows = viewpoints.to_frame().to_dict("records")
-        pictures = [{"file": str(path), **row} for path, row in zip(images, rows, strict=True)]
-        print_results(options, {"frame": "annotated" if viewpoints.aligned else "own", "pictures": pictures})
+        lines = [{"file": str(path), **row} for path, row in zip(images, rows, strict=True)]
+        print_results(options, {"frame": "annotated" if viewpoints.aligned else "own", "images": lines})
         return
     width = max(len(str(path)) for path in images)
     print(f"{'':{width}}  azimuth  elevation  confidence")

@@ -106,7 +106,7 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
     one photograph in both.
     """
     known(config.category, CATEGORIES, "category")
-    crop = Crop(config.size, config.margin, config.square, config.pad)
+    crop = Crop(config.size, config.margin, config.square)
     made_by: dict[str, Any] = {"category": config.category, "crop": photo_store.describe_crop(crop)}
     if config.root is None:
         reader = pascal3d.READER.photographs

@@ -25,22 +25,20 @@ class Crop:
     size: int = 64  # pixels along a side
     margin: float = 0.0  # on either side, as a share of the box's longer side
     square: bool = True  # the crop is a square, so that the object keeps its shape; or the box is stretched to one
-    colour: tuple[int, int, int] = (0, 0, 0)  # 0 to 255, beyond the photograph's edges
 
     def __post_init__(self) -> None:
         if not 1 <= self.size <= LARGEST:
             raise ViewnetError(f"crop: size {self.size}: expected 1 to {LARGEST} pixels")
         if not 0 <= self.margin <= 2:
             raise ViewnetError(f"crop: margin {self.margin}: expected 0 to 2 sides of the box")
-        if any(not 0 <= value <= 255 for value in self.colour):
-            raise ViewnetError(f"crop: colour {self.colour}: expected three numbers from 0 to 255")
 
 
 def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None = None) -> np.ndarray:
     """Crop an image to `box` (pixels from its left upper corner; None: all of it), (size, size, 4) uint8.
 
-    A `mask` (H, W) uint8 of the image's size becomes straight alpha, 0 beyond the image's edges; colours are black
-    where it is 0. Raises ViewnetError for a box that has no part in the image, and for more than MOST_PIXELS.
+    What lies beyond the image's edges is black. A `mask` (H, W) uint8 of the image's size becomes straight alpha, 0
+    beyond those edges; colours are black where it is 0. Raises ViewnetError for a box that has no part in the image,
+    and for more than MOST_PIXELS.
     """
     width, height = image.size
     x0, y0, x1, y1 = box or (0.0, 0.0, float(width), float(height))
@@ -54,7 +52,7 @@ def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None
         half_x = half_y = max(half_x, half_y)
     centre_x, centre_y = (x0 + x1) / 2, (y0 + y1) / 2
     seen = (centre_x - half_x, centre_y - half_y, centre_x + half_x, centre_y + half_y)
-    # Whole pixels around it, the image's own or the colour's; resizing cuts the exact edges.
+    # Whole pixels around it, the image's own or black; resizing cuts the exact edges.
     left, upper = int(np.floor(seen[0])), int(np.floor(seen[1]))
     right, lower = int(np.ceil(seen[2])), int(np.ceil(seen[3]))
     if (right - left) * (lower - upper) > MOST_PIXELS:
@@ -70,9 +68,9 @@ def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None
         return np.array(cutout.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact))
     canvas = inside
     if inside.size != (right - left, lower - upper):
-        canvas = Image.new("RGB", (right - left, lower - upper), crop.colour)
+        canvas = Image.new("RGB", (right - left, lower - upper))
         canvas.paste(inside, place)
-    # Averages over the pixels that become one, without the ringing of sharper filters at the colour's edge.
+    # Averages over the pixels that become one, without the ringing of sharper filters at the image's edge.
     small = canvas.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact, reducing_gap=4.0)
     return np.array(small.convert("RGBA"))
 

@@ -2,7 +2,7 @@
 
     annotated photographs ─► crops ─► view store
 
-A photograph has no mask, so its alpha is 1 throughout; what lies beyond its edges is filled with one colour.
+A photograph has no mask, so its alpha is 1 throughout; what lies beyond its edges is black.
 """
 
 import hashlib
@@ -109,7 +109,7 @@ def summary(store: ViewStore) -> str:
 
 def describe_crop(crop: Crop) -> dict[str, Any]:
     """What of the cutting decides the pixels, as JSON values."""
-    return {"version": VERSION, **asdict(crop), "colour": list(crop.colour)}
+    return {"version": VERSION, **asdict(crop)}
 
 
 def _check_apart(photographs: Sequence[Photograph]) -> None:

@@ -31,7 +31,7 @@ class _TensorOutputs(nn.Module):
 def export(model: Pretrained, path: Path) -> Path:
     """Write the viewpoint network of a model as an .onnx file and return its path.
 
-    Its input `pictures` (N, 3, S, S) are images in [0, 1], cut as viewnet.estimator.preprocess does. Its outputs are
+    Its input `images` (N, 3, S, S) are images in [0, 1], cut as viewnet.estimator.preprocess does. Its outputs are
     `vectors` (N, M, 3), unit view vectors in the network's own frame, `logits` (N, M), and `ups` (N, M, 3) of networks
     with in-plane rotation; N is free. The file's metadata has the `category` and, of an aligned model, the `rotation`
     to the annotated frame: nine numbers, row by row. ViewnetError for another suffix than .onnx, and without the
@@ -53,7 +53,7 @@ def export(model: Pretrained, path: Path) -> Path:
         program = torch.onnx.export(
             _TensorOutputs(network.viewpoint).eval(),
             (example,),
-            input_names=["pictures"],
+            input_names=["images"],
             output_names=list(OUTPUTS if network.config.in_plane else OUTPUTS[:2]),
             dynamic_shapes={"images": {0: torch.export.Dim("batch")}},
             dynamo=True,

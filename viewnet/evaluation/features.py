@@ -1,7 +1,7 @@
 """Image features for the linear regression of viewpoints (the row "VGG view").
 
-A backbone is a network of viewnet.runtime.torchvision_weights, or "pixels": grey levels and edge directions, which need
-no weights. "auto" is the first of AUTO whose weights are there.
+They are named by a network of viewnet.runtime.torchvision_weights, whose last convolutions they are, or "pixels": grey
+levels and edge directions, which need no weights. "auto" is the first of AUTO whose weights are there.
 """
 
 import hashlib
@@ -24,43 +24,43 @@ SIZE = 128  # image side in pixels: VGG16's last convolutions, pooled, are then 
 BATCH = 64
 GREY, CELLS, DIRECTIONS = 16, 8, 8
 PIXELS_SCALE = 64.0  # the power of two at which ridge 1000 has the least leave-one-out error on 300 photographs of cars
-ALTERNATIVE = "use backbone=pixels, which needs no weights"
+ALTERNATIVE = "use features=pixels, which needs no weights"
 
 Features = NDArray[np.float32]
 
 
-def choose(backbone: str = "auto") -> str:
-    """The backbone, "auto" resolved. ViewnetError for unknown ones and missing weights."""
-    if backbone == "auto":
-        return next(name for name in AUTO if name == "pixels" or torchvision_weights.available(name))
-    if backbone != "pixels" and not torchvision_weights.available(backbone):
-        torchvision_weights.convolutions(backbone, otherwise=ALTERNATIVE)  # raises
-    return backbone
+def choose(name: str = "auto") -> str:
+    """The name, "auto" resolved. ViewnetError for unknown ones and missing weights."""
+    if name == "auto":
+        return next(each for each in AUTO if each == "pixels" or torchvision_weights.available(each))
+    if name != "pixels" and not torchvision_weights.available(name):
+        torchvision_weights.convolutions(name, otherwise=ALTERNATIVE)  # raises
+    return name
 
 
-def describe(backbone: str, size: int = SIZE) -> str:
+def describe(name: str, size: int = SIZE) -> str:
     """The features in some words, for the note under a table."""
-    kind = "grey levels and directions of edges" if backbone == "pixels" else f"{backbone} convolutions"
+    kind = "grey levels and directions of edges" if name == "pixels" else f"{name} convolutions"
     return f"{kind} at {size} px"
 
 
-def extract(store: ViewStore, backbone: str = "auto", size: int = SIZE) -> Features:
+def extract(store: ViewStore, name: str = "auto", size: int = SIZE) -> Features:
     """Features (N, D) of every view of a store, in its order, resized to `size` pixels a side and over black.
 
     Of a network the last convolutional map, flattened, which keeps the positions. Cached in `<paths.data()>/features`.
     Raises ViewnetError as `choose` does.
     """
-    backbone = choose(backbone)
-    weights = b"" if backbone == "pixels" else torchvision_weights.weights_file(backbone).read_bytes()
+    name = choose(name)
+    weights = b"" if name == "pixels" else torchvision_weights.weights_file(name).read_bytes()
     code = provenance.code_identity(("evaluation/features.py", "runtime/torchvision_weights.py"))
-    digest = hashlib.sha256(f"{store.identity} {backbone} {size} {code}".encode() + weights).hexdigest()[:16]
+    digest = hashlib.sha256(f"{store.identity} {name} {size} {code}".encode() + weights).hexdigest()[:16]
     path = paths.data() / "features" / f"{digest}.npy"
     if path.is_file():
         cached = load_array(path, again := "delete it and it is made again")
         if cached.shape[:-1] != (len(store),) or cached.dtype != np.float32 or not np.isfinite(cached).all():
             raise ViewnetError(f"{path}: {cached.dtype} {cached.shape} for {len(store)} images: {again}")
         return cached
-    compute = pixel_features if backbone == "pixels" else _network_features(backbone)
+    compute = pixel_features if name == "pixels" else _network_features(name)
     parts = np.array_split(np.arange(len(store)), max(1, -(-len(store) // BATCH)))
     features = np.concatenate([compute(images(store, part, size)) for part in parts])
     with replacing(path) as temporary:
@@ -77,10 +77,10 @@ def images(store: ViewStore, rows: NDArray[np.intp], size: int) -> Tensor:
     return F.interpolate(rgb, (size, size), mode="bilinear", antialias=True).clamp_(0, 1)  # (n, 3, size, size)
 
 
-def _network_features(backbone: str) -> Callable[[Tensor], Features]:
+def _network_features(name: str) -> Callable[[Tensor], Features]:
     """A function from images (n, 3, S, S) to flattened convolutional features (n, D)."""
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    layers = torchvision_weights.convolutions(backbone, otherwise=ALTERNATIVE).to(device)
+    layers = torchvision_weights.convolutions(name, otherwise=ALTERNATIVE).to(device)
     imagenet = torch.tensor([torchvision_weights.IMAGENET_MEAN, torchvision_weights.IMAGENET_STD], device=device)
     mean, std = imagenet.view(2, 1, 3, 1, 1)
 

@@ -176,7 +176,7 @@ PARAMETERS: dict[str, Parameter] = {
     "keep": _one_of("all", ("all", "easy", "first"), "all, easy (not truncated or occluded), first (of an image)"),
     "margin": _number(0.0, lambda x: 0 <= x <= 2, "0 to 2 sides of the box", "cropped beyond a box's longer side",
                       "margin{:g}"),
-    "backbone": Parameter("auto", lambda name, what: name if name == "auto" else features.choose(name),
+    "features": Parameter("auto", lambda name, what: name if name == "auto" else features.choose(name),
                           "of the view regression: vgg16, pixels ...; or auto", "{}"),
     "ridge": _number(baselines.RIDGE, lambda x: 0 < x < math.inf, "more than 0", "of the view regression", "ridge{:g}"),
     "calibration": _count(4, " from 4, or 0 for all", "photographs to align and fit on; 0: all there are",

@@ -38,7 +38,7 @@ ALIGNED = {"video_regression": "procrustes"}
 def photographs(category: str, root: str | None, square: bool, smoke: bool, **settings: Any) -> PhotoConfig:
     """The photographs of a category; without a `root` the stand-in, a small one for `smoke`.
 
-    They are cropped at the size that backbones see; ViewNet's networks see them at their own.
+    They are cropped at the size that features are computed at; ViewNet's networks see them at their own.
     """
     stand_in: dict[str, Any] = {"models": SMOKE_MODELS, "count": SMOKE_COUNT} if smoke else {}
     return PhotoConfig(category, root, size=features.SIZE, square=square, **settings, **stand_in)
@@ -108,23 +108,28 @@ class PhotoExperiment(Experiment):
 
     @property
     def renamed_rows(self) -> dict[str, str]:
-        """The names of regressions that use another backbone's features than the reported ones."""
+        """The names of regressions from other features than the reported ones."""
         rows = [row.label for row in LAYOUTS[self.name].rows if (row.variant or "").endswith("_regression")]
-        return {row: f"{row} ({self.features})" for row in rows if self.features != "vgg16"}
+        return {row: f"{row} ({self.chosen_features})" for row in rows if self.chosen_features != "vgg16"}
 
     def remarks(self, stores: dict[str, ViewStore]) -> list[str]:
         """Lines under the table: how untrained rows are fitted, and the photographs left out."""
         count = "all" if self.calibration is None else str(self.calibration)
         return [
             f"aligned, and untrained rows fitted, on {count} calibration photographs",
-            f"view regression: ridge {self.ridge:g} from {features.describe(self.features)}",
+            f"view regression: ridge {self.ridge:g} from {features.describe(self.chosen_features)}",
             *map(photo_store.summary, stores.values()),
         ]
 
     @property
-    def features(self) -> str:
-        """The backbone of the view regression, "auto" resolved."""
-        return features.choose(self.backbone)
+    def chosen_features(self) -> str:
+        """The features of the view regression, "auto" resolved."""
+        return features.choose(self.features)
+
+    @property
+    def regression_settings(self) -> dict[str, Any]:
+        """What decides a view regression beside the images, for a table's JSON."""
+        return {"features": self.chosen_features, "size": features.SIZE, "ridge": self.ridge}
 
     def entries(self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
         """The entries of a table, by default its own: the runs, and the untrained predictors, on these photographs."""
@@ -157,6 +162,6 @@ class PhotoExperiment(Experiment):
         rows = baselines.calibrating(store.index, calibration, seed)
         index = store.index[rows]
         if variant == "view_regression":
-            settings = {"backbone": self.features, "size": features.SIZE, "ridge": self.ridge}
-            return baselines.view_regression(index, features.extract(store, self.features)[rows], self.ridge), settings
+            values = features.extract(store, self.chosen_features)[rows]
+            return baselines.view_regression(index, values, self.ridge), self.regression_settings
         return baselines.ON_CALIBRATION[variant](index), {}

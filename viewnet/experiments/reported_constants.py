@@ -33,7 +33,7 @@ REPRODUCED = {"acc30": 1.0, "median": 0.5, "dva": 1.0}
 """Largest difference from the report of a constant that was meant: annotations and lists differ a little."""
 ROUNDING = {"acc30": 0.5, "median": 0.05, "dva": 0.5, "confidence_index": 0.005}
 VERDICTS = ("reproduced", "possible", "no one constant", "excluded")
-TABLES = {"table2_ablation": ("acc30", "median"), "table3_pascal3d": ("acc30", "median"), "table4_dva": ("dva",)}
+TABLES = {"table2_ablation": ("acc30", "median"), "table3_pascal3d": ("acc30", "median"), "table5_dva": ("dva",)}
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def audit_viewpoints(viewpoints: pd.DataFrame, left_out: dict[str, int] | None =
     for category in dict.fromkeys(viewpoints["category"]):
         mine = viewpoints[viewpoints["category"] == category]
         for test_set, rows in test_sets(mine):
-            cells += examine(test_set, category, rows, _sources(mine), ("table3_pascal3d", "table4_dva"))
+            cells += examine(test_set, category, rows, _sources(mine), ("table3_pascal3d", "table5_dva"))
     cells.sort(key=lambda cell: list(TABLES).index(cell["table"]))
     return ConstantAudit(pd.DataFrame(cells), confidence_indices(viewpoints), left_out or {})
 
@@ -248,7 +248,7 @@ def _sources(viewpoints: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 def confidence_indices(viewpoints: pd.DataFrame) -> pd.DataFrame:
     """ConstantAudit.confidence of a list."""
-    report = reported_scores("table4_dva", "Confidence index", ("confidence_index",))
+    report = reported_scores("table5_dva", "Confidence index", ("confidence_index",))
     cells = [
         {"category": category, "test_set": test_set, "images": len(rows)}
         | {"printed": report[category]["confidence_index"]}

@@ -19,8 +19,8 @@ _PHOTOS = ("categories", "recipe", "cad_root", "splits", "extra_cad", "backgroun
 TAKES = {
     "cad": (*_ALL, "categories", "recipe", "variant", "splits", "eval_root", "viewpoints"),
     "test_sets": (*_ALL, "categories", "recipe", "eval_root"),
-    "photos": (*_ALL, *_PHOTOS, "backbone", "ridge", "calibration"),
-    "videos": (*_ALL, "recipe", "video_root", "split_rule", "masks", "start", "cad_root", "backgrounds", "backbone"),
+    "photos": (*_ALL, *_PHOTOS, "features", "ridge", "calibration"),
+    "videos": (*_ALL, "recipe", "video_root", "split_rule", "masks", "start", "cad_root", "backgrounds", "features"),
     "objectron": (*_ALL, "category", "recipe", "video_root", "masks", "weak_masks", "cad_root", "backgrounds"),
     "own_method": (*_ALL, "categories", "cad_root", "backgrounds", "calibration"),
 }
@@ -116,7 +116,7 @@ class Request:
     subset: str
     keep: str
     margin: float
-    backbone: str
+    features: str
     ridge: float
     calibration: int | None
     output: Path

@@ -108,8 +108,8 @@ class VideoExperiment(PhotoExperiment):
         clips.require_viewpoints(["train"], "a regression has nothing to be fitted on: use Freiburg static cars")
         train = (clips.index["split"] == "train").to_numpy()
         index = pd.concat([clips.index[train], store.index], ignore_index=True)
-        values = [features.extract(clips, self.features)[train], features.extract(store, self.features)]
-        settings = {"backbone": self.features, "size": features.SIZE, "ridge": self.ridge, "videos": clips.identity}
+        values = [features.extract(clips, self.chosen_features)[train], features.extract(store, self.chosen_features)]
+        settings = self.regression_settings | {"videos": clips.identity}
         return baselines.view_regression(index, np.concatenate(values), self.ridge, source="train"), settings
 
     @property

@@ -7,14 +7,14 @@ from concurrent.futures import Executor
 from pathlib import Path
 
 from viewnet.errors import ViewnetError
+from viewnet.runtime.parallel import CLUSTER
 
-VARIABLE = "VIEWNET_CLUSTER"
 FILE = "scheduler-file:"
 
 
 def named() -> str:
     """The cluster that VIEWNET_CLUSTER names, "" for none."""
-    return os.environ.get(VARIABLE, "")
+    return os.environ.get(CLUSTER, "")
 
 
 @contextlib.contextmanager
@@ -25,7 +25,7 @@ def executor(address: str | None = None, timeout: float = 30) -> Iterator[Execut
     or no scheduler answers within `timeout` seconds.
     """
     if not (address := address or named()):
-        raise ViewnetError(f"no cluster: give tcp://HOST:PORT or {FILE}PATH, or set {VARIABLE}")
+        raise ViewnetError(f"no cluster: give tcp://HOST:PORT or {FILE}PATH, or set {CLUSTER}")
     try:
         from distributed import Client
     except ImportError as error:

@@ -21,6 +21,8 @@ QUOTA = Path("/sys/fs/cgroup/cpu.max")
 THREADS = "OMP_NUM_THREADS"
 """The environment variable that says how many threads a run computes on; PyTorch, Numba's and NumPy's loops obey it."""
 MOST_THREADS = 1024
+CLUSTER = "VIEWNET_CLUSTER"
+"""The environment variable that names the Dask scheduler whose workers render and train, instead of this machine's."""
 
 
 def cores() -> int:

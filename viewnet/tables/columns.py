@@ -16,38 +16,50 @@ DASH = "--"
 
 
 class Column(NamedTuple):
-    """A metric: heading as plain text, in LaTeX (short) and on the page (in full), digits in LaTeX and on the page."""
+    """A metric: heading as plain text, in LaTeX (short) and on the page (in full), and how its numbers are shown."""
 
     name: str
     latex: str
     page: str
-    digits: int = 1
+    digits: int = 1  # in text and LaTeX: those the paper has
     page_digits: int = 1
+    lower_is_better: bool = False
+    novel_views: bool = False  # whether it is shown in the table of novel views (viewnet.tables.novel_view_scores)
 
 
 METRICS = {
     "acc30": Column("acc@30, %", r"Accuracy (\%) $\uparrow$", "Accuracy within 30°, % (higher is better)", digits=0),
     "median": Column("median, degrees", r"Median error ($^\circ$) $\downarrow$",
-        "Median error, degrees (lower is better)"),
+        "Median error, degrees (lower is better)", lower_is_better=True),
     "dva": Column("DVA, %", r"Discretized viewpoint accuracy (\%) $\uparrow$",
         "Discretized viewpoint accuracy (DVA), % (higher is better)", digits=0),
     "confidence_index": Column("confidence index", "",
         "Confidence index: share of azimuth bins with more than ten photographs", 2, 2),
-    "psnr": Column("PSNR, dB", r"PSNR (dB) $\uparrow$", "PSNR of novel views, dB (higher is better)"),
-    "ssim": Column("SSIM", r"SSIM $\uparrow$", "SSIM of novel views (higher is better)", 3, 3),
-    "iou": Column("mask IoU", r"IoU $\uparrow$", "IoU of masks of novel views (higher is better)", 3, 3),
+    "psnr": Column("PSNR, dB", r"PSNR (dB) $\uparrow$", "PSNR of novel views, dB (higher is better)",
+        novel_views=True),
+    "ssim": Column("SSIM", r"SSIM $\uparrow$", "SSIM of novel views (higher is better)", 3, 3, novel_views=True),
+    "iou": Column("mask IoU", r"IoU $\uparrow$", "IoU of masks of novel views (higher is better)", 3, 3,
+        novel_views=True),
     "consistency_acc30": Column("consistent within 30, %", r"acc (\%) $\uparrow$",
-        "Rendered views whose viewpoint the model's own network predicts within 30°, %"),
+        "Rendered views whose viewpoint the model's own network predicts within 30°, %", novel_views=True),
     "consistency_median": Column("inconsistency, median degrees", r"med ($^\circ$) $\downarrow$",
-        "Error of the model's own network on rendered views, median degrees"),
+        "Error of the model's own network on rendered views, median degrees", lower_is_better=True, novel_views=True),
     "judged_acc30": Column("judged consistent within 30, %", r"judged acc (\%) $\uparrow$",
-        "Rendered views whose viewpoint ViewNet's network predicts within 30°, %"),
+        "Rendered views whose viewpoint ViewNet's network predicts within 30°, %", novel_views=True),
     "judged_median": Column("judged inconsistency, median degrees", r"judged med ($^\circ$) $\downarrow$",
-        "Error of ViewNet's network on rendered views, median degrees"),
+        "Error of ViewNet's network on rendered views, median degrees", lower_is_better=True, novel_views=True),
 }  # fmt: skip
-"""Metric -> its column. The digits in LaTeX are those the paper has."""
-NOVEL_VIEWS = tuple(METRICS)[4:]
-"""The metrics of novel views (viewnet.tables.novel_view_scores)."""
+"""Metric -> its column."""
+
+
+def column_of(metric: str) -> Column:
+    """The column of a metric; one that is not in METRICS, as a file of another version may have, is headed by name."""
+    return METRICS.get(metric) or Column(metric, metric, metric, 2, 2)
+
+
+def of_novel_views() -> tuple[str, ...]:
+    """The metrics of novel views, from left to right."""
+    return tuple(metric for metric, column in METRICS.items() if column.novel_views)
 
 
 def text(value: float, metric: str, degenerate: float = 0) -> str:
@@ -87,7 +99,7 @@ def best(cells: pd.DataFrame, digits: Callable[[str], int]) -> set[Key]:
     for (category, metric), column in scores.groupby(["category", "metric"]):
         rounded = column["measured"].astype(float).round(digits(metric))
         if len(rounded) > 1:
-            top = rounded.min() if metric.endswith("median") else rounded.max()  # medians are of errors
+            top = rounded.min() if column_of(metric).lower_is_better else rounded.max()
             keys |= {(row, category, metric) for row in column.loc[rounded == top, "row"]}
     return keys
 

@@ -14,7 +14,6 @@ import pandas as pd
 
 from viewnet.evaluation import metrics
 from viewnet.evaluation.alignment import Procrustes
-from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Floats
 from viewnet.runtime.files import write_text
 from viewnet.tables.table import Table
@@ -46,7 +45,7 @@ def of_seeds(table: Table) -> pd.DataFrame:
     for entry in (entry for entry in table.entries if entry.alignment == "procrustes"):
         line: dict[str, object] = {"row": table.label(entry), "category": entry.category, "seed": entry.seed}
         for name, definition in DEFINITIONS.items():
-            aligned = align(entry.predictions, definition.alignment, entry.calibration)
+            aligned = entry.aligned(definition.alignment)
             errors = definition.error(aligned.selected_errors)
             line |= {f"{name}_acc30": metrics.accuracy(errors, 30), f"{name}_median": metrics.median(errors)}
             if name == "geodesic" and isinstance(aligned.alignment, Procrustes):

@@ -10,8 +10,6 @@ from viewnet.tables.columns import HEADLINE
 
 ADDED = "method"
 """The variant of rows for the user's own methods (viewnet.experiments.own_method)."""
-NOWHERE = "nowhere"
-"""The file of reported numbers of a table that is not in the paper."""
 MARKS = {None: "", "linear": "*", "robust": " (robust)"}
 """Alignment of a row -> what its label ends with, as in the paper."""
 
@@ -39,7 +37,7 @@ class Layout:
     categories: tuple[str, ...] = SHAPENET_CATEGORIES  # its columns by default
     metrics: tuple[str, ...] = HEADLINE  # of each row and category
     own: dict[str, str] = field(default_factory=dict)  # label -> metric, for rows with a metric of their own
-    reported: str | None = None  # the file of reported numbers, where its name is not the table's
+    reported: bool = True  # whether the paper has it: its numbers are in the file of published/ with its name
     reported_as: dict[str, str] = field(default_factory=dict)  # label -> row of that file, where they differ
     blocks: bool = False  # whether metrics stand one below the other instead of side by side
     videos: str = ""  # the data set of videos that its rows are trained on: "freiburg", "objectron" or none
@@ -103,12 +101,12 @@ LAYOUTS = {
         "What each setting of the recipe matting brings",
         (Row("ViewNet", "viewnet"),
          *(Row(f"without {_TAKEN_AWAY.get(name, name.replace('_', ' '))}", f"without_{name}") for name in ABLATIONS)),
-        reported=NOWHERE,
+        reported=False,
     ),
     "test_sets": Layout(
         "ViewNet on other test models",
         (Row("Test split", "viewnet"), Row("Another seed", "viewnet"), Row("Another collection", "viewnet")),
-        reported=NOWHERE,
+        reported=False,
     ),
     "table3_pascal3d": Layout(
         "PASCAL3D+ results",
@@ -127,7 +125,7 @@ LAYOUTS = {
             Row("VGG view, videos", "video_regression"),  # not in the paper: fitted on the videos' viewpoints
             Row("VpDR-Net + FrC"), Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
         ),
-        categories=("car",), reported="table5_freiburg", blocks=True, videos="freiburg",
+        categories=("car",), blocks=True, videos="freiburg",
     ),
     "objectron": Layout(
         "Trained on Objectron, evaluated on PASCAL3D+",
@@ -140,7 +138,7 @@ LAYOUTS = {
     "table5_dva": Layout(
         "Discretized viewpoint accuracy",
         (Row("Confidence index", "photographs"), *_CONSTANTS, Row("VGG view*", "view_regression"), *_ON_PHOTOGRAPHS),
-        metrics=("dva",), own={"Confidence index": "confidence_index"}, reported="table4_dva", blocks=True,
+        metrics=("dva",), own={"Confidence index": "confidence_index"}, blocks=True,
     ),
 }  # fmt: skip
 

@@ -30,7 +30,7 @@ from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
 from viewnet.runtime.files import write_text
 from viewnet.tables import columns, latex
-from viewnet.tables.columns import DASH, FIDELITY, HEADLINE, METRICS, NOVEL_VIEWS
+from viewnet.tables.columns import DASH, FIDELITY, HEADLINE, METRICS
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, renderers
 
@@ -161,14 +161,14 @@ def frame(cells: pd.DataFrame) -> pd.DataFrame:
         for m, low, high, d in zip(cells["measured"], cells["low"], cells["high"], digits, strict=True)
     ]
     wide = cells.assign(text=texts).pivot(index="row", columns=["category", "metric"], values="text")
-    order = pd.MultiIndex.from_product([cells["category"].unique(), NOVEL_VIEWS])
+    order = pd.MultiIndex.from_product([cells["category"].unique(), columns.of_novel_views()])
     wide = wide.reindex(index=cells["row"].unique(), columns=order).fillna(DASH)
     return wide.rename(columns=lambda metric: METRICS[metric].name, level=1).rename_axis(index=None)
 
 
 def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
     """`novel_views.tex`, a booktabs tabular, and `novel_views.csv`: every number, with its interval and runs."""
-    write_text(tex := folder / "novel_views.tex", latex.measured(cells, NOVEL_VIEWS, note))
+    write_text(tex := folder / "novel_views.tex", latex.measured(cells, columns.of_novel_views(), note))
     write_text(csv := folder / "novel_views.csv", cells.round(4).to_csv(index=False, lineterminator="\n"))
     return [tex, csv]
 
@@ -186,5 +186,5 @@ def _lines(
         bounds = metrics.bootstrap_intervals(seeds, objects, np.random.default_rng(0), draws)
         for statistic in HEADLINE:
             values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in seeds], bounds[statistic]
-    parts = {m: columns.measured(*values.get(m, ([np.nan], None)), objects) for m in NOVEL_VIEWS}
+    parts = {m: columns.measured(*values.get(m, ([np.nan], None)), objects) for m in columns.of_novel_views()}
     return [{**about, "metric": metric, **part, "runs": keys} for metric, part in parts.items()]

@@ -8,8 +8,10 @@ from viewnet import paths
 from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import read_csv
+from viewnet.tables.layouts import LAYOUTS
 
-TABLES = ("table1_shapenet", "table2_ablation", "table3_pascal3d", "table4_dva", "table5_freiburg", "objectron")
+TABLES = tuple(name for name, layout in LAYOUTS.items() if layout.reported)
+"""Each has a file of its name."""
 COLUMNS = ("row", "metric", "category", "value", "bold", "source")
 
 

@@ -15,14 +15,14 @@ from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.alignment import Procrustes
-from viewnet.evaluation.evaluate import align
+from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.recipes import VARIANTS
 from viewnet.runtime.files import replacing, write_json, write_text
 from viewnet.tables import columns, latex, reported
 from viewnet.tables.columns import DASH, HEADLINE, METRICS, text
-from viewnet.tables.layouts import LAYOUTS, NOWHERE, Layout
+from viewnet.tables.layouts import LAYOUTS, Layout
 
 DRAWS = 1000
 DEGENERATE = "in brackets: of some seed the predictions have too little spread for an alignment, so this is no score"
@@ -44,11 +44,20 @@ class Entry:
     predictions: Predictions
     origin: dict[str, Any]  # where it comes from, as plain JSON types
     calibration: int | None = None  # the number of "val" images to align on; None: all
+    _aligned: dict[str, Aligned] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def recipe(self) -> str:
         """How a trained predictor was trained; "" for others."""
         return self.origin.get("recipe", "") if self.origin.get("variant") in VARIANTS else ""
+
+    def aligned(self, kind: str | None = None) -> Aligned:
+        """The test predictions, aligned by its own alignment or another `kind`. Each is fitted once."""
+        kind = kind or self.alignment
+        if kind not in self._aligned:
+            # The calibration images are drawn from the same seed for all.
+            self._aligned[kind] = align(self.predictions, kind, self.calibration)
+        return self._aligned[kind]
 
 
 def named(label: str, recipe: str) -> str:
@@ -140,7 +149,7 @@ class Table:
         for entry in given:
             known(entry.row, (row.label for row in layout.rows if row.variant), f"row of {name}")
             known(entry.category, categories, f"column of {name}")
-        printed = reported.load(layout.reported or name) if layout.reported != NOWHERE else reported.none()
+        printed = reported.load(name) if layout.reported else reported.none()
         paper = {(r.row, r.metric, r.category): (r.value, bool(r.bold)) for r in printed.itertuples()}
         lines: list[dict[str, Any]] = []
         recipes = {row.label: dict.fromkeys(e.recipe for e in given if e.row == row.label) for row in layout.rows}
@@ -219,9 +228,8 @@ class Table:
         found: dict[tuple[str, str], tuple[list[np.ndarray], list[np.ndarray]]] = {}
         for entry in self.entries:
             hits, objects = found.setdefault((self.label(entry), entry.category), ([], []))
-            aligned = align(entry.predictions, entry.alignment, entry.calibration)
-            hits.append(np.where(aligned.selected_errors < 30, 100.0, 0.0))
-            objects.append(aligned.predictions.objects)
+            hits.append(np.where(entry.aligned().selected_errors < 30, 100.0, 0.0))
+            objects.append(entry.aligned().predictions.objects)
         return found
 
     def comparison(self, row: str, reference: str, category: str) -> str:
@@ -277,7 +285,7 @@ class Table:
     def checks(self) -> dict[str, bool]:
         """Properties that hold for every table, whatever was trained and for how long."""
         cells, layout = self.cells, self.layout
-        paper = () if layout.reported == NOWHERE else reported.load(layout.reported or self.name)["row"]
+        paper = reported.load(self.name)["row"] if layout.reported else ()
         labels = self.cells.drop_duplicates("row")
         former = {new: old for old, new in self.renamed.items()}
         rows = [former.get(label, label) for label in map(unnamed, labels["row"], labels["recipe"])]
@@ -361,8 +369,7 @@ def scores_by_definition(runs: Sequence[Run], table: str, row: str) -> pd.DataFr
 
 def _measure(seeds: Sequence[Entry], row_metrics: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Metric -> the measured part of a cell, of the seeds of one row and category."""
-    # The calibration images are drawn from the same seed for all.
-    aligned = [align(entry.predictions, entry.alignment, entry.calibration) for entry in seeds]
+    aligned = [entry.aligned() for entry in seeds]
     errors = [one.selected_errors for one in aligned]
     objects = [one.predictions.objects for one in aligned]
     azimuths = [one.predictions.ids["azimuth"].to_numpy() for one in aligned]

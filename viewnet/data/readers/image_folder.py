@@ -57,7 +57,7 @@ def _walk(folder: Path, seen: set[Path]) -> Iterator[Path]:
 
 def _count(root: Path, contents: Contents) -> None:
     images, missing = list_images(root)
-    usable = ["pictures"] * len(images) + ["classes"] * len({number for _, number in images})
+    usable = ["images"] * len(images) + ["classes"] * len({number for _, number in images})
     contents.add("", usable, [reason for _, reason in missing])
 
 

@@ -54,8 +54,6 @@ class Annotation(Photograph):
     subset: str
     image: str
     number: int  # which of the record's objects it is, from 0
-    tilt: float  # the camera's in-plane rotation, degrees (`theta`)
-    coarse: bool  # whether no closer viewpoint than one of eight azimuths was annotated
     truncated: bool
     occluded: bool
     difficult: bool
@@ -80,13 +78,11 @@ class Report:
         return tally(reason for *_, reason in self.rejected)
 
 
-def read(
-    root: Path, category: str, subset: str, split: str, keep: Keep = "all", coarse: bool = False
-) -> tuple[list[Annotation], Report]:
+def read(root: Path, category: str, subset: str, split: str, keep: Keep = "all") -> tuple[list[Annotation], Report]:
     """The objects of `category` in the split of a subset ("imagenet", "pascal" or "both"), in the order of its list.
 
-    `keep`: all objects; the easy ones; or the first of each image, as the released code has it. With `coarse`, objects
-    whose viewpoint is only known to an eighth of a turn count too.
+    `keep`: all objects; the easy ones; or the first of each image, as the released code has it. Objects whose viewpoint
+    is only known to an eighth of a turn are left out.
 
     Boxes with exchanged corners, beyond their image's edges or in another scale than their image are mended.
     Raises ViewnetError where `root` is not PASCAL3D+ or nothing can be used.
@@ -100,7 +96,7 @@ def read(
         names = listed(root, category, part, split)
         report.mended += [(f"{part}/{name}", "listed twice") for name, times in Counter(names).items() if times > 1]
         for image in dict.fromkeys(names):
-            annotations += _read_image(root, category, part, split, image, keep, coarse, report)
+            annotations += _read_image(root, category, part, split, image, keep, report)
     if not annotations:
         raise no_usable(root, f"{category} in {subset} {split}", report.rejected, "the list is empty")
     return annotations, report
@@ -153,7 +149,7 @@ def image_file(root: Path, category: str, subset: str, image: str) -> Path:
 
 
 def _read_image(
-    root: Path, category: str, subset: str, split: str, image: str, keep: Keep, coarse: bool, report: Report
+    root: Path, category: str, subset: str, split: str, image: str, keep: Keep, report: Report
 ) -> list[Annotation]:
     """The objects of one image that are requested and can be used; all others go to the report."""
     path, image_path = (locate(root, category, subset, image) for locate in (annotation_file, image_file))
@@ -177,8 +173,6 @@ def _read_image(
                 raise ViewnetError("not the first of its image")
             box = _box(item, size, annotated, corrections)
             annotation = _annotation(item, category, subset, split, image, number, image_path, box)
-            if annotation.coarse and not coarse:
-                raise ViewnetError("only coarsely annotated")
             if keep == "easy" and not annotation.easy:
                 raise ViewnetError("truncated, occluded or difficult")
         except ViewnetError as error:
@@ -242,16 +236,15 @@ def _annotation(
     viewpoint = getattr(item, "viewpoint", None)
     if not hasattr(viewpoint, "_fieldnames"):
         raise ViewnetError("object without a viewpoint")
-    coarse = _is_coarse(viewpoint)
-    names = ("azimuth_coarse", "elevation_coarse") if coarse else ("azimuth", "elevation")
-    azimuth, elevation = (_number(viewpoint, name) for name in names)
+    if _is_coarse(viewpoint):
+        raise ViewnetError("only coarsely annotated")
+    azimuth, elevation = (_number(viewpoint, name) for name in ("azimuth", "elevation"))
     if abs(elevation) > 90:
         raise ViewnetError(f"elevation beyond 90 degrees ({elevation:g})")
-    tilt = 0.0 if coarse else _number(viewpoint, "theta", 0.0)
     flags = (bool(_number(item, name, 0.0)) for name in ("truncated", "occluded", "difficult"))
     azimuth = azimuth % 360 % 360  # a tiny negative angle is 360 after rounding
     base = (f"{subset}/{image}/{number}", category, split, image_path, box, azimuth, elevation)
-    return Annotation(*base, subset, image, number, tilt, coarse, *flags)
+    return Annotation(*base, subset, image, number, *flags)
 
 
 def _is_coarse(viewpoint: Any) -> bool:
@@ -296,13 +289,13 @@ def digest(root: Path, category: str, subset: str) -> str:
 
 def settings(config: PhotoConfig) -> dict[str, Any]:
     """The settings that choose among a data set's photographs, as JSON values."""
-    return {"subset": config.subset, "keep": config.keep, "coarse": config.coarse}
+    return {"subset": config.subset, "keep": config.keep}
 
 
 def _read_both_splits(config: PhotoConfig, root: Path) -> Photographs:
     """Viewpoints are calibrated on the data set's "train" and scored on its "val"."""
     (first, calibrated), (second, scored) = (
-        read(root, config.category, config.subset, split, config.keep, config.coarse) for split in SPLITS
+        read(root, config.category, config.subset, split, config.keep) for split in SPLITS
     )
     usable: list[Photograph] = [replace(annotation, split="val") for annotation in first]
     usable += [replace(annotation, split="test") for annotation in second]

@@ -82,10 +82,8 @@ def digest(root: Path) -> str:
 
 
 def _describe(config: PhotoConfig, root: Path) -> dict[str, Any]:
-    if config.keep != "all" or config.coarse:
-        raise ViewnetError(
-            f"{root}: its list has no difficulty or coarse flags: use keep='all' and coarse=False, or PASCAL3D+"
-        )
+    if config.keep != "all":
+        raise ViewnetError(f"{root}: its list has no difficulty flags: use keep='all', or PASCAL3D+")
     return {"listed": digest(root)}
 
 

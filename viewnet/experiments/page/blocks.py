@@ -15,7 +15,7 @@ from viewnet.experiments.reported_constants import ConstantAudit
 from viewnet.runtime.files import read_csv, read_json
 from viewnet.tables import benchmark
 from viewnet.tables.architecture import COLUMNS, Architecture
-from viewnet.tables.columns import METRICS, Column, best, by_key
+from viewnet.tables.columns import best, by_key, column_of
 
 FLOATS = ("measured", "sd", "low", "high")
 BESIDE = {
@@ -90,17 +90,13 @@ def tables(files: Files) -> Content:
 
 def metric_table(cells: pd.DataFrame, title: str) -> MetricTable:
     """The cells of a table (viewnet.tables.table.Table.cells), metric by metric."""
-    lines, top = by_key(cells), best(cells, lambda metric: _column(metric).page_digits)
+    lines, top = by_key(cells), best(cells, lambda metric: column_of(metric).page_digits)
     categories, parts = tuple(dict.fromkeys(cells["category"])), []
     for metric, part in cells.groupby("metric", sort=False):
         keys = {row: [(row, category, metric) for category in categories] for row in part["row"]}
         rows = tuple((row, tuple(_cell(lines.get(key), key in top) for key in each)) for row, each in keys.items())
-        parts.append((_column(metric).page, rows))
+        parts.append((column_of(metric).page, rows))
     return MetricTable(title, categories, bool((cells["printed"] != "").any()), tuple(parts))
-
-
-def _column(metric: str) -> Column:
-    return METRICS.get(metric) or Column(metric, metric, metric, 2, 2)
 
 
 def _cell(line: dict[str, Any] | None, is_best: bool) -> Cell:
@@ -109,7 +105,7 @@ def _cell(line: dict[str, Any] | None, is_best: bool) -> Cell:
     reported, bold = line["printed"], bool(line["bold"])
     if math.isnan(line["measured"]):
         return Cell(reported, bold)
-    digits = _column(line["metric"]).page_digits
+    digits = column_of(line["metric"]).page_digits
     measured, spread, low, high = (f"{line[name]:.{digits}f}" for name in FLOATS)
     about = f"{measured}: {line['images']} images of {line['objects']} objects, "
     about += "1 seed" if line["seeds"] == 1 else f"mean of {line['seeds']} seeds"
@@ -152,7 +148,7 @@ def study(files: Files) -> Content:
 def audit(files: Files) -> Content:
     """Of the CSV files that viewnet.experiments.reported_constants.ConstantAudit.write writes."""
     blocks: list[Block] = []
-    names = {"table2_ablation": "Table 2", "table3_pascal3d": "Table 3", "table4_dva": "DVA"}
+    names = {"table2_ablation": "Table 2", "table3_pascal3d": "Table 3", "table5_dva": "DVA"}
     for stem, source in (("audit", "a list of annotations"), ("stand_in", "a stand-in for annotations")):
         if f"{stem}_constants.csv" in files:
             constants = read_csv(files[f"{stem}_constants.csv"], dtype={"printed": str}).replace({"table": names})
