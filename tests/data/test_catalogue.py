@@ -15,7 +15,7 @@ from viewnet import cli
 from viewnet.config import SYNSETS
 from viewnet.data import catalogue
 from viewnet.data.catalogue import DATA_SETS, check, recognise
-from viewnet.data.synthetic import objectron_standin
+from viewnet.data.synthetic.objectron_standin import ObjectronStandIn
 from viewnet.errors import ViewnetError
 
 
@@ -97,7 +97,7 @@ def test_freiburg_and_lists_and_images(tmp_path):
 
 
 def test_objectron_is_counted(tmp_path):
-    objectron_standin.write_stand_in(tmp_path / "o", "chair", videos=3, frames=4, size=(48, 64))
+    ObjectronStandIn("chair", videos=3, frames=4, size=(48, 64)).write(tmp_path / "o")
     found = check(tmp_path / "o")
     assert found.key == "objectron"
     counts = found.counts["chair"]

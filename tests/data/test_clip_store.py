@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFilter
 
 from viewnet.config import DataConfig, VideoConfig
 from viewnet.data.build import video_views, view_store
-from viewnet.data.clip_store import Limits, clip_store, describe, sharpness, summary
+from viewnet.data.clip_store import Cutting, clip_store, sharpness, summary
 from viewnet.data.clips import Clip, Frame
 from viewnet.data.crop import Crop, bounds
 from viewnet.data.masks import from_alpha, from_files
@@ -40,9 +40,9 @@ def make_clip(root: Path, name: str, split: str = "train", frames: int = 3, **ch
     return replace(clip, **{"masks": root / "masks" / name, **changes})
 
 
-def store_of(root: Path, clips: list[Clip], masks=None, crop: Crop = CROP, **settings) -> ViewStore:
+def store_of(root: Path, clips: list[Clip], masks=None, crop: Crop = CROP, rejected=(), **settings) -> ViewStore:
     folder = root / "stores" / str(len(list((root / "stores").glob("*"))))
-    return clip_store(clips, folder, root, masks, crop, workers=1, **settings)
+    return clip_store(clips, folder, root, Cutting(masks, crop, **settings), rejected, workers=1)
 
 
 # -- crops
@@ -59,7 +59,7 @@ def test_frames_are_cut_out_by_their_masks(tmp_path):
     assert store.index["azimuth"].tolist() == [0, 10, 20] * 2 and (store.index["elevation"] == 5).all()
     assert store.index["source"].tolist()[:2] == ["a#0", "a#1"]
     assert summary(store) == "car: 6 views of 2 clips (1 train, 1 val); 0.0 % of the frames without a usable mask"
-    assert store.meta["made_by"] == describe(clips, from_files(), CROP)
+    assert store.meta["made_by"] == Cutting(from_files(), CROP).describe(clips)
 
 
 def test_around_the_mask_there_is_nothing_and_colours_stay_straight(tmp_path):
@@ -177,13 +177,13 @@ def test_small_and_blurred_objects_are_left_out(tmp_path):
     small = Image.new("L", (40, 30))
     small.paste(255, (5, 6, 30, 16))
     small.save(tmp_path / "masks/a/4.png")
-    store = store_of(tmp_path, [clip], from_files(), limits=Limits(side=12, blur=0.5))
+    store = store_of(tmp_path, [clip], from_files(), side=12, blur=0.5)
     assert store.index["view"].tolist() == [0, 1, 3]
     assert set(store.rejected["reason"]) == {"object is too small (25 x 10 pixels)", "blurred"}
-    assert len(store_of(tmp_path, [clip], from_files(), limits=Limits(side=0))) == 5
-    for wrong, message in ((Limits, "side"), (lambda side: Limits(blur=side), "blur")):
-        with pytest.raises(ViewnetError, match=f"limits: {message} -1"):
-            wrong(side=-1)
+    assert len(store_of(tmp_path, [clip], from_files(), side=0)) == 5
+    for name in ("side", "blur"):
+        with pytest.raises(ViewnetError, match=f"{name} -1"):
+            Cutting(None, **{name: -1})
 
 
 def test_sharpness_falls_with_blur_and_not_with_light():
@@ -212,18 +212,15 @@ def test_clips_that_cannot_be_a_store(tmp_path):
 
 def test_the_store_is_known_by_what_decides_it(tmp_path):
     clip = make_clip(tmp_path, "a")
-    base = describe([clip], from_files(), CROP)
-    assert base == describe([clip], from_files(), CROP, Limits())
-    others = [
-        describe([clip], None, CROP),
-        describe([clip], from_files(), Crop(9)),
-        describe([clip], from_files(), CROP, Limits(side=3)),
-        describe([clip], from_files(), CROP, scale="view"),
-        describe([replace(clip, frames=clip.frames[:2])], from_files(), CROP),
-        describe([replace(clip, split="val")], from_files(), CROP),
+    usual = Cutting(from_files(), CROP)
+    base = usual.describe([clip])
+    cuttings = [
+        replace(usual, **change) for change in ({"masks": None}, {"crop": Crop(9)}, {"side": 3}, {"scale": "view"})
     ]
+    others = [cutting.describe([clip]) for cutting in cuttings]
+    others += [usual.describe([replace(clip, **change)]) for change in ({"frames": clip.frames[:2]}, {"split": "val"})]
     Image.new("L", (40, 30)).save(tmp_path / "masks/a/0.png")
-    assert base not in [*others, describe([clip], from_files(), CROP)]
+    assert base not in [*others, usual.describe([clip])]
 
 
 # -- unknown viewpoints

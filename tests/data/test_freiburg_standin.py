@@ -8,13 +8,13 @@ from PIL import Image
 
 from viewnet.data.masks import from_files
 from viewnet.data.readers import freiburg
-from viewnet.data.synthetic.freiburg_standin import SEQUENCES, describe, write_stand_in
+from viewnet.data.synthetic.freiburg_standin import SEQUENCES, FreiburgStandIn
 from viewnet.errors import ViewnetError
 
 
 def test_sequences_are_read_as_the_data_set_is(tmp_path, monkeypatch):
     monkeypatch.setattr("viewnet.data.synthetic.freiburg_standin.NO_MASK", 0.0)
-    write_stand_in(tmp_path / "root", [46, 3], 6, workers=1, progress=False)
+    FreiburgStandIn((46, 3), 6).write(tmp_path / "root", workers=1, progress=False)
     clips, rejected = freiburg.read(tmp_path / "root")
     assert not rejected and [(clip.id, clip.split) for clip in clips] == [("car003", "train"), ("car046", "val")]
     for clip in clips:
@@ -33,17 +33,18 @@ def test_sequences_are_read_as_the_data_set_is(tmp_path, monkeypatch):
             assert outside < 0.08 * mask.sum()
 
     (tmp_path / "again").mkdir()
-    write_stand_in(tmp_path / "again", [3], 6, workers=1, progress=False)
+    FreiburgStandIn((3,), 6).write(tmp_path / "again", workers=1, progress=False)
     for file in sorted((tmp_path / "again").rglob("*.*")):
         assert file.read_bytes() == (tmp_path / "root" / file.relative_to(tmp_path / "again")).read_bytes()
 
 
 def test_what_it_refuses_and_what_decides_it(tmp_path):
-    assert len(SEQUENCES) == 48 and describe([2, 1], 5, 0) == describe([1, 2], 5, 0) != describe([1, 2], 5, 1)
-    with pytest.raises(ViewnetError, match="stand-in: frames 0: expected 1 or more"):
-        write_stand_in(tmp_path, [1], 0)
-    with pytest.raises(ViewnetError, match="stand-in: sequences 0: expected 1 or more"):
-        write_stand_in(tmp_path, [])
+    one, same, other = (FreiburgStandIn(*made).describe() for made in (((2, 1), 5), ((1, 2), 5), ((1, 2), 5, 1)))
+    assert len(SEQUENCES) == 48 and one == same != other
+    with pytest.raises(ViewnetError, match="frames 0"):
+        FreiburgStandIn((1,), 0).write(tmp_path)
+    with pytest.raises(ViewnetError, match="sequences"):
+        FreiburgStandIn(()).write(tmp_path)
     (tmp_path / "file").write_text("?")
     with pytest.raises(ViewnetError, match="is not empty"):
-        write_stand_in(tmp_path, [1], 2)
+        FreiburgStandIn((1,), 2).write(tmp_path)

@@ -17,7 +17,7 @@ from viewnet.data.crop import Crop, cut
 from viewnet.data.photo_store import summary
 from viewnet.data.readers import pascal3d, photo_folder
 from viewnet.data.store import ViewStore
-from viewnet.data.synthetic.pascal3d_standin import write_stand_in
+from viewnet.data.synthetic.pascal3d_standin import Pascal3DStandIn
 from viewnet.errors import ViewnetError
 
 SMALL = PhotoConfig("bus", models=2, count=6, size=32)  # twelve photographs of four models
@@ -117,7 +117,7 @@ def test_the_stand_in_becomes_a_store(monkeypatch, data):
     assert store.index["split"].value_counts().to_dict() == {"val": 6, "test": 6}
     assert store.index["model_id"].is_unique
     assert summary(store) == "bus: 6 calibrate, 6 scored"
-    root = build.stand_in(SMALL)
+    root = build.written(build.photo_stand_in(SMALL))
     for ours, theirs in (("val", "train"), ("test", "val")):
         wanted = {a.id: a for a in pascal3d.read(root, "bus", "imagenet", theirs)[0]}
         mine = store.index[store.index["split"] == ours]
@@ -129,7 +129,7 @@ def test_the_stand_in_becomes_a_store(monkeypatch, data):
             with Image.open(a.image_path) as image:
                 assert (store.images[row.Index] == cut(image, a.box, Crop(32))).all()
     # Opened again without rendering, reading or cropping anything.
-    monkeypatch.setattr(build, "stand_in", None)
+    monkeypatch.setattr(build, "written", None)
     monkeypatch.setattr(photo_store, "photo_store", None)
     assert views(SMALL).folder == store.folder
 
@@ -153,7 +153,7 @@ def test_the_stand_in_before_given_images(tmp_path):
 
 def test_pascal3d_by_its_root_with_things_left_out(tmp_path):
     root = tmp_path / "PASCAL3D+_release1.1"
-    write_stand_in(root, ["bus"], 2, 6, "both", workers=1, progress=False)
+    Pascal3DStandIn("bus", "both", 2, 6).write(root, workers=1, progress=False)
     (root / "Images/bus_imagenet/bus_val_00001.JPEG").write_bytes(
         (root / "Images/bus_imagenet/bus_val_00001.JPEG").read_bytes()[:900]  # the header is complete
     )
@@ -180,7 +180,7 @@ def test_pascal3d_by_its_root_with_things_left_out(tmp_path):
 
 def test_one_photograph_in_both_splits_is_refused(tmp_path):
     root = tmp_path / "root"
-    write_stand_in(root, ["bus"], 1, 3, workers=1, progress=False)
+    Pascal3DStandIn("bus", models=1, count=3).write(root, workers=1, progress=False)
     with (root / "Image_sets/bus_imagenet_val.txt").open("a") as file:
         file.write("bus_train_00001\n")
     with pytest.raises(ViewnetError, match=r"bus_train_00001\.JPEG: is both calibrated on and scored"):
@@ -262,7 +262,7 @@ def test_a_wrong_list_is_named(tmp_path):
     with pytest.raises(ViewnetError, match="column 'split' is missing"):
         photo_folder.read(folder(tmp_path / "f", "1.png,0,0", header="file,azimuth_deg,elevation_deg"), "car")
     header = "file,azimuth_deg,elevation_deg,split,x0,y0,x1"
-    with pytest.raises(ViewnetError, match="column 'y1' is missing"):
+    with pytest.raises(ViewnetError, match="only x0, y0, x1 of a box"):
         photo_folder.read(folder(tmp_path / "f", "1.png,0,0,val,1,1,2", header=header), "car")
     with pytest.raises(ViewnetError, match="row 1: y1 nan: expected a number"):
         photo_folder.read(folder(tmp_path / "f", "1.png,0,0,val,1,1,2,", header=f"{header},y1"), "car")

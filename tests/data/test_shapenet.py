@@ -408,7 +408,7 @@ def test_faulty_official_lists(tmp_path: Path, rows: list[str], message: str) ->
 
 def test_official_list_without_a_column(tmp_path: Path) -> None:
     write_csv(collection(tmp_path, ["a"]), [], "id,synset,model,split")
-    with pytest.raises(ViewnetError, match="no column synsetId"):
+    with pytest.raises(ViewnetError, match="column 'synsetId'"):
         find_models(tmp_path, "car")
 
 

@@ -17,7 +17,7 @@ from PIL import Image
 
 from viewnet.config import VideoConfig
 from viewnet.data.crop import Crop, bounds, cut
-from viewnet.data.photo_store import Photograph, photo_store
+from viewnet.data.photo_store import Photograph, Photographs, photo_store
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator, volume_mesh
 from viewnet.estimator.inputs import InputImage, read_image
@@ -49,7 +49,9 @@ def test_photographs_get_the_answers_that_they_are_scored_by(tmp_path):
     for overrides in (PHOTOS, SQUARE):
         estimator = untrained(**overrides)
         crop = Crop(64, square=overrides is SQUARE)
-        photos = photo_store(listed, tmp_path / f"store-{crop.square}", crop, {"made": str(crop)}, tmp_path)
+        photos = photo_store(
+            Photographs(tmp_path, listed), tmp_path / f"store-{crop.square}", crop, {"made": str(crop)}
+        )
         scored = predict(estimator.network, photos)
         assert np.allclose(estimator.predict(files, boxes=boxes).hypotheses, scored.hypotheses, atol=1e-6)
 

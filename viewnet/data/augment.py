@@ -57,9 +57,14 @@ def crop_and_rotate(images: Tensor, generator: RandomSource) -> Tensor:
     scale = (0.8 + 0.2 * rand(count, generator=generator)).sqrt()  # the root: of the side
     shift = (2 * rand(count, 2, generator=generator) - 1) * (1 - scale)[:, None]  # (N, 2); crops stay within the image
     angle = torch.deg2rad(6 * rand(count, generator=generator) - 3)
+    return _sampled(images, scale.expand(2, -1), shift, angle)
+
+
+def _sampled(images: Tensor, scale: Tensor, shift: Tensor, angle: Tensor) -> Tensor:
+    """Parts of images (N, C, S, S): a `scale` (2, N) of their width and height, moved by `shift` (N, 2), rotated."""
     rows = [  # (N, 3) each: affine maps in [-1, 1]
-        torch.stack([scale * angle.cos(), -scale * angle.sin(), shift[:, 0]], 1),
-        torch.stack([scale * angle.sin(), scale * angle.cos(), shift[:, 1]], 1),
+        torch.stack([scale[0] * angle.cos(), -scale[0] * angle.sin(), shift[:, 0]], 1),
+        torch.stack([scale[1] * angle.sin(), scale[1] * angle.cos(), shift[:, 1]], 1),
     ]
     grid = F.affine_grid(torch.stack(rows, 1).to(images), list(images.shape), align_corners=False)  # (N, 2, 3)
     return F.grid_sample(images, grid, align_corners=False)
@@ -106,12 +111,7 @@ def _shifted(crops: Tensor, config: PhotoAugmentationConfig, generator: RandomSo
     scale = (1 + config.box_error * _uniform(-1, 1, (2, count), generator, dim=1)) / (1 + 2 * CROP_MARGIN)  # (2, N)
     shift = config.box_error * _uniform(-1, 1, (count, 2), generator)
     angle = torch.deg2rad(config.tilt * _uniform(-1, 1, (count,), generator))
-    rows = [  # (N, 3) each: affine maps in [-1, 1]
-        torch.stack([scale[0] * angle.cos(), -scale[0] * angle.sin(), shift[:, 0]], 1),
-        torch.stack([scale[1] * angle.sin(), scale[1] * angle.cos(), shift[:, 1]], 1),
-    ]
-    grid = F.affine_grid(torch.stack(rows, 1).to(crops), list(crops.shape), align_corners=False)  # (N, 2, 3)
-    return F.grid_sample(crops, grid, align_corners=False)
+    return _sampled(crops, scale, shift, angle)
 
 
 def _rectangles(count: int, size: int, share: float, generator: RandomSource) -> Tensor:

@@ -1,6 +1,6 @@
 """Backgrounds: images of SUN397, of any folder, or synthetic ones; cropped to squares of one size.
 
-Made once and kept under `<paths.data()>/backgrounds/<identity>`: pictures.npy, classes.npy and rejected.csv.
+Made once and kept under `<paths.data()>/backgrounds/<identity>`: pictures.npy and rejected.csv.
 """
 
 import csv
@@ -23,6 +23,7 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime.files import load_array
 from viewnet.runtime.image_files import opened
 from viewnet.runtime.progress import bar
+from viewnet.runtime.splits import seeded_generator, seeded_rank
 
 SYNTHETIC = "drawn"
 """The source that needs no images."""
@@ -36,13 +37,8 @@ LARGEST = 1024
 class Backgrounds:
     """Square images and what decided them."""
 
-    images: np.ndarray  # (K, 3, size, size) uint8
-    classes: np.ndarray  # (K,) int64: SUN397's class, from 0, in the order of its list; 0 for all others
+    images: np.ndarray  # (K, 3, size, size) uint8, by class
     identity: str  # 16 hex digits of what decided the images, wherever their folder lies
-    rejected: list[tuple[str, str]]  # path and reason of what cannot be used
-
-    def __len__(self) -> int:
-        return len(self.images)
 
 
 def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: bool = True) -> Backgrounds:
@@ -65,29 +61,22 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
         described["pictures"] = _digest(Path(source), listed, missing)
 
     def fill(folder: Path) -> None:
-        if source != SYNTHETIC:
-            images, classes, rejected = _crop_all(Path(source), listed, size, count, seed, progress)
+        rejected: list[tuple[str, str]] = []
+        if source == SYNTHETIC:
+            images = _synthetic(size, count, seed, progress)
         else:
-            images, classes, rejected = _synthetic(size, count, seed, progress), np.zeros(count, np.int64), []
+            images, rejected = _crop_all(Path(source), listed, size, count, seed, progress)
         np.save(folder / "pictures.npy", images)
-        np.save(folder / "classes.npy", classes)
         with (folder / "rejected.csv").open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows([("path", "reason"), *missing, *rejected])
 
     identity = identity_of(described)
     folder = filled_once(paths.data() / "backgrounds" / identity, fill)
     again = "remove the folder, and it is made again"
-    images, classes = (load_array(folder / f"{name}.npy", again) for name in ("pictures", "classes"))
-    try:
-        with (folder / "rejected.csv").open(newline="", encoding="utf-8") as file:
-            rejected = [(path, reason) for path, reason in csv.reader(file)][1:]
-    except (OSError, ValueError, csv.Error) as error:
-        raise ViewnetError(f"{folder / 'rejected.csv'}: damaged ({error}): {again}") from None
+    images = load_array(folder / "pictures.npy", again)
     if images.dtype != np.uint8 or images.shape[1:] != (3, size, size) or not images.size:
         raise ViewnetError(f"{folder}: damaged ({images.dtype} {images.shape} images): {again}")
-    if classes.dtype != np.int64 or classes.shape != images.shape[:1]:
-        raise ViewnetError(f"{folder}: damaged ({classes.dtype} {classes.shape} classes): {again}")
-    return Backgrounds(images, classes, identity, rejected)
+    return Backgrounds(images, identity)
 
 
 def _digest(root: Path, listed: list[tuple[str, int]], missing: list[tuple[str, str]]) -> str:
@@ -107,32 +96,29 @@ def _synthetic(size: int, count: int, seed: int, progress: bool) -> np.ndarray:
 
 def _crop_all(
     root: Path, listed: list[tuple[str, int]], size: int, count: int, seed: int, progress: bool
-) -> tuple[np.ndarray, np.ndarray, list[tuple[str, str]]]:
-    images: list[np.ndarray] = []
-    classes: list[int] = []
+) -> tuple[np.ndarray, list[tuple[str, str]]]:
+    found: list[tuple[int, np.ndarray]] = []
     rejected: list[tuple[str, str]] = []
     with bar(progress, total=min(count, len(listed)), desc="backgrounds", unit="image") as shown:
         for path, number in _balanced(listed, seed):
-            if len(images) == count:
+            if len(found) == count:
                 break
-            place = hashlib.sha256(f"{seed} place {path}".encode()).digest()
-            rng = np.random.default_rng(int.from_bytes(place[:8], "little"))
+            rng = seeded_generator(seed, "place", path)
             try:
-                images.append(random_square(root / path, size, rng).transpose(2, 0, 1))  # (3, size, size)
+                found.append((number, random_square(root / path, size, rng).transpose(2, 0, 1)))  # (3, size, size)
             except ViewnetError as error:
                 rejected.append((path, str(error)))
             else:
-                classes.append(number)
                 shown.update()
-    if not images:
+    if not found:
         raise ViewnetError(f"{root}: none of its {len(listed)} images can be used ({': '.join(rejected[0])})")
-    order = np.argsort(classes, kind="stable")
-    return np.stack(images)[order], np.array(classes, np.int64)[order], rejected
+    found.sort(key=lambda item: item[0])
+    return np.stack([image for _, image in found]), rejected
 
 
 def _balanced(listed: list[tuple[str, int]], seed: int) -> list[tuple[str, int]]:
     """Shuffled so that any beginning has equally many images of each class, but for classes that are exhausted."""
-    shuffled = sorted(listed, key=lambda item: hashlib.sha256(f"{seed} {item[0]}".encode()).digest())
+    shuffled = sorted(listed, key=lambda item: seeded_rank(seed, item[0]))
     rank: defaultdict[int, Iterator[int]] = defaultdict(itertools.count)  # of an image among those of its class
     return sorted(shuffled, key=lambda item: next(rank[item[1]]))
 

@@ -17,7 +17,10 @@ from viewnet.data.readers.registry import READERS
 from viewnet.data.readers.shapenet import ModelFile, find_models, take
 from viewnet.data.rendered_store import Rendering, digest, partial_folder, render_views
 from viewnet.data.store import Rejected, ViewStore, filled_once, identity_of, made_once
-from viewnet.data.synthetic import freiburg_standin, objectron_standin, pascal3d_standin
+from viewnet.data.synthetic.freiburg_standin import SEQUENCES, FreiburgStandIn
+from viewnet.data.synthetic.objectron_standin import ObjectronStandIn
+from viewnet.data.synthetic.pascal3d_standin import Pascal3DStandIn
+from viewnet.data.synthetic.stand_in import StandIn
 from viewnet.errors import ViewnetError
 from viewnet.render import choose_backend
 from viewnet.runtime.files import locked
@@ -107,7 +110,7 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
     made_by: dict[str, Any] = {"category": config.category, "crop": photo_store.describe_crop(crop)}
     if config.root is None:
         reader = pascal3d.READER.photographs
-        made_by |= {"stand-in": pascal3d_standin.describe(config.category, **_stand_in_settings(config))}
+        made_by |= {"stand-in": photo_stand_in(config).describe()}
         made_by |= pascal3d.settings(config)
     else:
         root = Path(config.root)
@@ -120,28 +123,22 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
     folder = _store_folder(f"photos-{config.category}", made_by)
 
     def make() -> None:
-        root = stand_in(config, workers, progress) if config.root is None else Path(config.root)
-        photographs = reader.read(config, root)
-        described = made_by | photographs.notes  # notes follow from what is in the store's name already
-        photo_store.photo_store(
-            photographs.usable, folder, crop, described, root, photographs.rejected, reader.upright, workers, progress
-        )
+        root = written(photo_stand_in(config), workers, progress) if config.root is None else Path(config.root)
+        photo_store.photo_store(reader.read(config, root), folder, crop, made_by, workers, progress)
 
     return ViewStore.open(made_once(folder, make))
 
 
-def stand_in(config: PhotoConfig, workers: int | None = None, progress: bool = True) -> Path:
-    """The folder of the stand-in for PASCAL3D+ that `config` asks for, written if it is not there yet."""
-    category, settings = config.category, _stand_in_settings(config)
-    name = f"{category}-{identity_of(pascal3d_standin.describe(category, **settings))[:12]}"
-    settings |= {"workers": workers, "progress": progress}
-    write = pascal3d_standin.write_stand_in
-    return filled_once(paths.data() / "pascal3d-stand-in" / name, lambda folder: write(folder, [category], **settings))
+def photo_stand_in(config: PhotoConfig) -> StandIn:
+    """The stand-in for PASCAL3D+ that `config` asks for."""
+    names = ("category", "subset", "models", "count", "seed", "backgrounds")
+    return Pascal3DStandIn(**{name: getattr(config, name) for name in names})
 
 
-def _stand_in_settings(config: PhotoConfig) -> dict[str, Any]:
-    settings = {name: getattr(config, name) for name in ("subset", "models", "count", "seed", "backgrounds")}
-    return settings | ({"backgrounds": Path(config.backgrounds)} if config.backgrounds is not None else {})
+def written(stand_in: StandIn, workers: int | None = None, progress: bool = True) -> Path:
+    """The folder of a stand-in, written if it is not there yet."""
+    folder = paths.data() / stand_in.FOLDER / identity_of(stand_in.describe())[:12]
+    return filled_once(folder, lambda temporary: stand_in.write(temporary, workers, progress))
 
 
 def video_views(config: VideoConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
@@ -155,16 +152,14 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     known(config.category, CATEGORIES, "category")
     if config.count < 0:
         raise ViewnetError(f"count {config.count}: expected 1 or more frames a clip, or 0 for all")
-    crop = Crop(config.size, config.margin, config.square)
-    limits = clip_store.Limits(config.side, config.blur)
-    source = masks.mask_source(config.masks, config.category)
-    root = video_stand_in(config, workers, progress) if config.root is None else Path(config.root)
+    crop, source = Crop(config.size, config.margin, config.square), masks.mask_source(config.masks, config.category)
+    cutting = clip_store.Cutting(source, crop, config.scale, config.side, config.blur)
+    root = written(video_stand_in(config), workers, progress) if config.root is None else Path(config.root)
     clips, rejected = _clips(config, root)
-    made_by = clip_store.describe(clips, source, crop, limits, config.scale)
-    folder = _store_folder(f"videos-{config.category}", made_by)
+    folder = _store_folder(f"videos-{config.category}", cutting.describe(clips))
 
     def make() -> None:
-        clip_store.clip_store(clips, folder, root, source, crop, limits, config.scale, rejected, workers, progress)
+        clip_store.clip_store(clips, folder, root, cutting, rejected, workers, progress)
 
     return ViewStore.open(made_once(folder, make))
 
@@ -189,20 +184,12 @@ def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]
     return clips, rejected
 
 
-def video_stand_in(config: VideoConfig, workers: int | None = None, progress: bool = True) -> Path:
-    """The folder of the stand-in for videos of `config`, written if missing. ViewnetError for other categories."""
+def video_stand_in(config: VideoConfig) -> StandIn:
+    """The stand-in for videos of `config`. ViewnetError for categories that neither data set has."""
     if config.category == freiburg.CATEGORY and config.kind in ("auto", "freiburg"):
-        driven = (config.sequences or freiburg_standin.SEQUENCES, config.frames, config.seed)
-        return filled_once(
-            paths.data() / "freiburg-stand-in" / identity_of(freiburg_standin.describe(*driven))[:12],
-            lambda folder: freiburg_standin.write_stand_in(folder, *driven, workers, progress),
-        )
-    if config.kind in ("auto", "objectron") and config.category in objectron.CLASSES:
-        filmed = (config.category, config.videos, config.frames, config.seed)
-        return filled_once(
-            paths.data() / "objectron-stand-in" / identity_of(objectron_standin.describe(*filmed))[:12],
-            lambda folder: objectron_standin.write_stand_in(folder, *filmed, progress=progress),
-        )
+        return FreiburgStandIn(config.sequences or SEQUENCES, config.frames, config.seed)
+    if config.category in objectron.CLASSES and config.kind in ("auto", "objectron"):
+        return ObjectronStandIn(config.category, config.videos, config.frames, config.seed)
     shown = f"{freiburg.CATEGORY} (Freiburg static cars) and {', '.join(objectron.CLASSES)} (Objectron)"
     raise ViewnetError(f"category {config.category}: stand-ins for videos show {shown}: name a root for others")
 

@@ -42,7 +42,9 @@ def weights() -> list[Weights]:
     listed = []
     for network, use in NETWORKS.items():
         variable, path = torchvision_weights.variable(network), torchvision_weights.weights_file(network)
-        listed.append(Weights(network, use, variable, str(path), path.is_file(), masks.weights_url(network)))
+        listed.append(
+            Weights(network, use, variable, str(path), path.is_file(), torchvision_weights.published(network).url)
+        )
     return listed
 
 

@@ -11,7 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -45,17 +45,42 @@ LOST_MASK = "mask"
 
 
 @dataclass(frozen=True)
-class Limits:
-    """Which frames are used. Raises ViewnetError for values out of range."""
+class Cutting:
+    """Which frames are used, and how their object is cut out. Raises ViewnetError for values out of range.
 
+    The object is what its mask covers (within the frame's box where there is one), cropped to the square around it.
+    With `scale` "clip" it is then equally high in all views of its clip; with "view" it fills every square, so that a
+    car looks larger from the front. Without `masks` it is the whole box, or else image, and nothing is transparent.
+    """
+
+    masks: MaskSource | None
+    crop: Crop = CROP
+    scale: Scale = "clip"
     side: float = 16.0  # least pixels of the object's shorter side
     blur: float = 0.0  # least sharpness, as a share of the median of its clip
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.side) and self.side >= 0):
-            raise ViewnetError(f"limits: side {self.side}: expected 0 or more pixels")
+            raise ViewnetError(f"side {self.side}: expected 0 or more pixels")
         if not 0 <= self.blur < 1:
-            raise ViewnetError(f"limits: blur {self.blur}: expected 0 to less than 1, a share of a clip's sharpness")
+            raise ViewnetError(f"blur {self.blur}: expected 0 to less than 1, a share of a clip's sharpness")
+
+    def describe(self, clips: Sequence[Clip]) -> dict[str, Any]:
+        """What decides a store of these clips, as JSON values; files are known by their names and sizes."""
+        hashed = hashlib.sha256()
+        for clip in sorted(clips, key=lambda clip: clip.id):
+            values = [(f.number, f.azimuth, f.elevation, f.box) for f in clip.frames]
+            known_of = [[None if value != value else value for value in row] for row in values]  # JSON has no NaN
+            files = [_sizes(clip.source), None if clip.masks is None else _sizes(clip.masks)]
+            hashed.update(json.dumps([clip.id, clip.category, clip.split, known_of, files]).encode())
+        return {
+            "version": VERSION,
+            "clips": {"count": len(clips), "sha256": hashed.hexdigest()},
+            "masks": None if self.masks is None else self.masks.described,
+            "crop": describe_crop(self.crop),
+            "limits": {"side": self.side, "blur": self.blur},
+            "scale": self.scale if self.masks else "view",
+        }
 
 
 @dataclass(frozen=True)
@@ -70,23 +95,16 @@ def clip_store(
     clips: Sequence[Clip],
     folder: Path,
     root: Path,
-    masks: MaskSource | None,
-    crop: Crop = CROP,
-    limits: Limits | None = None,
-    scale: Scale = "clip",
+    cutting: Cutting,
     rejected: Iterable[Rejected] = (),
     workers: int | None = None,
     progress: bool = False,
 ) -> ViewStore:
     """Crop the frames of clips from the data set at `root` into a view store and open it.
 
-    The object is what its mask covers (within the frame's box where there is one), cropped to the square around it.
-    With `scale` "clip" it is then equally high in all views of its clip; with "view" it fills every square, so that a
-    car looks larger from the front. Without `masks` it is the whole box, or else image, and nothing is transparent.
-    Frames that do not decode, have no usable mask, or are beyond `limits`, and clips with fewer than two usable frames
-    join `rejected`. Raises ViewnetError for two clips of one name, and where no clip to train on is left.
+    Frames that do not decode, have no usable mask, or are too small or blurred, and clips with fewer than two usable
+    frames join `rejected`. Raises ViewnetError for two clips of one name, and where no clip to train on is left.
     """
-    limits = limits or Limits()
     if twice := [name for name, count in Counter(clip.id for clip in clips).items() if count > 1]:
         raise ViewnetError(f"clip {twice[0]!r} is there twice: give every clip a name of its own")
     for clip in clips:
@@ -101,12 +119,12 @@ def clip_store(
 
         def work(number: int) -> tuple[list[tuple[Any, ...]], list[Rejected]]:
             clip = ordered[number]
-            views, lost = _views(clip, root, masks, crop, limits, scale)
+            views, lost = _views(clip, root, cutting)
             if views:
                 np.save(waiting / f"{number}.npy", np.stack([view.pixels for view in views]))
             return [_row(clip, view, root) for view in views], lost
 
-        parallel = (workers or cores()) if masks is None or masks.parallel else 1
+        parallel = (workers or cores()) if cutting.masks is None or cutting.masks.parallel else 1
         with ThreadPoolExecutor(parallel) as pool:
             work_done = pool.map(work, range(len(ordered)))
             results = bar(progress, iterable=work_done, total=len(ordered), desc="clips", unit="clip")
@@ -120,31 +138,7 @@ def clip_store(
             first = f" (the first that was left out: {': '.join(rejected[0])})" if rejected else ""
             raise ViewnetError(f"{root}: no clip to train on can be used{first}")
         batches = (np.load(file) for file in files)
-        return write_store(folder, batches, index, describe(clips, masks, crop, limits, scale), rejected)
-
-
-def describe(
-    clips: Sequence[Clip],
-    masks: MaskSource | None,
-    crop: Crop = CROP,
-    limits: Limits | None = None,
-    scale: Scale = "clip",
-) -> dict[str, Any]:
-    """What decides a store, as JSON values; files are known by their names and sizes."""
-    hashed = hashlib.sha256()
-    for clip in sorted(clips, key=lambda clip: clip.id):
-        values = [(f.number, f.azimuth, f.elevation, f.box) for f in clip.frames]
-        known_of = [[None if value != value else value for value in row] for row in values]  # JSON has no NaN
-        files = [_sizes(clip.source), None if clip.masks is None else _sizes(clip.masks)]
-        hashed.update(json.dumps([clip.id, clip.category, clip.split, known_of, files]).encode())
-    return {
-        "version": VERSION,
-        "clips": {"count": len(clips), "sha256": hashed.hexdigest()},
-        "masks": None if masks is None else masks.described,
-        "crop": describe_crop(crop),
-        "limits": asdict(limits or Limits()),
-        "scale": scale if masks else "view",
-    }
+        return write_store(folder, batches, index, cutting.describe(clips), rejected)
 
 
 def summary(store: ViewStore) -> str:
@@ -160,33 +154,31 @@ def summary(store: ViewStore) -> str:
     return f"{text}; left out: {in_words(dict(sorted(reasons.items())))}" if reasons else text
 
 
-def _views(
-    clip: Clip, root: Path, masks: MaskSource | None, crop: Crop, limits: Limits, scale: Scale
-) -> tuple[list[_View], list[Rejected]]:
+def _views(clip: Clip, root: Path, cutting: Cutting) -> tuple[list[_View], list[Rejected]]:
     """The usable frames of a clip, none where there are fewer than two, and what cannot be used."""
     where = _within(clip.source, root)
     views: list[_View] = []
     lost: list[Rejected] = []
     try:
         mine = {frame.number: frame for frame in clip.frames or map(Frame, range(frame_count(clip.source)))}
-        follow = masks.follow(clip) if masks else None
+        follow = cutting.masks.follow(clip) if cutting.masks else None
         for number, name, image in read_frames(clip.source, mine):
             try:
                 if isinstance(image, ViewnetError):
                     raise image
                 mask = follow(number, name, image) if follow else None
-                views.append(_view(mine[number], name, image, mask, crop, limits))
+                views.append(_view(mine[number], name, image, mask, cutting))
             except ViewnetError as error:
                 lost.append((f"{clip.id}/{name}", where, str(error)))
     except (ViewnetError, OSError) as error:
         return [], [*lost, (clip.id, where, str(error))]
-    if limits.blur and views:
-        least = limits.blur * float(np.median([view.sharpness for view in views]))
+    if cutting.blur and views:
+        least = cutting.blur * float(np.median([view.sharpness for view in views]))
         lost += [(f"{clip.id}/{view.name}", where, "blurred") for view in views if view.sharpness < least]
         views = [view for view in views if view.sharpness >= least]
     if len(views) < 2:
         return [], [*lost, (clip.id, where, f"fewer than two usable frames ({len(views)})")]
-    return _levelled(views) if masks and scale == "clip" else views, lost
+    return _levelled(views) if cutting.masks and cutting.scale == "clip" else views, lost
 
 
 def _levelled(views: Sequence[_View]) -> list[_View]:
@@ -200,7 +192,7 @@ def _levelled(views: Sequence[_View]) -> list[_View]:
     return [replace(view, pixels=shrunk(view.pixels, share)) for view, share in zip(views, shares, strict=True)]
 
 
-def _view(frame: Frame, name: str, image: Image.Image, mask: np.ndarray | None, crop: Crop, limits: Limits) -> _View:
+def _view(frame: Frame, name: str, image: Image.Image, mask: np.ndarray | None, cutting: Cutting) -> _View:
     if math.isnan(frame.azimuth) != math.isnan(frame.elevation):
         raise ViewnetError("half of the viewpoint is missing: expected azimuth and elevation, or neither")
     box = frame.box
@@ -209,12 +201,12 @@ def _view(frame: Frame, name: str, image: Image.Image, mask: np.ndarray | None, 
             mask = inside(mask, box)
         box = bounds(mask)
     x0, y0, x1, y1 = box or (0, 0, *image.size)
-    if min(x1 - x0, y1 - y0) < limits.side:
+    if min(x1 - x0, y1 - y0) < cutting.side:
         raise ViewnetError(f"object is too small ({x1 - x0:.0f} x {y1 - y0:.0f} pixels)")
-    pixels = cut(image, box, crop, mask)
+    pixels = cut(image, box, cutting.crop, mask)
     if mask is not None and not (pixels[..., 3] > 127).any():
         raise ViewnetError("mask is empty (at the size of the views)")
-    sharp = sharpness(cut(image, box, Crop(SHARPNESS), mask)) if limits.blur else math.nan
+    sharp = sharpness(cut(image, box, Crop(SHARPNESS), mask)) if cutting.blur else math.nan
     return _View(frame, name, pixels, sharp)
 
 

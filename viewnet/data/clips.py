@@ -1,6 +1,5 @@
 """Clips, videos of one object each, and their frames: of a video file, or a folder of images in the order of time."""
 
-import hashlib
 import math
 import re
 from collections.abc import Collection, Iterator
@@ -15,6 +14,7 @@ from PIL import Image, ImageOps
 from viewnet.data.crop import Box
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import MOST_PIXELS, SUFFIXES, opened
+from viewnet.runtime.splits import seeded_generator
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp")
 """How names of video files end."""
@@ -100,9 +100,7 @@ def pick_frames(total: int, count: int | None, how: Pick, name: str, seed: int =
         return list(range(total))
     if how == "evenly":
         return [int(i) for i in (np.arange(count) + 0.5) * total / count]
-    digest = hashlib.sha256(f"{seed} frames {name}".encode()).digest()
-    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
-    return sorted(int(i) for i in rng.choice(total, count, replace=False))
+    return sorted(seeded_generator(seed, "frames", name).choice(total, count, replace=False).tolist())
 
 
 def read_frames(source: Path, numbers: Collection[int]) -> Iterator[Still]:

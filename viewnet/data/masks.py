@@ -5,7 +5,6 @@ a usable mask raises ViewnetError with a reason that begins with "mask".
 """
 
 import hashlib
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,13 +129,9 @@ def continuing(objects: np.ndarray, last: np.ndarray | None) -> int:
     return int(objects.sum((1, 2)).argmax())
 
 
-def predicted(network: str, category: str, weights: Path | None = None) -> MaskSource:
-    """Masks of a category by torchvision's network for COCO: "maskrcnn" or "deeplabv3".
-
-    Weights: the file `weights`, else `torchvision_weights.weights_file`; ViewnetError where they cannot be used.
-    """
-    full = NETWORKS[known(network, NETWORKS, "network for masks")]
-    path = weights or torchvision_weights.weights_file(full)
+def predicted(network: str, category: str) -> MaskSource:
+    """Masks of a category by torchvision's network for COCO: "maskrcnn" or "deeplabv3". Raises as `segmenter` does."""
+    path = torchvision_weights.weights_file(NETWORKS[known(network, NETWORKS, "network for masks")])
     segment = segmenter(network, category, path)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     return from_segmenter(segment, {"masks": network, "category": category, "weights": digest, "version": VERSION})
@@ -144,15 +139,38 @@ def predicted(network: str, category: str, weights: Path | None = None) -> MaskS
 
 def segmenter(network: str, category: str, path: Path) -> Segmenter:
     """The network of `predicted` with the weights of a file. Raises ViewnetError where these cannot be used."""
-    full = NETWORKS[network]
+    from torchvision import models
+
     known(category, CATEGORIES, "category")
-    if not path.is_file():
-        raise ViewnetError(
-            f"no {network} weights at {path}: download {weights_url(full)} to that place, name another file by "
-            f"{torchvision_weights.variable(full)}, or use masks from files or from the images' alpha"
-        )
+    full, instances = NETWORKS[network], network == "maskrcnn"
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    return (_maskrcnn if network == "maskrcnn" else _deeplab)(category, path, device)
+    model = models.get_model(full, weights=None, weights_backbone=None)
+    torchvision_weights.load(model, full, path, "use masks from files or from the images' alpha")
+    if instances:
+        for layer in model.modules():
+            if isinstance(layer, nn.BatchNorm2d):
+                layer.eps = 0.0  # the weights were trained with layers that have none
+    model.eval().to(device)
+    names = torchvision_weights.published(full).meta["categories"]
+    label = names.index(COCO.get(category, category) if instances else category)
+    statistics = [torchvision_weights.IMAGENET_MEAN, torchvision_weights.IMAGENET_STD]
+    mean, deviation = torch.tensor(statistics).view(2, 3, 1, 1)
+
+    @torch.no_grad()
+    def by_instance(image: Image.Image) -> np.ndarray:
+        (result,) = model([_tensor(image).to(device)])
+        mine = (result["labels"] == label) & (result["scores"] >= SURE)
+        return (result["masks"][mine, 0] >= SURE).cpu().numpy()
+
+    @torch.no_grad()
+    def by_class(image: Image.Image) -> np.ndarray:
+        scale = SIDE / min(image.size)
+        small = image.resize((round(image.width * scale), round(image.height * scale)), Image.Resampling.BILINEAR)
+        scores = model(((_tensor(small) - mean) / deviation)[None].to(device))["out"]
+        full = F.interpolate(scores, (image.height, image.width), mode="bilinear", align_corners=False)
+        return regions((full[0].argmax(0) == label).cpu().numpy())
+
+    return by_instance if instances else by_class
 
 
 def regions(covered: np.ndarray) -> np.ndarray:
@@ -161,77 +179,6 @@ def regions(covered: np.ndarray) -> np.ndarray:
     areas = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     large = np.flatnonzero(areas >= SPECK * areas.max(initial=1)) + 1
     return labels[None] == large[:, None, None]
-
-
-def _maskrcnn(category: str, path: Path, device: torch.device) -> Segmenter:
-    from torchvision.models import detection
-
-    network = detection.maskrcnn_resnet50_fpn(weights=None, weights_backbone=None)
-    load_weights(network, path, NETWORKS["maskrcnn"])
-    for layer in network.modules():
-        if isinstance(layer, nn.BatchNorm2d):
-            layer.eps = 0.0  # the weights were trained with layers that have none
-    network.eval().to(device)
-    names = detection.MaskRCNN_ResNet50_FPN_Weights.COCO_V1.meta["categories"]
-    label = names.index(COCO.get(category, category))
-
-    @torch.no_grad()
-    def segment(image: Image.Image) -> np.ndarray:
-        (result,) = network([_tensor(image).to(device)])
-        mine = (result["labels"] == label) & (result["scores"] >= SURE)
-        return (result["masks"][mine, 0] >= SURE).cpu().numpy()
-
-    return segment
-
-
-def _deeplab(category: str, path: Path, device: torch.device) -> Segmenter:
-    from torchvision.models import segmentation
-
-    network = segmentation.deeplabv3_resnet50(weights=None, weights_backbone=None, aux_loss=False)
-    load_weights(network, path, NETWORKS["deeplabv3"])
-    network.eval().to(device)
-    names = segmentation.DeepLabV3_ResNet50_Weights.COCO_WITH_VOC_LABELS_V1.meta["categories"]
-    label = names.index(category)
-    statistics = [torchvision_weights.IMAGENET_MEAN, torchvision_weights.IMAGENET_STD]
-    mean, deviation = torch.tensor(statistics).view(2, 3, 1, 1)
-
-    @torch.no_grad()
-    def segment(image: Image.Image) -> np.ndarray:
-        scale = SIDE / min(image.size)
-        small = image.resize((round(image.width * scale), round(image.height * scale)), Image.Resampling.BILINEAR)
-        scores = network(((_tensor(small) - mean) / deviation)[None].to(device))["out"]
-        full = F.interpolate(scores, (image.height, image.width), mode="bilinear", align_corners=False)
-        return regions((full[0].argmax(0) == label).cpu().numpy())
-
-    return segment
-
-
-def load_weights(network: nn.Module, path: Path, full: str) -> None:
-    """Give a network the weights of a file, which may hold others too. ViewnetError where it does not hold them."""
-    try:
-        if zipfile.is_zipfile(path):
-            with zipfile.ZipFile(path) as archive:
-                if any(part.compress_type != zipfile.ZIP_STORED for part in archive.infolist()):
-                    raise ValueError("it is compressed, and so may claim any size")
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        # As plain values, without the file's versions, names of all versions are taken.
-        if missing := network.load_state_dict(dict(state), strict=False, assign=True).missing_keys:
-            raise ValueError(f"{missing[0]} is missing")
-        for name, weight in network.state_dict().items():
-            kind = torch.int64 if name.endswith("num_batches_tracked") else torch.float32
-            if (weight.dtype, weight.layout, weight.device.type) != (kind, torch.strided, "cpu"):
-                raise ValueError(f"{name} is {weight.dtype} and not plain {kind}")
-    except Exception as error:  # torch raises whatever a damaged file makes it stumble over
-        problem = (str(error).splitlines() or [type(error).__name__])[0]
-        advice = f"download {weights_url(full)} anew"
-        raise ViewnetError(f"{path} does not hold {full} weights ({problem}): {advice}") from error
-
-
-def weights_url(full: str) -> str:
-    """Where the weights of a torchvision network are had."""
-    from torchvision import models
-
-    return str(next(iter(models.get_model_weights(full))).url)
 
 
 def _tensor(image: Image.Image) -> torch.Tensor:

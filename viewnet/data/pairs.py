@@ -58,9 +58,7 @@ def load_views(store: ViewStore, split: str, size: int, crop: int | None = None,
 
     See viewnet.runtime.images.tight_crop. ViewnetError where the split has none.
     """
-    rows = np.flatnonzero((store.index["split"] == split).to_numpy())
-    if not len(rows):
-        raise ViewnetError(f"{store.folder}: no views in split {split!r}: add models to it or name other splits")
+    rows = store.split(split)
     index = store.index.iloc[rows]
     chunks, crops = [], []
     for chunk in np.array_split(rows, max(1, len(rows) // 512)):  # in parts: a float copy of all is large
@@ -72,8 +70,6 @@ def load_views(store: ViewStore, split: str, size: int, crop: int | None = None,
             crops.append(tight_crop(weighted / 255, crop, stretch).mul_(255).round_().to(torch.uint8))
     objects = torch.from_numpy(index["model_id"].factorize()[0].astype(np.int64))  # (N,), 0, 1, ... as they come
     count = torch.bincount(objects)
-    if (objects.diff() < 0).any():  # `first` and `count` describe rows side by side
-        raise ViewnetError(f"{store.folder}: the views of a model do not lie side by side: build the store again")
     truth = torch.from_numpy(index[["azimuth", "elevation"]].to_numpy(np.float32, copy=True))  # (N, 2)
     return Views(torch.cat(chunks), torch.cat(crops) if crop else None, objects, truth, count.cumsum(0) - count, count)
 

@@ -7,9 +7,9 @@ A photograph has no mask, so its alpha is 1 throughout; what lies beyond its edg
 
 import hashlib
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -43,30 +43,37 @@ class Photograph:
     elevation: float
 
 
+@dataclass(frozen=True)
+class Photographs:
+    """The photographs of the data set at `root`, split into "val" (calibrated on) and "test" (scored)."""
+
+    root: Path
+    usable: Sequence[Photograph]
+    rejected: Sequence[Rejected] = ()
+    notes: dict[str, Any] = field(default_factory=dict)  # JSON values that a view store records of its making
+    upright: bool = False  # whether boxes are of the image rotated as its camera recorded
+
+
 def photo_store(
-    photographs: Sequence[Photograph],
+    data: Photographs,
     folder: Path,
     crop: Crop,
     made_by: dict[str, Any],
-    root: Path,
-    rejected: Iterable[Rejected] = (),
-    upright: bool = False,
     workers: int | None = None,
     progress: bool = False,
 ) -> ViewStore:
-    """Cut photographs of the data set at `root` into a view store, one view each, and open it.
+    """Cut photographs into a view store, one view each, and open it.
 
-    With `upright`, images are rotated as their camera recorded before they are cut. Images that cannot be decoded,
-    boxes outside of them, and images to calibrate on whose very bytes are scored too join `rejected`. Raises
-    ViewnetError where one file is in both splits, or a split has no usable photograph.
+    Images that cannot be decoded, boxes outside of them, and images to calibrate on whose very bytes are scored too
+    join what is rejected. Raises ViewnetError where one file is in both splits, or a split has no usable photograph.
     """
-    _check_apart(photographs)
-    rejected = list(rejected)
+    _check_apart(data.usable)
+    root, rejected = data.root, list(data.rejected)
     # Decoding and resizing release the interpreter's lock, so threads do.
     with ThreadPoolExecutor(workers or cores()) as pool:
-        work = pool.map(lambda photograph: _crop_and_digest(photograph, crop, upright), photographs)
-        results = list(bar(progress, iterable=work, total=len(photographs), desc="photographs", unit="image"))
-    pairs = list(zip(photographs, results, strict=True))
+        work = pool.map(lambda photograph: _crop_and_digest(photograph, crop, data.upright), data.usable)
+        results = list(bar(progress, iterable=work, total=len(data.usable), desc="photographs", unit="image"))
+    pairs = list(zip(data.usable, results, strict=True))
     scored = {result[1] for photo, result in pairs if photo.split == "test" and isinstance(result, tuple)}
     usable: list[tuple[Photograph, str, np.ndarray]] = []
     for photograph, result in pairs:
@@ -86,7 +93,7 @@ def photo_store(
             raise ViewnetError(f"{root}: no usable photograph in the {name} split{first}")
     crops = [pixels for _, _, pixels in usable]
     batches = (np.stack(crops[i : i + 256]) for i in range(0, len(crops), 256))  # (256, S, S, 4), the last one fewer
-    return write_store(folder, batches, index, made_by, rejected)
+    return write_store(folder, batches, index, made_by | data.notes, rejected)
 
 
 def summary(store: ViewStore) -> str:

@@ -128,8 +128,6 @@ def _plan(
 
 def _backgrounds_identity(config: RunConfig, progress: bool) -> str:
     """The identity of the backgrounds that a run is trained with, "" for none. Makes them where they are missing."""
-    if config.data.backgrounds is None:
-        return ""
     from viewnet.data import augment
 
     backgrounds = augment.made(config.data, config.model.input_size, progress)

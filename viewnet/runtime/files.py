@@ -10,7 +10,7 @@ import re
 import resource
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -151,18 +151,21 @@ def read_json(path: Path) -> Any:
         raise ViewnetError(f"{path}: not JSON ({error})") from error
 
 
-def read_csv(path: Path, **options: Any) -> Any:
-    """A CSV file by pandas, as a DataFrame; ViewnetError where there is none or it cannot be read."""
+def read_csv(path: Path, columns: Sequence[str] = (), **options: Any) -> Any:
+    """A CSV file by pandas, as a DataFrame; ViewnetError where it cannot be read or lacks one of some columns."""
     # pandas is slow to import and this module is imported by every rendering process.
     import pandas as pd
 
     try:
-        return pd.read_csv(path, **options)
+        table = pd.read_csv(path, **options)
     except FileNotFoundError:
         raise ViewnetError(f"{path}: no such file") from None
     except (OSError, ValueError, OverflowError) as error:
         problem = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise ViewnetError(f"{path}: not a readable CSV file ({problem})") from None
+    if missing := [name for name in columns if name not in table.columns]:
+        raise ViewnetError(f"{path}: column {missing[0]!r} is missing: expected {', '.join(columns)}")
+    return table
 
 
 def load_array(path: Path, again: str, mmap_mode: Literal["r"] | None = None) -> np.ndarray:

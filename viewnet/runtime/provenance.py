@@ -5,11 +5,9 @@ import contextlib
 import functools
 import hashlib
 import importlib.metadata
-import io
 import platform
 import re
 import subprocess
-import tokenize
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,31 +22,27 @@ LIBRARIES = ("torch", "numpy", "scipy", "pandas", "numba", "safetensors", "trime
 def code_identity(modules: tuple[str, ...]) -> str:
     """12 hex digits of the `statements` in modules of this package (paths below it), in any order.
 
-    Documenting or moving code keeps finished runs valid, editing a statement does not.
+    Documenting, formatting or moving code keeps finished runs valid, editing a statement does not.
     """
     texts = [text for module in modules for text in statements(PACKAGE.joinpath(module).read_text(encoding="utf-8"))]
     return hashlib.sha256("\n\n".join(sorted(texts)).encode()).hexdigest()[:12]
 
 
 def statements(source: str) -> list[str]:
-    """The top-level statements of Python source without comments, docstrings, imports and blank lines."""
-    lines = source.splitlines()
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT:
-            row, column = token.start
-            lines[row - 1] = lines[row - 1][:column]
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
-        match node:
-            case ast.Import() | ast.ImportFrom() | ast.Expr(value=ast.Constant(value=str())):
-                for row in range(node.lineno - 1, node.end_lineno or node.lineno):
-                    lines[row] = ""
-    texts = []
-    for node in tree.body:
-        first = min([node.lineno, *(decorator.lineno for decorator in getattr(node, "decorator_list", []))])
-        text = "\n".join(line.rstrip() for line in lines[first - 1 : node.end_lineno] if line.strip())
-        texts += [text] if text else []
-    return texts
+    """The top-level statements of Python source without comments, docstrings, imports and format."""
+    return [ast.unparse(statement) for statement in _Bare().visit(ast.parse(source)).body]
+
+
+class _Bare(ast.NodeTransformer):
+    """Takes imports and docstrings away."""
+
+    def visit_Import(self, node: ast.Import | ast.ImportFrom) -> None:
+        return None
+
+    visit_ImportFrom = visit_Import
+
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        return None if isinstance(node.value, ast.Constant) else node
 
 
 def commit() -> dict[str, Any]:

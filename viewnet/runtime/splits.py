@@ -4,13 +4,20 @@ import hashlib
 import itertools
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+
 SHARES = {"train": 0.7, "val": 0.1, "test": 0.2}
 SPLITS = tuple(SHARES)
 
 
-def seeded_rank(seed: int, purpose: str, name: str) -> bytes:
+def seeded_rank(seed: int, *names: str) -> bytes:
     """A sort key that shuffles names. It depends on its arguments alone, so other names do not change an order."""
-    return hashlib.sha256(f"{seed} {purpose} {name}".encode()).digest()
+    return hashlib.sha256(" ".join((str(seed), *names)).encode()).digest()
+
+
+def seeded_generator(seed: int, *names: str) -> np.random.Generator:
+    """Random numbers of one thing with these names, whatever others there are."""
+    return np.random.default_rng(int.from_bytes(seeded_rank(seed, *names)[:8], "little"))
 
 
 def split_sizes(total: int, one_above: Mapping[str, int] | None = None) -> dict[str, int]:

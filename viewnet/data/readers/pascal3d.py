@@ -22,18 +22,9 @@ import numpy as np
 
 from viewnet.config import CATEGORIES, PhotoConfig, known
 from viewnet.data.crop import Box
-from viewnet.data.photo_store import Photograph
+from viewnet.data.photo_store import Photograph, Photographs
 from viewnet.data.readers import matlab
-from viewnet.data.readers.reader import (
-    Contents,
-    DataSet,
-    Photographs,
-    PhotoReader,
-    Reader,
-    no_usable,
-    read_text,
-    within,
-)
+from viewnet.data.readers.reader import Contents, DataSet, PhotoReader, Reader, no_usable, read_text, within
 from viewnet.data.store import Rejected, tally
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
@@ -310,7 +301,7 @@ def _read_both_splits(config: PhotoConfig, root: Path) -> Photographs:
     usable += [replace(annotation, split="test") for annotation in second]
     mended = tally(what for _, what in calibrated.mended + scored.mended)
     notes = {"mended": mended, "objects of other categories": calibrated.others + scored.others}
-    return Photographs(usable, calibrated.rejected + scored.rejected, notes)
+    return Photographs(root, usable, calibrated.rejected + scored.rejected, notes)
 
 
 def _count(root: Path, contents: Contents) -> None:

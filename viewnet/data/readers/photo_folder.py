@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 
 from viewnet.config import CATEGORIES, PhotoConfig, known
-from viewnet.data.photo_store import SPLITS, Photograph
-from viewnet.data.readers.reader import Contents, DataSet, Photographs, PhotoReader, Reader
+from viewnet.data.photo_store import SPLITS, Photograph, Photographs
+from viewnet.data.readers.reader import Contents, DataSet, PhotoReader, Reader
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import read_csv
 
@@ -34,11 +34,10 @@ def read(root: Path, category: str) -> list[Photograph]:
     """
     known(category, CATEGORIES, "category")
     path = Path(root) / LIST
-    table = read_csv(path, dtype={"file": str, "split": str})
-    boxed = any(name in table.columns for name in _CORNERS)
-    for name in ("file", "azimuth_deg", "elevation_deg", "split", *(_CORNERS if boxed else ())):
-        if name not in table.columns:
-            raise ViewnetError(f"{path}: column {name!r} is missing")
+    table = read_csv(path, ("file", "azimuth_deg", "elevation_deg", "split"), dtype={"file": str, "split": str})
+    corners = [name for name in _CORNERS if name in table.columns]
+    if 0 < len(corners) < len(_CORNERS):
+        raise ViewnetError(f"{path}: only {', '.join(corners)} of a box: expected {', '.join(_CORNERS)}, or none")
     if table.empty:
         raise ViewnetError(f"{path}: lists no photograph")
     photographs: list[Photograph] = []
@@ -54,7 +53,7 @@ def read(root: Path, category: str) -> list[Photograph]:
         if abs(elevation) > 90:
             raise ViewnetError(f"{where}: elevation_deg {elevation:g}: expected -90 to 90")
         box = None
-        if boxed and not all(pd.isna(row[name]) for name in _CORNERS):
+        if corners and not all(pd.isna(row[name]) for name in _CORNERS):
             x0, y0, x1, y1 = (_value(row, name, where) for name in _CORNERS)
             box = (x0, y0, x1, y1)
         name, image = f"{file}/{times[file]}" if times[file] else file, Path(root) / "images" / file
@@ -111,5 +110,7 @@ READER = Reader(
     ),
     recognises=lambda folder: (folder / LIST).is_file(),
     count=_count,
-    photographs=PhotoReader(_describe, lambda config, root: Photographs(read(root, config.category)), upright=True),
+    photographs=PhotoReader(
+        _describe, lambda config, root: Photographs(root, read(root, config.category), upright=True)
+    ),
 )

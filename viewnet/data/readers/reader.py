@@ -14,7 +14,7 @@ from viewnet.errors import ViewnetError
 if TYPE_CHECKING:
     # Slow to import, and processes that only render CAD models import this module too.
     from viewnet.data.clips import Clip
-    from viewnet.data.photo_store import Photograph
+    from viewnet.data.photo_store import Photographs
 
 
 @dataclass(frozen=True)
@@ -55,21 +55,11 @@ class Contents:
 
 
 @dataclass(frozen=True)
-class Photographs:
-    """The photographs of a data set, split into "val" (calibrated on) and "test" (scored)."""
-
-    usable: "list[Photograph]"
-    rejected: list[Rejected] = field(default_factory=list)
-    notes: dict[str, Any] = field(default_factory=dict)  # JSON values that a view store records of its making
-
-
-@dataclass(frozen=True)
 class PhotoReader:
     """Reads annotated photographs, by a configuration and the data set's folder."""
 
     describe: Callable[[PhotoConfig, Path], dict[str, Any]]  # what decides the photographs, as JSON values
-    read: Callable[[PhotoConfig, Path], Photographs]
-    upright: bool = False  # whether boxes are of the image rotated as its camera recorded
+    read: "Callable[[PhotoConfig, Path], Photographs]"
 
 
 @dataclass(frozen=True)

@@ -146,9 +146,7 @@ def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
 def _read_csv(file: Path, synset: str) -> dict[str, str]:
     """Model id -> split of one category of an official list."""
     # Ids and synsets are text: numbers have no leading zeros, and "1e5" is an id.
-    table = read_csv(file, dtype=str, keep_default_na=False)
-    if missing := [name for name in ("synsetId", "modelId", "split") if name not in table.columns]:
-        raise ViewnetError(f"{file}: no column {missing[0]}: expected id, synsetId, subSynsetId, modelId, split")
+    table = read_csv(file, ("synsetId", "modelId", "split"), dtype=str, keep_default_na=False)
     table = table[table["synsetId"] == synset]
     if wrong := sorted(set(table["split"]) - set(SPLITS)):
         raise ViewnetError(f"{file}: split {wrong[0][:60]!r}: expected one of {', '.join(SPLITS)}")

@@ -75,9 +75,7 @@ def _listed(root: Path) -> dict[str, str]:
     path = root / LIST
     if not path.is_file():
         return {}
-    table = read_csv(path, dtype=str, keep_default_na=False)
-    if missing := [column for column in ("clip", "split") if column not in table.columns]:
-        raise ViewnetError(f"{path}: column {missing[0]!r} is missing")
+    table = read_csv(path, ("clip", "split"), dtype=str, keep_default_na=False)
     for number, row in enumerate(table.itertuples(), start=1):
         if row.split not in SPLITS:
             raise ViewnetError(f"{path}: row {number}: split {row.split[:60]!r}: expected one of {', '.join(SPLITS)}")

@@ -3,26 +3,24 @@
 Numbers measured on it are numbers of the stand-in.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFilter
+from PIL import Image
 from scipy import ndimage
 
 from viewnet.data.readers.freiburg import ANNOTATIONS, AZIMUTH, CATEGORY, MASKS
 from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.stand_in import as_image, built_in_mesh, check_request, versions, visible_box
+from viewnet.data.synthetic.stand_in import StandIn, add_shadow, as_image, built_in_mesh, visible_box
 from viewnet.errors import ViewnetError
 from viewnet.render import render_cameras
 from viewnet.render.camera import look_from
 from viewnet.runtime.files import write_text
-from viewnet.runtime.parallel import as_done, cores
-from viewnet.runtime.progress import bar
 
-VERSION = 1
-"""Raise it when a change alters images, masks or annotations."""
 SEQUENCES = tuple(n for n in range(1, 53) if n not in (6, 20, 31, 36))
 """48 of 52, so that numbers have gaps as in the data set."""
 MODEL_SEED = 2000
@@ -35,42 +33,33 @@ NO_MASK = 0.02
 """The share of frames without a mask."""
 
 
-def describe(sequences: Sequence[int], frames: int, seed: int) -> dict[str, Any]:
-    """What decides a stand-in, as JSON values."""
-    return {"version": versions(VERSION, "car"), "sequences": sorted(set(sequences)), "frames": frames, "seed": seed}
+@dataclass(frozen=True)
+class FreiburgStandIn(StandIn):
+    """Sequences of these numbers, each a car of its own once around, from a low height that is not annotated.
 
-
-def write_stand_in(
-    root: Path,
-    sequences: Sequence[int] = SEQUENCES,
-    frames: int = 120,
-    seed: int = 0,
-    workers: int | None = None,
-    progress: bool = True,
-) -> None:
-    """Write sequences of these numbers, `frames` frames each, to `root` in the layout of Freiburg static cars 52.
-
-    Each shows a car of its own once around, from a low height that is not annotated: one light, a moving reflection,
-    exposure that drifts, a camera that shakes and blurs, a background that moves along. Masks are imperfect, and some
-    are missing. A sequence depends on (seed, its number, frames) only.
-
-    Raises ViewnetError for values out of range, and where `root` is not empty.
+    There are one light, a moving reflection, exposure that drifts, a camera that shakes and blurs, a background that
+    moves along. Masks are imperfect, and some are missing. A sequence depends on (seed, its number, frames) only.
     """
-    root = Path(root)
-    numbers = sorted(set(sequences))
-    check_request(root, {"frames": frames, "workers": 1 if workers is None else workers, "sequences": len(numbers)})
-    if numbers[0] < 1 or numbers[-1] > 999:
-        raise ViewnetError(f"stand-in: sequences {numbers[0]} to {numbers[-1]}: expected numbers from 1 to 999")
-    if workers is None:
-        workers = 1 if len(numbers) * frames < 400 else cores()  # for a few, starting processes takes longer
-    jobs = [(root, number, frames, seed) for number in numbers]
-    with bar(progress, total=len(jobs), desc="stand-in", unit="sequence") as shown:
-        for _ in as_done(_write_sequence, jobs, workers, "the stand-in"):
-            shown.update()
+
+    FOLDER = "freiburg-stand-in"
+    VERSION = 1
+    sequences: Sequence[int] = SEQUENCES
+    frames: int = 120
+    seed: int = 0
+
+    def describe(self) -> dict[str, Any]:
+        """See StandIn.describe."""
+        return super().describe() | {"sequences": sorted(set(self.sequences))}
+
+    def prepare(self, root: Path) -> list[Callable[[], None]]:
+        """See StandIn.prepare."""
+        numbers = sorted(set(self.sequences))
+        if not numbers or numbers[0] < 1 or numbers[-1] > 999:
+            raise ViewnetError(f"stand-in: sequences {numbers}: expected numbers from 1 to 999")
+        return [partial(_write_sequence, root, number, self.frames, self.seed) for number in numbers]
 
 
-def _write_sequence(job: tuple[Path, int, int, int]) -> None:
-    root, number, count, seed = job
+def _write_sequence(root: Path, number: int, count: int, seed: int) -> None:
     rng = np.random.default_rng([seed, number, count])
     name = f"car{number:03d}"
     sense = rng.choice([-1.0, 1.0])
@@ -151,9 +140,7 @@ def _frame(
     cover.paste(thing, (round((width - side) / 2 + shake[0]), round((height - side) / 2 + shake[1])))
     if box := cover.getchannel("A").getbbox():
         x0, _, x1, y1 = box
-        shadow = Image.new("L", SIZE, 0)
-        ImageDraw.Draw(shadow).ellipse((x0, y1 - 14, x1, y1 + 5), 170)
-        image.paste((15, 15, 18), mask=shadow.filter(ImageFilter.GaussianBlur(3)))
+        add_shadow(image, (x0, y1 - 14, x1, y1 + 5), 170, 3)
     image.paste(cover, (0, 0), cover)
     # The camera moves while the shutter is open.
     length = int(rng.integers(1, 4))

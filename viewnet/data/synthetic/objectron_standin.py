@@ -5,7 +5,10 @@ height, aim, focal length, light and exposure change, and motion blurs. Its fram
 and with two kinds of masks, like those of a supervised (masks/) and of a weakly supervised network (WEAK).
 """
 
+from collections.abc import Callable
 from collections.abc import Sequence as Many
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +20,13 @@ from viewnet.data.readers.objectron import CLASSES, MASKS
 from viewnet.data.readers.objectron_record import AXES, UNIT_BOX
 from viewnet.data.readers.objectron_schema import Sequence
 from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.stand_in import as_image, built_in_mesh, check_request, versions
+from viewnet.data.synthetic.stand_in import StandIn, as_image, built_in_mesh
 from viewnet.errors import ViewnetError
 from viewnet.render import render_cameras
 from viewnet.render.camera import DISTANCE, FOCAL, look_from
 from viewnet.render.mesh import Mesh
 from viewnet.runtime.files import write_text
-from viewnet.runtime.progress import bar
 
-VERSION = 2
-"""Raise it when a change alters images, masks or records."""
 WEAK = "masks_weak"
 """The folder of masks like a weakly supervised network's: blobs without legs that include some surroundings."""
 MODEL_SEED = 2000
@@ -48,61 +48,57 @@ Shot = tuple[np.ndarray, float, tuple[float, float]]
 """The camera of one frame: world_from_camera (3, 3), focal length and principal point in pixels."""
 
 
-def describe(category: str, videos: int, frames: int, seed: int, size: tuple[int, int] = SIZE) -> dict[str, Any]:
-    """What decides a stand-in, as JSON values, without making it."""
-    counts = {"videos": videos, "frames": frames, "seed": seed}
-    return {"version": versions(VERSION, category), "category": category, **counts, "size": list(size)}
+@dataclass(frozen=True)
+class ObjectronStandIn(StandIn):
+    """`videos` videos of as many models: images of `size` (width, height), masks, records and lists.
 
-
-def write_stand_in(
-    root: Path,
-    category: str = "chair",
-    videos: int = 20,
-    frames: int = 40,
-    seed: int = 0,
-    size: tuple[int, int] = SIZE,
-    progress: bool = False,
-) -> None:
-    """Write `videos` videos of as many models to `root` in Objectron's layout: images, masks, records and lists.
-
-    Each has `frames` images of `size` (width, height), and depends on (seed, category, its number, frames, size) only.
-    Raises ViewnetError for values out of range, a category that Objectron does not have, and where `root` is not empty.
+    A video depends on (seed, category, its number, frames, size) only.
     """
-    root = Path(root)
-    if category not in CLASSES:
-        raise ViewnetError(f"stand-in: no category {category!r} in Objectron: choose one of {', '.join(CLASSES)}")
-    check_request(root, {"videos": videos, "frames": frames})
-    check_request(root, {"side": min(size)}, least=32)
-    names = [f"{CLASSES[category]}/batch-{number // BATCH + 1}/{number % BATCH}" for number in range(videos)]
-    for number, name in enumerate(bar(progress, iterable=names, desc="stand-in", unit="video")):
-        _write_video(root, name, category, number, frames, seed, size)
-    test = set(names[:: round(1 / TEST)][: videos // 2])
-    for split, listed in (("test", test), ("train", set(names) - test)):
-        lines = [name for name in names if name in listed]
-        write_text(root / "index" / f"{CLASSES[category]}_annotations_{split}", "".join(f"{name}\n" for name in lines))
+
+    FOLDER = "objectron-stand-in"
+    VERSION = 2
+    category: str = "chair"
+    videos: int = 20
+    frames: int = 40
+    seed: int = 0
+    size: tuple[int, int] = SIZE
+
+    def prepare(self, root: Path) -> list[Callable[[], None]]:
+        """See StandIn.prepare."""
+        if self.category not in CLASSES:
+            choice = ", ".join(CLASSES)
+            raise ViewnetError(f"stand-in: no category {self.category!r} in Objectron: choose one of {choice}")
+        if min(self.size) < 32:
+            raise ViewnetError(f"stand-in: size {self.size}: expected 32 or more pixels a side")
+        kind = CLASSES[self.category]
+        names = [f"{kind}/batch-{number // BATCH + 1}/{number % BATCH}" for number in range(self.videos)]
+        test = set(names[:: round(1 / TEST)][: self.videos // 2])
+        for split, listed in (("test", test), ("train", set(names) - test)):
+            lines = "".join(f"{name}\n" for name in names if name in listed)
+            write_text(root / "index" / f"{kind}_annotations_{split}", lines)
+        return [partial(_write_video, root, name, number, self) for number, name in enumerate(names)]
 
 
-def _write_video(
-    root: Path, name: str, category: str, number: int, frames: int, seed: int, size: tuple[int, int]
-) -> None:
-    rng = np.random.default_rng([seed, list(CLASSES).index(category), number])
-    mesh = built_in_mesh(category, number, seed + MODEL_SEED)
-    shots = _shots(rng, frames, size)
+def _write_video(root: Path, name: str, number: int, made: ObjectronStandIn) -> None:
+    source = [made.seed, list(CLASSES).index(made.category), number]
+    rng = np.random.default_rng(source)
+    mesh = built_in_mesh(made.category, number, made.seed + MODEL_SEED)
+    shots = _shots(rng, made.frames, made.size)
     cameras = np.stack([camera for camera, _, _ in shots])
-    renderings = render_cameras(mesh, cameras, _lights(rng, cameras), max(size), 2, "raycast")
-    images, masks = _filmed(rng, shots, renderings, size)
+    renderings = render_cameras(mesh, cameras, _lights(rng, cameras), max(made.size), 2, "raycast")
+    images, masks = _filmed(rng, shots, renderings, made.size)
     folders = {part: root / part / name for part in ("videos", MASKS, WEAK)}
     for folder in folders.values():
         folder.mkdir(parents=True)
     # Generators of their own, so that masks do not change anything else.
-    rngs = [np.random.default_rng([seed, list(CLASSES).index(category), number, kind]) for kind in (1, 2)]
+    rngs = [np.random.default_rng([*source, kind]) for kind in (1, 2)]
     for place, (image, mask) in enumerate(zip(images, masks, strict=True)):
         image.save(folders["videos"] / f"{place:06d}.jpg", "JPEG", quality=88)
         _faulty(rngs[0], mask).save(folders[MASKS] / f"{place:06d}.png")
         _weak(rngs[1], mask).save(folders[WEAK] / f"{place:06d}.png")
     record = root / "annotations" / f"{name}.pbdata"
     record.parent.mkdir(parents=True, exist_ok=True)
-    record.write_bytes(_record(rng, shots, mesh, size).SerializeToString(deterministic=True))
+    record.write_bytes(_record(rng, shots, mesh, made.size).SerializeToString(deterministic=True))
 
 
 def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> list[Shot]:

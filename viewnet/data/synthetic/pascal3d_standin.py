@@ -5,8 +5,9 @@ Numbers measured on it are numbers of the stand-in.
 
 import hashlib
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +20,14 @@ from viewnet.data.annotated_viewpoints import histogram_file, sample
 from viewnet.data.readers.image_folder import list_images
 from viewnet.data.readers.pascal3d import EXTENSIONS, LISTS, SPLITS, VOC, annotation_file, image_file, parts
 from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.stand_in import as_image, built_in_mesh, check_request, versions, visible_box
+from viewnet.data.synthetic.stand_in import StandIn, add_shadow, as_image, built_in_mesh, visible_box
 from viewnet.errors import ViewnetError
 from viewnet.render import render_cameras
 from viewnet.render.camera import look_from
 from viewnet.runtime.files import write_text
 from viewnet.runtime.image_files import opened
-from viewnet.runtime.parallel import as_done, cores
-from viewnet.runtime.progress import bar
+from viewnet.runtime.splits import seeded_generator
 
-VERSION = 1
-"""Raise it when a change alters images or annotations."""
 MODEL_SEED = 1000
 """Added to the seed, so that models differ from those of a training with the same one."""
 SIZE = (200, 150)
@@ -47,92 +45,76 @@ class Photograph:
     """One image to make."""
 
     subset: str
-    split: str
     name: str
     azimuth: float
     elevation: float
     world_from_camera: np.ndarray  # (3, 3)
 
 
-def describe(
-    category: str, subset: str, models: int, count: int, seed: int, backgrounds: Path | None = None
-) -> dict[str, Any]:
-    """What decides a stand-in, as JSON values, without making it. Backgrounds are known by their paths and sizes."""
-    values: dict[str, Any] = {
-        "version": versions(VERSION, category),
-        "viewpoints": hashlib.sha256(histogram_file().read_bytes()).hexdigest(),
-    } | {"category": category, "subset": subset, "models": models, "count": count, "seed": seed}
-    if backgrounds is not None:
-        names = [(path, (backgrounds / path).stat().st_size) for path, _ in list_images(backgrounds)[0]]
-        values["backgrounds"] = hashlib.sha256(repr(names).encode()).hexdigest()
-    return values
+@dataclass(frozen=True)
+class Pascal3DStandIn(StandIn):
+    """`count` photographs of each split, which shows `models` built-in models of its own, in equal shares.
 
-
-def write_stand_in(
-    root: Path,
-    categories: Sequence[str],
-    models: int = 60,
-    count: int = 600,
-    subset: str = "imagenet",
-    backgrounds: Path | None = None,
-    seed: int = 0,
-    workers: int | None = None,
-    progress: bool = True,
-) -> None:
-    """Write `count` photographs of each category and split to `root`, in the layout of PASCAL3D+ 1.1.
-
-    Each split ("train", "val") shows `models` built-in models of its own, in equal shares. Viewpoints are sampled from
-    the published histogram (annotated_viewpoints.sample). Backgrounds are a folder's images, else synthetic scenes.
-    Some objects are annotated as truncated or occluded, and are. `subset` is "imagenet", "pascal" (with more of these)
-    or "both".
-
-    An image depends on (seed, category, subset, split, its number, models) and the backgrounds, whatever the number
-    of processes (`workers`; None: one a core). Raises ViewnetError for values out of range, and where `root` is not
-    empty.
+    Viewpoints are sampled from the published histogram (annotated_viewpoints.sample). Backgrounds are a folder's
+    images, else synthetic scenes. Some objects are annotated as truncated or occluded, and are. `subset` is "imagenet",
+    "pascal" (with more of these) or "both". An image depends on (seed, category, subset, split, its number, models) and
+    the backgrounds.
     """
-    root = Path(root)
-    if not categories:
-        raise ViewnetError(f"categories: give at least one of {', '.join(CATEGORIES)}")
-    check_request(root, {"models": models, "count": count, "workers": 1 if workers is None else workers})
-    images = () if backgrounds is None else tuple(backgrounds / path for path, _ in list_images(backgrounds)[0])
-    jobs = []
-    for category in dict.fromkeys(categories):
-        planned = plan(known(category, CATEGORIES, "category"), subset, models, count, seed)
-        jobs += [(root, category, model, photographs, images, seed) for model, photographs in planned.items()]
-        for part in parts(subset):
+
+    FOLDER = "pascal3d-stand-in"
+    VERSION = 1
+    category: str
+    subset: str = "imagenet"
+    models: int = 60
+    count: int = 600
+    seed: int = 0
+    backgrounds: str | None = None
+
+    def describe(self) -> dict[str, Any]:
+        """See StandIn.describe. Backgrounds are known by their paths and sizes."""
+        values = super().describe() | {"viewpoints": hashlib.sha256(histogram_file().read_bytes()).hexdigest()}
+        del values["backgrounds"]
+        if self.backgrounds is not None:
+            folder = Path(self.backgrounds)
+            names = [(path, (folder / path).stat().st_size) for path, _ in list_images(folder)[0]]
+            values["backgrounds"] = hashlib.sha256(repr(names).encode()).hexdigest()
+        return values
+
+    def prepare(self, root: Path) -> list[Callable[[], None]]:
+        """See StandIn.prepare."""
+        known(self.category, CATEGORIES, "category")
+        folder = Path(self.backgrounds or "")
+        images = [] if self.backgrounds is None else [folder / path for path, _ in list_images(folder)[0]]
+        for part in parts(self.subset):
             for split in SPLITS:
-                write_list(root, category, part, split, [_name(category, split, i) for i in range(count)])
-    total = sum(len(photographs) for *_, photographs, _, _ in jobs)
-    if workers is None:
-        workers = 1 if total < 200 else cores()  # for a few, starting processes takes longer
-    with bar(progress, total=total, desc="stand-in", unit="image") as shown:
-        for photographs_of_model in as_done(_write_model, jobs, workers, "the stand-in"):
-            shown.update(photographs_of_model)
+                names = [self.name(split, number) for number in range(self.count)]
+                write_list(root, self.category, part, split, names)
+        return [partial(_write_model, root, self, *planned, images) for planned in self.plan().items()]
+
+    def plan(self) -> dict[int, list[Photograph]]:
+        """The photographs of each model. Models of the first split are numbered before those of the second."""
+        viewpoints = sample(np.random.default_rng(self.seed), self.count).query("category == @self.category")
+        planned: dict[int, list[Photograph]] = {}
+        for place, split in enumerate(SPLITS):
+            angles = viewpoints.loc[viewpoints["split"] == split, ["azimuth", "elevation"]].to_numpy()
+            cameras = look_from(*angles.T.copy())
+            for part in parts(self.subset):
+                for number, ((azimuth, elevation), camera) in enumerate(zip(angles.tolist(), cameras, strict=True)):
+                    photograph = Photograph(part, self.name(split, number), azimuth, elevation, camera)
+                    planned.setdefault(place * self.models + number % self.models, []).append(photograph)
+        return planned
+
+    def name(self, split: str, number: int) -> str:
+        """The name of an image."""
+        return f"{self.category}_{split}_{number:05d}"
 
 
-def plan(category: str, subset: str, models: int, count: int, seed: int) -> dict[int, tuple[Photograph, ...]]:
-    """The photographs of each model. Models of the first split are numbered before those of the second."""
-    viewpoints = sample(np.random.default_rng(seed), count).query("category == @category")
-    planned: dict[int, list[Photograph]] = {}
-    for place, split in enumerate(SPLITS):
-        angles = viewpoints.loc[viewpoints["split"] == split, ["azimuth", "elevation"]].to_numpy()
-        cameras = look_from(*angles.T.copy())
-        for part in parts(subset):
-            for number, ((azimuth, elevation), camera) in enumerate(zip(angles.tolist(), cameras, strict=True)):
-                photograph = Photograph(part, split, _name(category, split, number), azimuth, elevation, camera)
-                planned.setdefault(place * models + number % models, []).append(photograph)
-    return {model: tuple(photographs) for model, photographs in planned.items()}
-
-
-def _name(category: str, split: str, number: int) -> str:
-    return f"{category}_{split}_{number:05d}"
-
-
-def _write_model(job: tuple[Path, str, int, tuple[Photograph, ...], tuple[Path, ...], int]) -> int:
-    """Write the photographs of one model; their number."""
-    root, category, model, photographs, backgrounds, seed = job
-    mesh = built_in_mesh(category, model, seed + MODEL_SEED)
-    generators = [_generator(seed, category, photograph.subset, photograph.name) for photograph in photographs]
+def _write_model(
+    root: Path, made: Pascal3DStandIn, model: int, photographs: list[Photograph], backgrounds: list[Path]
+) -> None:
+    """Write the photographs of one model, each by a generator of its own: none depends on how many there are."""
+    mesh = built_in_mesh(made.category, model, made.seed + MODEL_SEED)
+    generators = [seeded_generator(made.seed, made.category, shown.subset, shown.name) for shown in photographs]
     cameras = np.stack([photograph.world_from_camera for photograph in photographs])  # (V, 3, 3)
     lights = []
     for rng, camera in zip(generators, cameras, strict=True):
@@ -142,15 +124,8 @@ def _write_model(job: tuple[Path, str, int, tuple[Photograph, ...], tuple[Path, 
     renderings = render_cameras(mesh, cameras, np.stack(lights), OBJECT, 2, "raycast")
     for photograph, rendering, rng in zip(photographs, renderings, generators, strict=True):
         image, entry = _photograph(rendering, photograph, backgrounds, rng)
-        entry["class"] = category
-        write_annotated_image(root, category, photograph.subset, photograph.name, image, [entry])
-    return len(photographs)
-
-
-def _generator(seed: int, *names: str) -> np.random.Generator:
-    """A generator for each image, so that none depends on how many there are."""
-    digest = hashlib.sha256(" ".join((str(seed), *names)).encode()).digest()
-    return np.random.default_rng(int.from_bytes(digest[:8], "little"))
+        entry["class"] = made.category
+        write_annotated_image(root, made.category, photograph.subset, photograph.name, image, [entry])
 
 
 def _photograph(
@@ -172,7 +147,10 @@ def _photograph(
             (width - round(thing.width * (1 - beyond)), upper),
         )[int(rng.integers(3))]
     image = _background(backgrounds, rng)
-    _add_shadow(image, (left, upper, left + thing.width, upper + thing.height), rng)
+    high = thing.height * rng.uniform(0.08, 0.25)
+    foot = upper + thing.height
+    ground = (left, foot - 1.3 * high, left + thing.width, foot + 0.4 * high)
+    add_shadow(image, ground, int(255 * rng.uniform(0, 0.7)), 0.04 * thing.width)
     image.paste(thing, (left, upper), thing)
     x0, y0 = max(left, 0), max(upper, 0)
     x1, y1 = min(left + thing.width, width), min(upper + thing.height, height)
@@ -186,15 +164,6 @@ def _photograph(
     box = np.array([x0 + 1, y0 + 1, x1, y1], dtype=np.float64)  # from 1, the last pixel included
     flags = {"occluded": int(occluded), "truncated": int(truncated), "difficult": 0}
     return _exposed(image, rng), {"view": "Unspecified", "bbox": box, **flags, "viewpoint": viewpoint}
-
-
-def _add_shadow(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
-    """A soft shadow of random strength on the ground where an object will stand."""
-    x0, y0, x1, y1 = box
-    high = (y1 - y0) * rng.uniform(0.08, 0.25)
-    mask = Image.new("L", image.size, 0)
-    ImageDraw.Draw(mask).ellipse((x0, y1 - 1.3 * high, x1, y1 + 0.4 * high), int(255 * rng.uniform(0, 0.7)))
-    image.paste((15, 15, 18), mask=mask.filter(ImageFilter.GaussianBlur(0.04 * (x1 - x0))))
 
 
 def _occlude(image: Image.Image, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:

@@ -1,10 +1,15 @@
-"""What the stand-ins share: built-in models as meshes, checks of a request, and what decides their bytes."""
+"""What the stand-ins share: what decides their bytes, how they are written, built-in models as meshes."""
 
+import abc
 import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from operator import call
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFilter
 
 from viewnet import cad
 from viewnet.cad.writer import write_model
@@ -13,20 +18,48 @@ from viewnet.data.synthetic import scenes
 from viewnet.errors import ViewnetError
 from viewnet.render import VERSION as RENDER_VERSION
 from viewnet.render.mesh import Mesh
+from viewnet.runtime.parallel import as_done, cores
+from viewnet.runtime.progress import bar
+
+WORTH_PROCESSES = 16
+"""Objects below which starting processes takes longer than making their images."""
 
 
-def versions(own: int, category: str) -> list[int]:
-    """The versions of all code that decides the bytes of a stand-in of a category."""
-    return [own, cad.VERSIONS[category], RENDER_VERSION, scenes.VERSION]
+class StandIn(abc.ABC):
+    """A stand-in for a data set, as a dataclass of what decides it: its numbers, and the seed."""
 
+    FOLDER: ClassVar[str]
+    VERSION: ClassVar[int]
+    """Raise it when a change alters the files."""
 
-def check_request(root: Path, values: dict[str, int], least: int = 1) -> None:
-    """Raise ViewnetError for a value below `least`, and where `root` is not empty."""
-    for name, value in values.items():
-        if value < least:
-            raise ViewnetError(f"stand-in: {name} {value}: expected {least} or more")
-    if root.exists() and any(root.iterdir()):
-        raise ViewnetError(f"{root}: is not empty: name another folder")
+    def describe(self) -> dict[str, Any]:
+        """What decides its bytes, as JSON values: its fields, and the versions of all code that makes them."""
+        values = asdict(self)  # type: ignore[call-overload]
+        model = cad.VERSIONS[values.get("category", "car")]  # Freiburg's are all cars
+        versions = [self.VERSION, model, RENDER_VERSION, scenes.VERSION]
+        return {**values, "version": versions}
+
+    def write(self, root: Path, workers: int | None = None, progress: bool = True) -> None:
+        """Write it to `root` in the layout of the data set. `workers`: processes, None for one a core if it pays.
+
+        Raises ViewnetError for values out of range, and where `root` is not empty.
+        """
+        counts = {name: value for name, value in vars(self).items() if isinstance(value, int) and name != "seed"}
+        for name, value in (counts | {"workers": 1 if workers is None else workers}).items():
+            if value < 1:
+                raise ViewnetError(f"stand-in: {name} {value}: expected 1 or more")
+        if root.exists() and any(root.iterdir()):
+            raise ViewnetError(f"{root}: is not empty: name another folder")
+        jobs = self.prepare(root)
+        if workers is None:
+            workers = 1 if len(jobs) < WORTH_PROCESSES else cores()
+        with bar(progress, total=len(jobs), desc="stand-in", unit="object") as shown:
+            for _ in as_done(call, jobs, workers, "the stand-in"):
+                shown.update()
+
+    @abc.abstractmethod
+    def prepare(self, root: Path) -> Sequence[Callable[[], None]]:
+        """Write what there is once, and return what writes each object's images. Checks the other values."""
 
 
 def visible_box(alpha: np.ndarray) -> tuple[int, int, int, int]:
@@ -34,6 +67,13 @@ def visible_box(alpha: np.ndarray) -> tuple[int, int, int, int]:
     if box := Image.fromarray((alpha > 127).astype(np.uint8)).getbbox():
         return box
     raise ViewnetError("a model of the stand-in cannot be seen")
+
+
+def add_shadow(image: Image.Image, box: tuple[float, float, float, float], strength: int, blur: float) -> None:
+    """A soft shadow on the ground, an ellipse in `box`, of a strength from 0 to 255."""
+    mask = Image.new("L", image.size, 0)
+    ImageDraw.Draw(mask).ellipse(box, strength)
+    image.paste((15, 15, 18), mask=mask.filter(ImageFilter.GaussianBlur(blur)))
 
 
 def as_image(pixels: np.ndarray) -> Image.Image:
