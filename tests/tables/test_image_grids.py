@@ -101,13 +101,11 @@ def test_candidates_stand_by_rising_error_above_error_and_angle(runs, store):
 
 def test_candidates_are_drawn_from_their_own_viewpoint(runs, store):
     renderer = run_renderer.RunRenderer.of(runs[0].folder, store)
-    errors, drawn = image_grids._candidates(renderer, [0, 3, 5])
+    errors, drawn = image_grids.candidates(renderer, [0, 3, 5])
     assert errors.shape == drawn.shape[:2] == (3, 3)
     best = renderer.aligned.predictions.choice[3]
-    encoded = renderer.encode(renderer.next_views([3]))
-    assert np.array_equal(
-        drawn[1, best], renderer.displayed(renderer.render(encoded, renderer.predicted_frames([3])))[0]
-    )
+    own = renderer.render(renderer.encode(renderer.next_views([3])), renderer.predicted_frames([3]))
+    assert np.array_equal(drawn[1, best], renderer.displayed(own)[0])
 
 
 def test_no_runs_and_untrained_runs_are_refused(smoke_runs, store):
