@@ -1,7 +1,6 @@
 from __future__ import annotations
 
-import sys
-
+import av
 import numpy as np
 import pytest
 from helpers.boxes import box_store
@@ -44,7 +43,6 @@ def test_gif_has_every_frame(renderer, tmp_path):
 
 
 def test_mp4_has_every_frame(renderer, tmp_path):
-    av = pytest.importorskip("av")
     frames = turntable_of(renderer, 0, steps=5, hold=0, size=64)
     with av.open(str(turntable.save(frames, tmp_path / "turn.mp4", rate=10))) as back:
         found = [frame.to_ndarray(format="rgb24") for frame in back.decode(video=0)]
@@ -52,14 +50,11 @@ def test_mp4_has_every_frame(renderer, tmp_path):
     assert np.abs(found[2].astype(int) - frames[2]).mean() < 10
 
 
-def test_errors_of_writing(renderer, tmp_path, monkeypatch):
+def test_errors_of_writing(renderer, tmp_path):
     frames = [np.zeros((8, 8, 3), np.uint8)]
     with pytest.raises(ViewnetError, match=r"\.gif or \.mp4"):
         turntable.save(frames, tmp_path / "turn.webm")
     with pytest.raises(ViewnetError, match="no frames"):
         turntable.save([], tmp_path / "turn.gif")
-    monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(ViewnetError, match=r"PyAV is not installed: pip install av, or write a \.gif"):
-        turntable.save(frames, tmp_path / "turn.mp4")
     with pytest.raises(ViewnetError, match="size 65"):
         turntable_of(renderer, 0, size=65)

@@ -33,7 +33,7 @@ def estimator_of(renderer: RunRenderer) -> ViewpointEstimator:
 def turntable_of(renderer: RunRenderer, row: int, **options: int) -> list[np.ndarray]:
     """The turntable of a test view."""
     image, encoded, pose = renderer.test_images([row])[0], renderer.encode([row]), renderer.predicted_frames([row])[0]
-    return turntable.animate(renderer, image, encoded, pose, renderer.aligned.selected[row], **options)
+    return turntable.animate(renderer, image, encoded, pose, **options)
 
 
 def photograph(width: int = 90, height: int = 60, seed: int = 0) -> np.ndarray:

@@ -73,12 +73,11 @@ def test_gallery_tells_both_viewpoints(store, tmp_path):
     run = untrained_run(tmp_path / "run")
     figure = failures.gallery(run, lambda run: store, count=3)
     shown = images(figure)
-    assert all(len(line) == 6 for line in shown)
     (renderer,) = failures.renderers([run], lambda run: store)
     groups = failures.by_cause(renderer.aligned)
-    assert [axes.get_ylabel().replace("\n", " ") for axes in figure.axes[::6]] == [
-        f"{g.cause} {len(g.rows)} of 16" for g in groups
-    ]
+    labels = [axes.get_ylabel().replace("\n", " ") for axes in figure.axes if axes.get_ylabel()]
+    assert labels == [f"{g.cause} {len(g.rows)} of 16" for g in groups]
+    assert [len(line) for line in shown] == [2 * min(3, len(g.rows)) for g in groups]
     worst = renderer.aligned.predictions.ids.iloc[groups[0].rows[0]]
     assert figure.axes[0].get_xlabel() == f"true\n{round(worst['azimuth']) % 360}°, {round(worst['elevation'])}°"
     assert figure.axes[1].get_xlabel().startswith("predicted\n")

@@ -3,13 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.boxes import box_store
-from helpers.fake_steps import views
 from helpers.figures import images, inside
 from helpers.photo_data import make_photos
 from helpers.untrained_models import untrained_renderer, untrained_run
 
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.evaluate import align
 from viewnet.model import rendering
 from viewnet.tables import image_grids, plots, run_renderer
 
@@ -53,25 +51,22 @@ def test_runs_of_other_views_cannot_share_images(runs, store, tmp_path):
 
 
 def test_views_around_have_a_line_a_run_and_a_column_an_azimuth(runs, store):
-    figure = image_grids.around(
-        [runs[2], runs[0]], lambda run: store, azimuths=(0, 90, 180), elevation=10, object_number=1
-    )
+    figure = image_grids.around([runs[2], runs[0]], lambda run: store)
     shown = images(figure)
-    assert [len(line) for line in shown] == [4, 4]
-    assert [axes.get_title() for axes in figure.axes[:4]] == ["appearance", "0°", "90°", "180°"]
-    assert [axes.get_ylabel() for axes in figure.axes[::4]] == ["HoloGAN-\nDecoder", "ViewNet"]
+    assert [len(line) for line in shown] == [9, 9]
+    assert [axes.get_title() for axes in figure.axes[:4]] == ["appearance", "0°", "45°", "90°"]
+    assert [axes.get_ylabel() for axes in figure.axes[::9]] == ["HoloGAN-\nDecoder", "ViewNet"]
     # The same object for both, and not two views alike.
     assert np.array_equal(shown[0][0], shown[1][0])
     assert not np.array_equal(shown[1][1], shown[1][3])
     assert inside(figure)
-    with pytest.raises(ViewnetError, match="object 4: the test split has 4"):
-        image_grids.around(runs, lambda run: store, object_number=4)
 
 
-def test_volumes_stand_below_their_images_from_one_viewpoint(runs, store):
-    figure = image_grids.volumes(runs[:1], lambda run: store, count=4, columns=3)
+def test_volumes_stand_below_their_images_from_one_viewpoint(runs, store, monkeypatch):
+    monkeypatch.setattr(image_grids, "ACROSS", 3)
+    figure = image_grids.volumes(runs[:1], lambda run: store, count=4)
     shown = images(figure)
-    assert [[p is not None for p in line] for line in shown] == [[True] * 3] * 2 + [[True, False, False]] * 2
+    assert [len(line) for line in shown] == [3, 3, 1, 1]
     renderer = run_renderer.RunRenderer.of(runs[0].folder, store)
     assert np.array_equal(shown[2][0], renderer.test_images([9])[0])
     assert inside(figure)
@@ -89,32 +84,32 @@ def test_untrained_renderer_is_that_of_a_run(store, tmp_path):
     assert np.allclose(rendering.to_uint8(one.reconstruct([0])), rendering.to_uint8(other.reconstruct([0])), atol=2)
 
 
-def synthetic(run):
-    return views(run.config.data, progress=False)
-
-
-def two_heads(folder, store, rows):
-    """Two heads in the order (1, 0), uniform images of 10 and 20."""
-    n = len(rows)
-    images = np.stack([np.full((n, 8, 8, 3), 10, np.uint8), np.full((n, 8, 8, 3), 20, np.uint8)], axis=1)
-    heads = np.tile([1, 0], (n, 1))
-    return np.full((n, 8, 8, 3), 200, np.uint8), images, np.tile([0.1, 0.2], (n, 1)), heads
-
-
-def test_candidates_show_each_head_with_its_error_and_angle(smoke_runs):
-    figure = image_grids.candidate_figure(smoke_runs[:2], synthetic, two_heads, count=2)
-    assert len(figure.axes) == 4 * 3
-    aligned = align(smoke_runs[0].predictions)
-    n = len(aligned.predictions)
-    row = np.linspace(0, n - 1, 4).round().astype(int)[1]
-    labels = [axes.get_xlabel() for axes in figure.axes[:3]]
-    assert labels == ["", f"0.100 / {aligned.errors[row, 1]:.0f}°", f"0.200 / {aligned.errors[row, 0]:.0f}°"]
+def test_candidates_stand_by_rising_error_above_error_and_angle(runs, store):
+    figure = image_grids.candidate_figure(runs[:1], lambda run: store, count=2)
+    assert [len(line) for line in images(figure)] == [4, 4]
+    renderer = run_renderer.RunRenderer.of(runs[0].folder, store)
+    rows = np.linspace(0, len(renderer) - 1, 4).round().astype(int)[1:-1]
+    for row, line in zip(rows, (figure.axes[:4], figure.axes[4:]), strict=True):
+        assert np.array_equal(line[0].images[0].get_array(), renderer.test_images([row])[0])
+        numbers = [axes.get_xlabel().split(" / ") for axes in line[1:]]
+        errors = [float(error) for error, _ in numbers]
+        assert errors == sorted(errors)
+        assert sorted(angle for _, angle in numbers) == sorted(f"{a:.0f}°" for a in renderer.aligned.errors[row])
     assert figure.axes[0].get_ylabel() == "car"
-    assert figure.axes[-3].get_ylabel() == "chair"
+    assert inside(figure)
 
 
-def test_no_runs_and_untrained_runs_are_refused(smoke_runs):
-    with pytest.raises(ViewnetError, match="no runs to show"):
+def test_candidates_are_drawn_from_their_own_viewpoint(runs, store):
+    renderer = run_renderer.RunRenderer.of(runs[0].folder, store)
+    errors, drawn = image_grids.candidates(renderer, [0, 3, 5])
+    assert errors.shape == drawn.shape[:2] == (3, 3)
+    best = renderer.aligned.predictions.choice[3]
+    own = renderer.render(renderer.encode(renderer.next_views([3])), renderer.predicted_frames([3]))
+    assert np.array_equal(drawn[1, best], renderer.displayed(own)[0])
+
+
+def test_no_runs_and_untrained_runs_are_refused(smoke_runs, store):
+    with pytest.raises(ViewnetError, match="no runs"):
         image_grids.candidate_figure([])
-    with pytest.raises(ViewnetError, match="constant renders nothing"):
-        image_grids.candidate_figure(smoke_runs[2:], synthetic, two_heads)
+    with pytest.raises(ViewnetError, match="constant"):
+        image_grids.candidate_figure(smoke_runs[2:], lambda run: store)

@@ -31,7 +31,6 @@ from viewnet.evaluation.predict import predict
 from viewnet.model.checkpoint import load_model
 from viewnet.model.precision import autocast
 from viewnet.recipes import make_config
-from viewnet.tables.image_grids import ranked_reconstructions
 from viewnet.training import train as training
 from viewnet.training.train import train
 
@@ -316,8 +315,6 @@ def test_views_are_predicted_before_backgrounds_as_in_training_and_photographs_a
     assert np.array_equal(first.hypotheses, predict(folder, store, ("test",)).hypotheses)
     network, _ = load_model(folder)
     assert not np.allclose(first.hypotheses, predict(network, store, ("test",)).hypotheses)  # a network alone has none
-    inputs, drawings, errors, heads = ranked_reconstructions(folder, store, [0, 1])
-    assert inputs.shape[0] == drawings.shape[0] == len(errors) == len(heads) == 2
     opaque = np.array(store.images)
     opaque[..., 3] = 255
     photographs = dataclasses.replace(store, images=opaque)
@@ -330,16 +327,6 @@ def test_a_loaded_model_is_the_one_that_was_kept(run):
     assert loaded == config(epochs=1)
     assert not model.training
     assert same({k: v.cpu() for k, v in model.state_dict().items()}, weights(run))
-
-
-def test_candidates_are_ranked_by_what_they_draw(store, run):
-    views, drawn, errors, heads = ranked_reconstructions(run, store, [0, 3, 5])
-    size = config().model.render_size
-    assert views.shape == (3, size, size, 3)
-    assert drawn.shape == (3, 3, size, size, 3)
-    assert (errors[:, :-1] <= errors[:, 1:]).all()
-    assert (heads.argsort(axis=1).argsort(axis=1) == heads).all()  # a permutation of the heads each
-    assert sorted(heads[0].tolist()) == [0, 1, 2]
 
 
 @pytest.mark.parametrize(

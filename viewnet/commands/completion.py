@@ -21,8 +21,7 @@ from viewnet.recipes import PROFILES, RECIPES, VARIANTS
 
 VALUES = {"categories": CATEGORIES, "variant": VARIANTS, "profile": PROFILES, "recipe": RECIPES}
 """The values of arguments that have few; whatever uses an argument checks it."""
-FILES, FOLDERS = ("FILE", "IMAGE", "WHERE"), ("FOLDER",)
-"""Metavars of arguments that take files and folders."""
+FILES, FOLDERS = ("FILE", "IMAGE", "WHERE"), ("FOLDER",)  # metavars of arguments that take files and folders
 
 
 ARGUMENTS = (argument("shell", choices=("bash", "zsh", "tcsh")),)

@@ -10,8 +10,7 @@ from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS, make_config
 from viewnet.runtime import parallel
 
-Options = argparse.Namespace
-"""The parsed arguments that a command is run with."""
+Options = argparse.Namespace  # the parsed arguments that a command is run with
 Argument = tuple[list[str], dict[str, Any]]
 """Names and settings of an argument of a command. A list of arguments excludes each other."""
 

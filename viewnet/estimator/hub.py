@@ -16,23 +16,17 @@ def download(name: str, files: Sequence[str], **options: Any) -> Path:
     return Path(_request(name, lambda hub: hub.snapshot_download(name, allow_patterns=list(files), **options)))
 
 
-def push(
-    folder: Path,
-    repo_id: str,
-    files: Sequence[str],
-    *,
-    commit_message: str = "Upload a ViewNet model",
-    private: bool | None = None,
-    token: str | None = None,
-    branch: str | None = None,
-    create_pr: bool | None = None,
-) -> str:
-    """Upload these files of a folder and return the address of the commit. ViewnetError where that does not work."""
+def push(folder: Path, repo_id: str, files: Sequence[str], private: bool | None = None, **options: Any) -> str:
+    """Upload these files of a folder and return the address of the commit. ViewnetError where that does not work.
+
+    `options` are `token`, `branch`, and those of huggingface_hub's upload_folder, such as commit_message and create_pr.
+    """
+    token = options.pop("token", None)
+    commit = {"commit_message": "Upload a ViewNet model", "revision": options.pop("branch", None), **options}
 
     def upload(hub: Any) -> str:
         api = hub.HfApi(token=token)
         name = api.create_repo(repo_id=repo_id, private=private, exist_ok=True).repo_id
-        commit = {"commit_message": commit_message, "revision": branch, "create_pr": create_pr}
         return str(api.upload_folder(repo_id=name, folder_path=folder, allow_patterns=list(files), **commit))
 
     return _request(repo_id, upload, "takes no model")

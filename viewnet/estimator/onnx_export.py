@@ -12,8 +12,7 @@ from viewnet.estimator.pretrained import Pretrained
 from viewnet.model.viewnet import ViewpointNetwork
 from viewnet.runtime.files import replacing
 
-OUTPUTS = ("vectors", "logits", "ups")
-"""The last only of networks with in-plane rotation."""
+OUTPUTS = ("vectors", "logits", "ups")  # the last only of networks with in-plane rotation
 
 
 class _TensorOutputs(nn.Module):

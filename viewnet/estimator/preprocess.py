@@ -28,12 +28,9 @@ DTYPES = (np.uint8, np.float16, np.float32, np.float64)  # that PyTorch takes wi
 MARGIN = 0.2
 """Margin around an object that is cut out as the rendering camera frames objects, as a share of its longer side: a
 built-in car's longer side is 0.71 of its view's on average."""
-OPAQUE = (128, 128, 128)
-"""Colour in place of transparency, for networks that have always seen a background."""
-CHUNK = 16
-"""Images that a thread takes at once: few enough for a core's cache."""
-BRIGHT = 0.1
-"""An image whose edges are brighter than this on average is not black around its object."""
+OPAQUE = (128, 128, 128)  # colour in place of transparency, for networks that have always seen a background
+CHUNK = 16  # images that a thread takes at once: few enough for a core's cache
+BRIGHT = 0.1  # an image whose edges are brighter than this on average is not black around its object
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ def animate(
     image: np.ndarray,
     encoded: Encoded,
     pose: Tensor,
-    vector: np.ndarray,
     steps: int = 48,
     hold: int = 12,
     size: int = 192,
@@ -35,9 +34,9 @@ def animate(
     """Frames (H, W, 3) uint8: an `image` (S, S, 3) uint8 on the left, its reconstructed object turning on the right.
 
     The first `hold` frames stay at the predicted viewpoint, framed and labelled; `steps` frames then go once round at
-    its elevation. `pose` (3, 3) is the predicted camera frame in the network's own frame, `vector` (3,) its view vector
-    in the frame of the predictions, which labels and dial use. The dial is seen from above, the object's front pointing
-    down. `size` is the side of an image in pixels. ViewnetError unless it is even and 64 or more, and for no steps.
+    its elevation. `pose` (3, 3) is the predicted camera frame in the network's own frame; labels and dial are in that
+    of the predictions. The dial is seen from above, the object's front pointing down. `size` is the side of an image in
+    pixels. ViewnetError unless it is even and 64 or more, and for no steps.
     """
     if size < 64 or size % 2:
         raise ViewnetError(f"turntable: size {size}: expected an even number of 64 or more pixels")
@@ -49,7 +48,7 @@ def animate(
     poses[0] = pose
     rendered = renderer.displayed(renderer.render(encoded, poses, 2 * renderer.network.config.render_size))
     left = _scaled(image, size)
-    azimuth, height = (float(a) for a in geometry.azimuth_elevation(torch.from_numpy(np.array(vector))))
+    azimuth, height = (float(angle) for angle in geometry.azimuth_elevation(renderer.rotation @ pose[:, 2]))
     frames = []
     for step in [*[0] * hold, *range(steps)]:
         angle = (azimuth + 360 / steps * step) % 360
@@ -66,10 +65,7 @@ def check(path: Path) -> None:
 
 
 def save(frames: Sequence[np.ndarray], path: Path, rate: int = 16) -> Path:
-    """Write frames (H, W, 3) uint8, `rate` a second, as .gif, or as .mp4 if PyAV is installed, and return the path.
-
-    ViewnetError for another suffix, no frames, and .mp4 without PyAV.
-    """
+    """Write frames (H, W, 3) uint8, `rate` a second, as .gif or .mp4. ViewnetError for another suffix and no frames."""
     if not len(frames):
         raise ViewnetError(f"{path}: no frames to write")
     check(path)
@@ -78,10 +74,8 @@ def save(frames: Sequence[np.ndarray], path: Path, rate: int = 16) -> Path:
         with replacing(path) as temporary:
             first.save(temporary, save_all=True, append_images=others, duration=round(1000 / rate), loop=0)
         return path
-    try:
-        import av
-    except ImportError:
-        raise ViewnetError(f"{path}: PyAV is not installed: pip install av, or write a .gif") from None
+    import av  # loads the libraries of ffmpeg
+
     with replacing(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
         stream: Any = container.add_stream(codec, rate=rate)

@@ -217,9 +217,10 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         if path is not None:
             turntable.check(Path(path))
         prepared = self._one(image, mask, box)
-        pose, vector = self._predicted_poses(prepared)[0], self.predict(prepared).vector[0]
         pixels = rendering.to_uint8(prepared.images)[0]
-        frames = turntable.animate(self, pixels, self.encode(prepared), pose, vector, steps, hold, size)
+        frames = turntable.animate(
+            self, pixels, self.encode(prepared), self._predicted_poses(prepared)[0], steps, hold, size
+        )
         if path is not None:
             turntable.save(frames, Path(path), rate)
         return frames

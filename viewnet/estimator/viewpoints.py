@@ -13,8 +13,7 @@ from viewnet import geometry
 if TYPE_CHECKING:
     import pandas as pd  # loaded only for tables
 
-Floats = NDArray[np.float64]
-"""An array of double precision."""
+Floats = NDArray[np.float64]  # an array of double precision
 LINES = 12  # images that a summary lists
 
 

@@ -18,8 +18,7 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime.files import replacing
 
 SUFFIXES = (".glb", ".ply")
-Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""From the project's z up to glTF's y up."""
+Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from the project's z up to glTF's y up
 
 
 def surface(volume: Tensor, rotation: Tensor | None = None, level: float = 0.5) -> trimesh.Trimesh:

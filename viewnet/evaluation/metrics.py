@@ -150,38 +150,25 @@ def bootstrap_intervals(
 
 
 def mean_interval(
-    values: Sequence[Floats], objects: Sequence[NDArray[Any]], draws: int = 1000, seed: int = 0
+    values: Sequence[Floats], objects: Sequence[NDArray[Any]], draws: int = 1000, minus: Sequence[Floats] = ()
 ) -> tuple[float, float] | None:
     """95 % percentile interval of the mean over runs of means of values (N,), by resampling runs and objects (N,).
 
-    None with fewer than two objects, and for values that are NaN.
+    `minus` are the values of runs of another row, whose mean is subtracted. A draw takes the same objects for both
+    rows, since one object is hard for either, and runs of each by themselves; `objects` then has those of `values`
+    first. None with fewer than two objects, and for values that are NaN.
     """
     names, owners = _owners(objects)
     if len(names) < 2 or any(np.isnan(v).any() for v in values):
         return None
-    drawn = _resamples(len(names), len(values), np.random.default_rng(seed), draws)
+    rng = np.random.default_rng(0)
+    drawn = _resamples(len(names), len(values), rng, draws)
     times, shares = (np.stack(part).astype(np.float64) for part in zip(*drawn, strict=True))  # (draws, K), (draws, R)
-    low, high = np.percentile(_means(values, owners, times, shares), [2.5, 97.5])
-    return float(low), float(high)
-
-
-def difference_interval(
-    first: Sequence[Floats], second: Sequence[Floats], objects: Sequence[NDArray[Any]], draws: int = 1000, seed: int = 0
-) -> tuple[float, float] | None:
-    """95 % interval of the mean of `first` minus that of `second`, which are runs of two rows: values (N,) of images.
-
-    A draw takes the same objects for both rows, since one object is hard for either, and runs of each by themselves.
-    `objects` has those of the runs of `first`, then of `second`. None with fewer than two objects.
-    """
-    names, owners = _owners(objects)
-    if len(names) < 2:
-        return None
-    rng = np.random.default_rng(seed)
-    drawn = _resamples(len(names), len(first), rng, draws)
-    times, shares = (np.stack(part).astype(np.float64) for part in zip(*drawn, strict=True))  # (draws, K), (draws, R)
-    others = np.stack([share for _, share in _resamples(1, len(second), rng, draws)])  # (draws, R')
-    ours = _means(first, owners[: len(first)], times, shares)  # (draws,)
-    low, high = np.percentile(ours - _means(second, owners[len(first) :], times, others), [2.5, 97.5])
+    means = _means(values, owners[: len(values)], times, shares)  # (draws,)
+    if minus:
+        others = np.stack([share for _, share in _resamples(1, len(minus), rng, draws)])  # (draws, R')
+        means -= _means(minus, owners[len(values) :], times, others)
+    low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
 
 

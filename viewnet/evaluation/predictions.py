@@ -44,7 +44,8 @@ class Predictions:
         if len(shape) != 3 or shape[0] != len(ids) or shape[1] < 1 or shape[2] != 3:
             raise ViewnetError(f"predictions: hypotheses are {shape}, expected ({len(ids)}, M, 3) with M of 1 or more")
         for name, array in arrays.items():
-            if array.shape != (expected := shape[:2] if name == "logits" else shape):
+            expected = shape[:2] if name == "logits" else shape
+            if array.shape != expected:
                 raise ViewnetError(f"predictions: {name} are {array.shape}, expected {expected}")
         for name in vectors:
             lengths = np.linalg.norm(arrays[name], axis=-1)  # (N, M)
@@ -147,17 +148,11 @@ def read_parquet(path: Path) -> pd.DataFrame:
 
 def joined(parts: "Sequence[Predictions]") -> "Predictions":
     """Predictions of one predictor, concatenated. ViewnetError where they differ in hypotheses or up vectors."""
-    if len(heads := sorted({part.heads for part in parts})) != 1:
-        raise ViewnetError(f"predictions of {' and '.join(map(str, heads))} hypotheses cannot be joined")
-    ups = [part.ups for part in parts if part.ups is not None]
-    if 0 < len(ups) < len(parts):
-        raise ViewnetError("predictions with and without up vectors cannot be joined")
-    return Predictions(
-        pd.concat([part.ids for part in parts]),
-        np.concatenate([part.hypotheses for part in parts]),
-        np.concatenate([part.logits for part in parts]),
-        np.concatenate(ups) if ups else None,
-    )
+    frames = [part.to_frame() for part in parts]
+    if len({tuple(frame.columns) for frame in frames}) != 1:
+        heads = " and ".join(str(part.heads) for part in parts)
+        raise ViewnetError(f"predictions of {heads} hypotheses, or with and without up vectors, cannot be joined")
+    return Predictions.from_frame(pd.concat(frames))
 
 
 def object_names(ids: pd.DataFrame) -> NDArray[np.object_]:
@@ -189,14 +184,16 @@ def _checked_ids(ids: pd.DataFrame) -> pd.DataFrame:
         kind = "text" if name in ("model_id", "category", "split") else "numbers"
         if not (is_text(ids[name]).all() if kind == "text" else pd.api.types.is_numeric_dtype(ids[name])):
             raise ViewnetError(f"predictions: column {name!r} holds values that are not {kind}")
-    if not (np.abs(views := ids["view"].to_numpy(dtype=np.float64)) < 2**53).all() or (views % 1).any():
+    views = ids["view"].to_numpy(dtype=np.float64)
+    if not (np.abs(views) < 2**53).all() or (views % 1).any():  # doubles hold every whole number below
         raise ViewnetError("predictions: column 'view' holds values that are not whole numbers")
     ids = ids.astype(dict(zip(ID_COLUMNS, (str, str, str, np.int64, np.float64, np.float64), strict=True)))
     if not np.isfinite(ids[["azimuth", "elevation"]].to_numpy()).all():
         raise ViewnetError("predictions: azimuth or elevation is not finite")
     if not ids["elevation"].between(-90, 90).all():
         raise ViewnetError(f"predictions: elevation {ids['elevation'].abs().max():g} is outside -90 to 90 degrees")
-    if (duplicate := ids.duplicated(["category", "model_id", "view"])).any():
+    duplicate = ids.duplicated(["category", "model_id", "view"])
+    if duplicate.any():
         row = ids[duplicate].iloc[0]
         raise ViewnetError(f"predictions: view {row['view']} of model {row['model_id']} appears twice")
     return ids

@@ -52,13 +52,14 @@ def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
     rows = _matched(path, frame, ids)  # (N,)
     _check_truth(path, frame, ids.iloc[rows])
     heads = sum(name.startswith("h") and name.endswith("_x") and name[1:-2].isdigit() for name in frame.columns)
-    hypotheses = _vectors(path, frame, "h", heads)
-    ups = _vectors(path, frame, "up", heads) if "up0_x" in frame.columns else None
-    logits = np.zeros((len(frame), 1))
+    kinds = ["h{}_x", "h{}_y", "h{}_z"] + (["up{}_x", "up{}_y", "up{}_z"] if "up0_x" in frame.columns else [])
     if heads > 1 or "logit_0" in frame.columns:
-        logits = np.stack([_numbers(path, frame, f"logit_{m}") for m in range(heads)], axis=1)  # (N, M)
-    order = np.argsort(rows)
-    return Predictions(ids, hypotheses[order], logits[order], None if ups is None else ups[order])
+        kinds.append("logit_{}")
+    names = [kind.format(m) for m in range(heads) for kind in kinds]
+    numbers = pd.DataFrame({"logit_0": 0.0} | {name: _numbers(path, frame, name) for name in names}, frame.index)
+    _check_units(path, numbers)
+    in_order = numbers.iloc[np.argsort(rows)].reset_index(drop=True)
+    return Predictions.from_frame(pd.concat([ids.reset_index(drop=True), in_order], axis=1))
 
 
 def _frame(path: Path) -> pd.DataFrame:
@@ -91,16 +92,13 @@ def _numbers(path: Path, frame: pd.DataFrame, name: str) -> Floats:
     return values
 
 
-def _vectors(path: Path, frame: pd.DataFrame, prefix: str, count: int) -> Floats:
-    """Unit vectors (N, M, 3) of the columns <prefix><m>_x, <prefix><m>_y and <prefix><m>_z."""
-    vectors = []
-    for name in [f"{prefix}{m}" for m in range(count)]:
-        vector = np.stack([_numbers(path, frame, f"{name}_{axis}") for axis in "xyz"], axis=1)  # (N, 3)
-        wrong = np.abs((lengths := np.linalg.norm(vector, axis=1)) - 1) > UNIT_TOLERANCE  # (N,)
-        if (row := _first(frame, wrong)) is not None:
+def _check_units(path: Path, numbers: pd.DataFrame) -> None:
+    """ViewnetError for the first vector, the columns <name>_x, <name>_y and <name>_z, that is no unit vector."""
+    for name in [column.removesuffix("_x") for column in numbers.columns if column.endswith("_x")]:
+        lengths = np.linalg.norm(numbers[[f"{name}_{axis}" for axis in "xyz"]], axis=1)  # (N,)
+        wrong = np.abs(lengths - 1) > UNIT_TOLERANCE  # (N,)
+        if (row := _first(numbers, wrong)) is not None:
             raise ViewnetError(f"{path}: row {row}: {name} has length {lengths[wrong][0]:g}: expected a unit vector")
-        vectors.append(vector)
-    return np.stack(vectors, axis=1)  # (N, M, 3)
 
 
 def _matched(path: Path, frame: pd.DataFrame, ids: pd.DataFrame) -> NDArray[np.intp]:

@@ -29,19 +29,15 @@ from viewnet.tables.layouts import LAYOUTS
 TABLE = "table3_pascal3d"
 KINDS = ("procrustes", "robust", "linear", "per_angle")
 METRICS = (*HEADLINE, "dva")
-COUNTS = (16, 32, 64, 128, 256, 512)
-"""Calibration photographs, as far as there are so many; all of them as well."""
+COUNTS = (16, 32, 64, 128, 256, 512)  # calibration photographs, as far as there are so many; all of them as well
 DRAWS = 5
 CONCENTRATIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
 """How one-sided a subset is; 0: all photographs, 8: hardly any from beyond 45 degrees of the commonest side."""
-FEWEST = 16
-"""Photographs that a subset must have to calibrate, and to score."""
+FEWEST = 16  # photographs that a subset must have to calibrate, and to score
 EXPECTED = ("spread_linear", "acc30_gain", "dva_gain")
 RANDOM = "Random"
-RANDOM_SEED = 20211011
-"""Used nowhere else: a stand-in sampled from the same seed would be predicted by them."""
-FITTED = ("constant", "constant_rotation", "view_regression")
-"""Predictors fitted on calibration photographs."""
+RANDOM_SEED = 20211011  # used nowhere else: a stand-in sampled from the same seed would be predicted by them
+FITTED = ("constant", "constant_rotation", "view_regression")  # predictors fitted on calibration photographs
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,6 @@ def write(runs: Sequence[Run], folder: Path) -> tuple[list[Path], list[Path]]:
         mesh = volume_mesh.surface(encoded.volume[0], renderer.rotation)
         meshes.append(volume_mesh.write(mesh, folder / "meshes" / category / f"{ids['model_id']}-{ids['view']}.glb"))
         image, frame = renderer.test_images([0])[0], renderer.predicted_frames([0])[0]
-        images = turntable.animate(renderer, image, encoded, frame, renderer.aligned.selected[0])
+        images = turntable.animate(renderer, image, encoded, frame)
         turntables.append(turntable.save(images, folder / f"turntable_{category}.gif"))
     return meshes, turntables

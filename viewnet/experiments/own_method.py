@@ -38,8 +38,7 @@ from viewnet.runtime import provenance
 from viewnet.tables.layouts import ADDED, LAYOUTS
 from viewnet.tables.table import Entry, Table
 
-BATCH = 256
-"""Images in one call of `predict`, at most."""
+BATCH = 256  # images in one call of `predict`, at most
 
 Images = NDArray[np.uint8]
 

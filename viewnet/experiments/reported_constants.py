@@ -25,8 +25,7 @@ from viewnet.evaluation.predictions import Floats, true_vectors
 from viewnet.runtime.files import write_text
 from viewnet.tables import reported
 
-STEP = 2.0
-"""Degrees between neighbours of the grid of all constants."""
+STEP = 2.0  # degrees between neighbours of the grid of all constants
 COVER = float(np.degrees(2 * np.arccos(np.cos(np.radians(STEP / 4)) ** 2)))
 """No viewpoint is further from the grid, degrees: for level cameras cos(error / 2) = cos(da / 2) cos(de / 2)."""
 REPRODUCED = {"acc30": 1.0, "median": 0.5, "dva": 1.0}

@@ -32,10 +32,8 @@ from viewnet.runs import make_run, other_views
 from viewnet.runs.make_run import Steps
 from viewnet.runtime.files import read_json, write_json
 
-LEARNED = ("procrustes", "robust", "linear")
-"""The alignments of a trained network's predictions."""
-OWN = "own"
-"""The rotation saved with a model: fitted on its own validation views, whatever is scored."""
+LEARNED = ("procrustes", "robust", "linear")  # the alignments of a trained network's predictions
+OWN = "own"  # the rotation saved with a model: fitted on its own validation views, whatever is scored
 HEADER = ("aligned", "within 30, %", "median, degrees", "DVA, %", "flips, %", "best of the heads, %")
 
 

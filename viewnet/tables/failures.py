@@ -63,11 +63,11 @@ def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
     kinds = {"true": angles(renderer.aligned.predictions.truth), "predicted": angles(renderer.aligned.selected)}
     lines, captions, labels = [], [], []
     for group in groups:
-        rows, empty = group.rows[:count], 2 * max(0, count - len(group.rows))
+        rows = group.rows[:count]
         pairs = zip(renderer.test_images(rows), renderer.displayed(renderer.reconstruct(rows)), strict=True)
         each = itertools.product(rows, kinds.items())
         texts = (f"{kind}\n{round(a[row]) % 360}°, {round(e[row])}°" for row, (kind, (a, e)) in each)
-        lines.append([*itertools.chain.from_iterable(pairs), *[None] * empty])
-        captions.append([*texts, *[""] * empty])
+        lines.append(list(itertools.chain.from_iterable(pairs)))
+        captions.append(list(texts))
         labels.append(f"{group.cause}\n{len(group.rows)} of {group.views}")
     return image_grid(lines, labels, captions=captions, gaps=range(2, 2 * count, 2))

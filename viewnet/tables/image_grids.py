@@ -7,30 +7,27 @@ HoloGAN decoder on its own black.
 
 import itertools
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 
 import matplotlib
 import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from viewnet.data import augment
-from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.run import Run, run_name
 from viewnet.geometry import look_at, view_vector
-from viewnet.model.reconstruction import reconstruct
-from viewnet.model.rendering import to_uint8
+from viewnet.model.reconstruction import compare
 from viewnet.runtime.images import resize
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.plots import STYLE
 from viewnet.tables.run_renderer import RunRenderer, Stores, own_views, renderers
 
 CELL = 0.78  # inches: the side of an image in a grid
-Ranked = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Views (N, H, W, 3), reconstructions (N, M, H, W, 3) uint8, their errors and the heads, (N, M)."""
+AZIMUTHS = tuple(range(0, 360, 45))  # degrees, of views around an object
+ELEVATION = 20.0  # the same: low enough to tell front from rear, high enough to see the top
+VIEWPOINT = (40.0, 25.0)  # annotated azimuth and elevation that volumes are shown from
+ACROSS = 7  # volumes in a line
 
 
 def reconstructions(runs: Sequence[Run], stores: Stores = own_views, count: int = 3) -> Figure:
@@ -52,129 +49,80 @@ def reconstructions(runs: Sequence[Run], stores: Stores = own_views, count: int 
                 names = " and ".join(run_name(r.config) for r in (group[0], renderer))
                 raise ViewnetError(f"{names} have other views: they cannot be shown the same images")
             columns.append((_label(renderer, group), renderer.displayed(renderer.reconstruct(rows))))
-    lines = [[images[i] if i < len(images) else None for _, images in columns] for i in range(count)]
+    lines = [list(line) for line in itertools.zip_longest(*(images for _, images in columns))]
     return image_grid(lines, columns=[title for title, _ in columns], gaps=gaps[1:])
 
 
-def around(
-    runs: Sequence[Run],
-    stores: Stores = own_views,
-    azimuths: Sequence[float] = tuple(range(0, 360, 45)),
-    elevation: float = 20.0,
-    object_number: int | None = None,
-) -> Figure:
+def around(runs: Sequence[Run], stores: Stores = own_views) -> Figure:
     """Views all around one object at constant elevation: a row for each run, the appearance image first.
 
-    Runs are grouped by variant, as in the paper; within a category all have the same object (`object_number` of the
-    test split, the middle one if None). Own azimuths are shifted to the annotated ones and nothing else is aligned, so
-    a network without a common frame is shown in its own. Raises ViewnetError for an object that does not exist.
+    Runs are grouped by variant, as in the paper; within a category all have the same object, the middle one of the test
+    split. Own azimuths are shifted to the annotated ones and nothing else is aligned, so a network without a common
+    frame is shown in its own.
     """
     all_renderers = renderers(runs, stores)
     several = len({r.config.category for r in all_renderers}) > 1
-    angles = torch.tensor(azimuths, dtype=torch.float32)
+    angles = torch.tensor(AZIMUTHS, dtype=torch.float32)
     lines, labels = [], []
     variants = [r.config.variant for r in all_renderers]
     for renderer in sorted(all_renderers, key=lambda r: variants.index(r.config.variant)):
         first = renderer.views.first
-        if object_number is not None and not 0 <= object_number < len(first):
-            raise ViewnetError(f"object {object_number}: the test split has {len(first)}: choose one from 0 on")
-        row = int(first[len(first) // 2 if object_number is None else object_number])
-        frames = renderer.level(angles, torch.full_like(angles, elevation))
+        row = int(first[len(first) // 2])
+        frames = renderer.level(angles, torch.full_like(angles, ELEVATION))
         rendered = renderer.displayed(renderer.render(renderer.encode([row]), frames))
         lines.append([renderer.test_images([row])[0], *rendered])
         labels.append(_label(renderer, all_renderers) + (f"\n{renderer.config.category}" if several else ""))
-    return image_grid(lines, labels, ["appearance", *(f"{azimuth:g}°" for azimuth in azimuths)], gaps=[1])
+    return image_grid(lines, labels, ["appearance", *(f"{azimuth}°" for azimuth in AZIMUTHS)], gaps=[1])
 
 
-def volumes(
-    runs: Sequence[Run],
-    stores: Stores = own_views,
-    count: int = 14,
-    columns: int = 7,
-    viewpoint: tuple[float, float] = (40.0, 25.0),
-) -> Figure:
-    """Images of `count` test objects, and below each its volume from one annotated `viewpoint` (azimuth, elevation)."""
-    lines: list[list[np.ndarray | None]] = []
+def volumes(runs: Sequence[Run], stores: Stores = own_views, count: int = 2 * ACROSS) -> Figure:
+    """Images of `count` test objects, and below each its volume, all from VIEWPOINT."""
+    lines: list[list[np.ndarray]] = []
     labels, gaps = [], []
     for renderer in renderers(runs, stores):
         rows = _rows(renderer, count)
-        frames = look_at(view_vector(*(torch.tensor([angle]) for angle in viewpoint))).expand(len(rows), 3, 3)
+        frames = look_at(view_vector(*(torch.tensor([angle]) for angle in VIEWPOINT))).expand(len(rows), 3, 3)
         size = 2 * renderer.network.config.render_size
         images = renderer.test_images(rows)
         rendered = renderer.displayed(renderer.render(renderer.encode(rows), renderer.in_own_frame(frames), size))
-        for start in range(0, len(rows), columns):
-            for part in (images, rendered):
-                line = list(part[start : start + columns])
-                lines.append([*line, *[None] * (columns - len(line))])
+        for start in range(0, len(rows), ACROSS):
+            lines += [list(part[start : start + ACROSS]) for part in (images, rendered)]
             labels += ["image", "volume"]
             gaps.append(len(lines))
     return image_grid(lines, labels, row_gaps=gaps[:-1])
 
 
+def candidate_figure(runs: Sequence[Run], stores: Stores = own_views, count: int = 1) -> Figure:
+    """Figure 3 (d): `count` test images of each run, evenly spaced, and their reconstruction by every head.
+
+    Heads stand by rising reconstruction error (equation 2), which is written below with the angle between viewpoint and
+    truth. The appearance comes from the object's next view. ViewnetError without runs, and for untrained ones.
+    """
+    lines, captions, labels = [], [], []
+    for renderer in renderers(runs, stores):
+        rows = np.linspace(0, len(renderer) - 1, count + 2).round().astype(int)[1:-1].tolist()
+        angles = renderer.aligned.errors[rows]  # (N, M) degrees
+        errors, rendered = candidates(renderer, rows)
+        for image, of_heads, error, angle in zip(renderer.test_images(rows), rendered, errors, angles, strict=True):
+            order = np.argsort(error)
+            lines.append([image, *of_heads[order]])
+            captions.append(["error / angle", *(f"{error[m]:.3f} / {angle[m]:.0f}°" for m in order)])
+            labels.append(renderer.config.category)
+    return image_grid(lines, labels, captions=captions, gaps=[1])
+
+
 @torch.no_grad()
-def ranked_reconstructions(folder: Path, store: ViewStore, rows: list[int]) -> Ranked:
-    """Some test views of a run, each reconstructed by every head, by rising reconstruction error; see Ranked.
-
-    The appearance comes from the object's next view, the background is white. ViewnetError as of RunRenderer.of.
-    """
-    renderer = RunRenderer.of(folder, store)
-    network, train, views = renderer.network, renderer.config.train, renderer.views
-    size, small, index = network.config.render_size, network.config.input_size, torch.tensor(rows)
-    images, background = views.viewpoint_input(index, small, renderer.device), None
-    if renderer.backgrounds is not None:
-        generator = torch.Generator().manual_seed(0)
-        images = augment.photograph(images, renderer.backgrounds, train.photo, generator)
-        background = augment.windows(renderer.backgrounds, len(rows), small, generator, renderer.device)
-    target = renderer.images(rows, small)
-    target = resize(target, size)
-    appearance = renderer.images(renderer.next_views(rows), small)
-    result = reconstruct(network, appearance, target, images, train, background=background)
-    cameras = result.hypotheses.world_from_camera.flatten(0, 1)  # (N M, 3, 3)
-    rendered = to_uint8(network.render(result.objects.volume, result.objects.code, cameras))
-    errors, heads = (x.cpu().numpy() for x in result.choice.errors.sort(1))
-    by_head = rendered.reshape(len(rows), -1, *rendered.shape[1:])  # (N, M, H, W, 3)
-    return to_uint8(renderer.images(rows, size)), by_head[np.arange(len(rows))[:, None], heads], errors, heads
-
-
-@matplotlib.rc_context(STYLE)
-def candidate_figure(
-    runs: Sequence[Run],
-    stores: Stores = own_views,
-    ranked: Callable[[Path, ViewStore, list[int]], Ranked] = ranked_reconstructions,
-    count: int = 1,
-) -> Figure:
-    """Figure 3 (d) of trained runs of the same number of heads, `count` test images of each, evenly spaced.
-
-    Raises ViewnetError without runs, for untrained ones and for images of different sizes.
-    """
-    parts, labels = [], []
-    for run in runs:
-        if not run.trained:
-            raise ViewnetError(f"figure 3: {run.config.variant} renders nothing: choose a trained variant")
-        aligned = align(run.predictions, run.alignment)
-        rows = np.linspace(0, len(aligned.predictions) - 1, count + 2).round().astype(int)[1:-1]
-        inputs, rendered, errors, heads = ranked(run.folder, stores(run), rows.tolist())
-        parts.append((inputs, rendered, errors, np.take_along_axis(aligned.errors[rows], heads, axis=1)))
-        labels += [run.config.category] * len(rows)
-    if not parts:
-        raise ViewnetError("figure 3: no runs to show: train some first")
-    if len(sizes := {part[1].shape[1:] for part in parts}) > 1:
-        raise ViewnetError(f"figure 3: images of {len(sizes)} sizes cannot share a grid: show runs of one profile")
-    inputs, rendered, errors, angles = (np.concatenate(column) for column in zip(*parts, strict=True))
-    n, m = rendered.shape[:2]
-    figure = Figure(figsize=(0.9 * (m + 1), 1.05 * n + 0.2), layout="constrained")
-    grid = figure.subplots(n, m + 1, squeeze=False)
-    for (i, j), axes in np.ndenumerate(grid):
-        axes.imshow(rendered[i, j - 1] if j else inputs[i], interpolation="nearest")
-        axes.set(xticks=[], yticks=[])
-        axes.spines[:].set_visible(False)
-        if j:
-            axes.set_xlabel(f"{errors[i, j - 1]:.3f} / {angles[i, j - 1]:.0f}°", labelpad=2, fontsize=7)
-        else:
-            axes.set_ylabel(labels[i])
-    grid[0, 0].set_title("input", fontsize=8)
-    grid[0, 1].set_title("error / angle", fontsize=8, loc="left")
-    return figure
+def candidates(renderer: RunRenderer, rows: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Reconstruction errors (N, M) of N test views by M heads, as in training, and the images (N, M, S, S, 3) uint8."""
+    config = renderer.network.config
+    found = renderer.aligned.predictions.take(rows)
+    vectors = torch.tensor(found.hypotheses, dtype=torch.float32, device=renderer.device)  # (N, M, 3)
+    ups = None if found.ups is None else torch.tensor(found.ups, dtype=torch.float32, device=renderer.device)
+    objects = renderer.encode(renderer.next_views(rows))
+    target = resize(renderer.images(rows, config.input_size), config.render_size)
+    errors = compare(renderer.network, objects, vectors[:, :, None], ups, target, renderer.config.train)[1]  # (N, M)
+    images = renderer.displayed(renderer.render(objects, look_at(vectors, ups).flatten(0, 1)))  # (N M, S, S, 3)
+    return errors.cpu().numpy(), images.reshape(*errors.shape, *images.shape[1:])
 
 
 @matplotlib.rc_context(STYLE)
@@ -188,21 +136,21 @@ def image_grid(
 ) -> Figure:
     """Images (H, W, 3) uint8 in a grid, None for an empty cell: labels of `rows` and `columns`, captions below images.
 
-    A little space is left before the columns `gaps` and the lines `row_gaps`.
+    Lines may differ in length. A little space is left before the columns `gaps` and the lines `row_gaps`.
     """
     titles = [_wrapped(title) for title in columns]
     left, under = 0.42 if rows else 0.04, 0.27 if captions else 0.03
     top = 0.06 + 0.12 * max((title.count("\n") + 1 for title in titles), default=0)
-    x = _places(len(lines[0]), CELL + 0.03, gaps, left)
+    x = _places(max(map(len, lines)), CELL + 0.03, gaps, left)
     y = _places(len(lines), CELL + under, row_gaps, top)
     width, height = x[-1], y[-1] + 0.02
     figure = Figure(figsize=(width, height))
-    for i, j in np.ndindex(len(lines), len(lines[0])):
+    for (i, j), image in {(i, j): image for i, line in enumerate(lines) for j, image in enumerate(line)}.items():
         box = (x[j] / width, 1 - (y[i] + CELL) / height, CELL / width, CELL / height)
         axes = figure.add_axes(box, label=f"{i} {j}")
         axes.set(xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
-        if (image := lines[i][j]) is not None:
+        if image is not None:
             axes.imshow(image, interpolation="nearest")
         if captions and captions[i][j]:
             axes.set_xlabel(captions[i][j], fontsize=5.5, labelpad=1.5, linespacing=1.0)

@@ -13,8 +13,7 @@ SHORT = {"aeroplane": "airplane", "bicycle": "bike", "diningtable": "table", "mo
 NAMED = {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}"}
 SPECIAL = str.maketrans(NAMED | {character: f"\\{character}" for character in "&%$#_{}"})
 """Special characters of LaTeX -> how they are written."""
-WIDE = 4
-"""With more categories than this, a measured number stands below the reported one and not beside it."""
+WIDE = 4  # with more categories than this, a measured number stands below the reported one and not beside it
 
 
 def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ()) -> str:

@@ -34,10 +34,8 @@ from viewnet.tables.columns import DASH, FIDELITY, HEADLINE, METRICS
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, renderers
 
-COPY = "Appearance view"
-"""The row of the appearance view itself, in the place of a rendered view."""
-HIGHEST = 100.0
-"""dB: the PSNR of equal images."""
+COPY = "Appearance view"  # the row of the appearance view itself, in the place of a rendered view
+HIGHEST = 100.0  # dB: the PSNR of equal images
 DRAWS = 1000
 
 

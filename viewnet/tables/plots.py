@@ -38,8 +38,7 @@ LOGGED = {"val_accuracy": "validation accuracy (%)", "val_folded": "the same, fo
     "val_reconstruction": "validation error", "val_least_used": "least used head (%)",
     "val_focal": "focal length", "loss": "training loss"}  # fmt: skip
 """Columns of a run's log that are no term of its loss, and their titles."""
-COUNTED = ("epoch", "step", "seconds")
-"""Columns that only say where the training is."""
+COUNTED = ("epoch", "step", "seconds")  # columns that only say where the training is
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
 LEGEND: Any = {"loc": "outside right upper", "frameon": False, "fontsize": 7}
 

@@ -127,8 +127,7 @@ def own_views(run: Run) -> ViewStore:
     return view_store(run.config.data, progress=False)
 
 
-Stores = Callable[[Run], ViewStore]
-"""The views to use of a run: its own (`own_views`), or photographs."""
+Stores = Callable[[Run], ViewStore]  # the views to use of a run: its own (`own_views`), or photographs
 
 
 def renderers(runs: Sequence[Run], stores: Stores = own_views) -> "list[RunRenderer]":

@@ -220,7 +220,7 @@ class Table:
         (mine, objects), (other, other_objects) = (
             self._hits.get((label, category), ([], [])) for label in (row, reference)
         )
-        return metrics.difference_interval(mine, other, objects + other_objects) if mine and other else None
+        return metrics.mean_interval(mine, objects + other_objects, minus=other) if mine and other else None
 
     @functools.cached_property
     def _hits(self) -> dict[tuple[str, str], tuple[list[np.ndarray], list[np.ndarray]]]:

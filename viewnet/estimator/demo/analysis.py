@@ -14,8 +14,7 @@ from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
 from viewnet.model.reconstruction import Encoded
 
-SIZE = 256
-"""Pixels along a side of rendered images, about."""
+SIZE = 256  # pixels along a side of rendered images, about
 
 
 @dataclass(frozen=True, eq=False)

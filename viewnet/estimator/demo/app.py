@@ -24,8 +24,7 @@ from viewnet.estimator.demo.examples import Example
 from viewnet.estimator.templating import rendered
 from viewnet.model.reconstruction import Encoded
 
-LIFETIME = 3600
-"""Seconds after which files that visitors sent, and what was made of them, are deleted."""
+LIFETIME = 3600  # seconds after which files that visitors sent, and what was made of them, are deleted
 WAITING = "<p>Choose an image, say where its object is, and press <b>Find the viewpoint</b>.</p>"
 STYLE = Path(__file__).parents[1] / "templates" / "demo.css"
 

@@ -14,8 +14,7 @@ from viewnet.render import render_mesh
 
 VIEWPOINTS = ((35.0, 15.0), (140.0, 10.0), (250.0, 25.0), (320.0, 5.0))
 """Azimuth and elevation in degrees, one for each model."""
-SEED = 2000
-"""Of the models: other ones than in training and in the stand-ins for photographs."""
+SEED = 2000  # of the models: other ones than in training and in the stand-ins for photographs
 SIZE = 256
 BACKGROUND = (400, 300)
 

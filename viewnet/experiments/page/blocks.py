@@ -23,8 +23,7 @@ BESIDE = {
     "nearest": "How near test models are to those trained on: IoU of silhouettes with the most alike",
 }
 """End of a CSV file's name beside a table -> its title."""
-Files = Mapping[str, Path]
-"""Name -> file."""
+Files = Mapping[str, Path]  # name -> file
 
 
 @dataclass(frozen=True)

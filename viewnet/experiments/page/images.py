@@ -14,10 +14,8 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import opened
 
 SUFFIXES = (".png", ".gif")
-MOVING: dict[str, Any] = {"quality": 70, "method": 2, "loop": 0, "save_all": True}
-"""Options of animations as WebP."""
-SHOWN = 0.55
-"""CSS pixels per pixel of a figure: figures are saved at twice the resolution of a screen."""
+MOVING: dict[str, Any] = {"quality": 70, "method": 2, "loop": 0, "save_all": True}  # options of animations as WebP
+SHOWN = 0.55  # CSS pixels per pixel of a figure: figures are saved at twice the resolution of a screen
 TEMPLATES = Path(__file__).parent / "templates"
 CAPTIONS = tomllib.loads((TEMPLATES / "captions.toml").read_text(encoding="utf-8"))
 

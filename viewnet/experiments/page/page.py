@@ -31,10 +31,8 @@ from viewnet.runtime.progress import bar
 log = logging.getLogger(__name__)
 
 NAME = "index.html"
-LIMIT = 8_000_000
-"""Bytes; the figures of a larger page are shrunk."""
-WIDTHS = (1700, 1000, 500)
-"""Maximal pixels across a figure, tried in turn until the page is within the limit."""
+LIMIT = 8_000_000  # bytes; the figures of a larger page are shrunk
+WIDTHS = (1700, 1000, 500)  # maximal pixels across a figure, tried in turn until the page is within the limit
 IGNORED = ("published/*", NAME, ".*")
 
 
