@@ -1,13 +1,15 @@
 """Recipes (how a run is trained), variants (rows of the tables) and profiles (how big), as changes to viewnet.config.
 
-Each is a dictionary of changes to the base configuration, so Table 2 is literally `VARIANTS`, and there is one place
-where each setting is decided: recipe, then profile, then variant, then what the user sets.
+Each is a dictionary of changes to the base configuration, so Table 2 is literally `VARIANTS`. A setting has its value
+from the last of these layers that changes it: the recipe, the profile, both together (`TOGETHER`), videos (`FILMED`),
+weights to start from (`STARTED`), the variant, a collection of files (`COLLECTED`), and what the user sets.
 
 >>> config = make_config("single_head", "chair", profile="smoke", epochs=3)
 >>> config.model.heads, config.train.epochs, config.data.models, config.recipe
 (1, 3, 30, 'matting')
 """
 
+from dataclasses import replace
 from typing import Any
 
 from viewnet.config import CATEGORIES, RunConfig, build, known, settings
@@ -60,6 +62,9 @@ RECIPES["photos"] = merged(
     },
 )
 
+NO_SEARCH: Changes = {"train": {"search": {"share": 0.0}, "comparison": {"neighbours": 0.0}}}
+"""Heads are compared by their own viewpoints alone, as in the paper."""
+
 VARIANTS: dict[str, Changes] = {
     "viewnet": {},
     "viewnet_cycle": {"train": {"cycle": {"on": True}}},
@@ -67,7 +72,9 @@ VARIANTS: dict[str, Changes] = {
     "segmentation_target": {"train": {"target": "mask"}},
     "no_shape_prior": {"model": {"shape_prior": False}},
     "encoder_decoder": {"model": {"decoder": "encoder_decoder"}},
-    "hologan_decoder": {"model": {"decoder": "hologan"}},
+    # Each viewpoint that is compared is an image by the HoloGAN decoder: 32 a target in a search.
+    "hologan_decoder": merged(NO_SEARCH, {"model": {"decoder": "hologan"}}),
+    "no_search": NO_SEARCH,  # what the row above is to be compared with
 }
 """The trained rows of Tables 1 and 2."""
 
@@ -159,7 +166,8 @@ TOGETHER: dict[tuple[str, str], Changes] = {
 # Shapes and viewpoints are there already, so neither is searched for again.
 STARTED: Changes = {"train": {"search": {"share": 0.0}}}
 """What changes for a run that starts from another one's weights."""
-
+COLLECTED: Changes = {"data": {"models": 0}}
+"""What changes for CAD models in files, at every profile but the smallest: all of them are used."""
 
 FILMED: dict[str, Changes] = {
     # All frames of the 48 Freiburg cars, 5800 views: with and without cycles side by side in about ten minutes.
@@ -203,12 +211,21 @@ def make_config(
         FILMED.get(profile, {}) if overrides.get("video") is not None else {},
         STARTED if overrides.get("start") is not None else {},
         VARIANTS[variant],
+        COLLECTED if data_root is not None and profile != "smoke" else {},
         overridden(overrides),
     ]
-    if data_root is not None and profile != "smoke" and "models" not in overrides:
-        changes.append({"data": {"models": 0}})
     run = {"variant": variant, "category": category, "profile": profile, "recipe": recipe, "seed": seed}
     return build(RunConfig, {**run, **merged(*changes)}, "config")
+
+
+def is_viewnet(variant: str, recipe: str) -> bool:
+    """Whether a variant changes nothing of a recipe, as "no_search" of the paper's, which has none: no row of its own.
+
+    >>> is_viewnet("no_search", "paper"), is_viewnet("no_search", "matting")
+    (True, False)
+    """
+    changed = replace(make_config(variant, recipe=recipe), variant="viewnet")
+    return variant != "viewnet" and changed == make_config(recipe=recipe)
 
 
 def overridden(overrides: dict[str, Any]) -> Changes:

@@ -15,7 +15,7 @@ from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.request import Request, accepted
-from viewnet.recipes import make_config
+from viewnet.recipes import is_viewnet, make_config
 from viewnet.runs.other_views import transferred
 from viewnet.runs.run_store import ensure, untrained
 from viewnet.tables.layouts import LAYOUTS
@@ -23,6 +23,10 @@ from viewnet.tables.table import Entry, Table, entries
 
 Rows = dict[str, tuple[ViewStore, NDArray[np.intp]]]
 """Split, "val" to align on and "test" to score -> a view store and which of its rows."""
+
+
+def _is_viewnet(variant: str, recipe: str) -> bool:
+    return variant not in UNTRAINED and is_viewnet(variant, recipe)
 
 
 class Experiment(Request):
@@ -36,8 +40,10 @@ class Experiment(Request):
     @property
     def configs(self) -> list[RunConfig]:
         """One configuration a run: by recipe, variant, category and seed; untrained variants once a category."""
-        runs = product(self.recipes, product(self.variants, self.categories, self.seeds))
-        return list(dict.fromkeys(self._config(*run, recipe=recipe) for recipe, run in runs))
+        trained = ((recipe, variant) for recipe, variant in product(self.recipes, self.variants))
+        rows = [(recipe, variant) for recipe, variant in trained if not _is_viewnet(variant, recipe)]
+        runs = product(rows, self.categories, self.seeds)
+        return list(dict.fromkeys(self._config(variant, *run, recipe=recipe) for (recipe, variant), *run in runs))
 
     def _config(
         self, variant: str, category: str, seed: int, *, recipe: str | None = None, **overrides: Any
@@ -82,7 +88,8 @@ class Experiment(Request):
 
         own = entries(self.name, runs, predictions)
         rows = LAYOUTS[self.name].rows
-        unmeasured = [row.label for row in rows if row.variant and row.variant not in self.variants]
+        measured = {config.variant for config in self.configs}
+        unmeasured = [row.label for row in rows if row.variant and row.variant not in measured]
         return Table.of(self.name, own, self.categories, self.note, remarks, unmeasured=unmeasured, added=added)
 
     def eval_data(self, config: RunConfig) -> DataConfig:

@@ -92,6 +92,7 @@ LAYOUTS = {
             Row("ViewNet", "viewnet"), Row("Single-head", "single_head"),
             Row("Segmentation Target", "segmentation_target"), Row("No Shape Prior", "no_shape_prior"),
             Row("Encoder-Decoder", "encoder_decoder"), Row("HoloGAN-Decoder", "hologan_decoder"),
+            Row("ViewNet without search", "no_search"),  # not in the paper: what HoloGAN's row is compared with
             Row("Constant", "best_constant"),
             Row("Constant, as printed", "constant"),  # the mean of view vectors, which points to the sky
             Row("Random", "random"),  # not in the paper
