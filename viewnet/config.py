@@ -182,7 +182,6 @@ class PhotoAugmentationConfig:
     views_per_target: int = 1  # differently made images of each target [ours] (R)
     box_error: float = 0.0  # the crop is off by up to this share of its sides [ours] (R)
     tilt: float = 0.0  # degrees: and tilted by up to so much [ours] (R)
-    occlude: float = 0.0  # share of images with something before the object [ours] (R)
     exposure: float = 0.0  # strength of changes of light, contrast, blur and noise [ours] (R)
 
 

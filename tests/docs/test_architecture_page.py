@@ -8,7 +8,10 @@ import re
 import grimp
 from helpers.documents import PACKAGE, ROOT, page
 
-CHANGES = ("renderer", "row of a table", "reader", "recipe", "look of a table", "command", "metric", "peer")
+CHANGES = (
+    *("renderer", "row of a table", "reader", "recipe", "look of a table", "command", "metric"),
+    *("loss", "backbone", "output of viewnet predict", "figure", "peer"),
+)
 
 
 def room(module: str) -> str:

@@ -126,7 +126,7 @@ STEPS: dict[str, tuple[str, dict[str, Any], float, float]] = {
     "search": ("viewnet_cycle", {"search": 0.5, "targets_per_object": 2, "augment": True}, 0.1, 1e-5),
     "after": ("viewnet_cycle", {}, 0.9, 1e-5),
     # batch normalisation in the generator, backgrounds, three views per target
-    "photos": ("encoder_decoder", {"recipe": "photos", "backgrounds": "drawn", "views": 4, "occlude": 0.3}, 0.4, 1e-3),
+    "photos": ("encoder_decoder", {"recipe": "photos", "backgrounds": "drawn", "views": 4}, 0.4, 1e-3),
 }
 
 

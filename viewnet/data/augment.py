@@ -74,15 +74,12 @@ def photograph(crops: Tensor, backgrounds: Tensor, config: PhotoAugmentationConf
     """Crops of views (N, 4, S, S), RGB times alpha and alpha, as if cut from photographs: (N, 4, S, S) with alpha 1.
 
     Crops have CROP_MARGIN about the object, photographs' boxes none. In this order: the box is off by up to `box_error`
-    of its sides and tilted by up to `tilt` degrees; a background is put behind the object and, in a share `occlude` of
-    the images, a part of another before it; light, contrast, blur and noise vary with strength `exposure`.
+    of its sides and tilted by up to `tilt` degrees; a background is put behind the object; light, contrast, blur and
+    noise vary with strength `exposure`.
     """
     count, size, device = len(crops), crops.shape[-1], crops.device
     crops = _shifted(crops, config, generator)
     images = over(crops, windows(backgrounds, count, size, generator, device))[:, :3]  # (N, 3, S, S)
-    if config.occlude:
-        occluded = _rectangles(count, size, config.occlude, generator).to(device)
-        images = torch.where(occluded, windows(backgrounds, count, size, generator, device), images)
     if config.exposure:
         images = expose(images, config.exposure, generator)
     return torch.cat([images, torch.ones_like(crops[:, 3:])], 1)
@@ -112,15 +109,6 @@ def _shifted(crops: Tensor, config: PhotoAugmentationConfig, generator: RandomSo
     shift = config.box_error * _uniform(-1, 1, (count, 2), generator)
     angle = torch.deg2rad(config.tilt * _uniform(-1, 1, (count,), generator))
     return _sampled(crops, scale, shift, angle)
-
-
-def _rectangles(count: int, size: int, share: float, generator: RandomSource) -> Tensor:
-    """A rectangle of 10 to 40 % of the side somewhere in a `share` of the images: (count, 1, size, size) bool."""
-    half = size * _uniform(0.05, 0.2, (2, count, 1), generator, dim=1)  # (2, count, 1), pixels
-    centre = size * rand(2, count, 1, generator=generator, dim=1)
-    there = rand(count, generator=generator) < share
-    columns, rows = ((torch.arange(size) - centre).abs() < half).unbind(0)  # (count, size) each
-    return (there[:, None, None] & columns[:, None, :] & rows[:, :, None])[:, None]  # (count, 1, size, size)
 
 
 def _uniform(low: float, high: float, shape: tuple[int, ...], generator: RandomSource, dim: int = 0) -> Tensor:
