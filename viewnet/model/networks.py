@@ -159,15 +159,15 @@ class Generator(nn.Module):
 class HoloGANDecoder(nn.Module):
     """Appearance (N, A) and camera frames -> images with learned layers after the rotation (Table 2, last row).
 
-    Features, sixteen a side, are made as volumes are, rotated rigidly, and pass two 3-D convolutions. Then their depth
-    is folded into channels, and 2-D transposed convolutions make colours and mask: nothing ties one view's pixels to
-    another's.
+    Features, a quarter of the image's side as in HoloGAN, are made as volumes are, rotated rigidly, and pass two 3-D
+    convolutions. Then their depth is folded into channels, and 2-D transposed convolutions make colours and mask:
+    nothing ties one view's pixels to another's.
     """
 
     def __init__(self, config: ModelConfig):
         super().__init__()
-        size = min(16, config.render_size // 2)
-        levels = power_of_two(size, 4, "render_size / 2") - 2
+        size = max(config.render_size // 4, 8)  # less could not be told from another viewpoint
+        levels = power_of_two(size, 8, "render_size / 4") - 2
         widths = (*config.generator_channels[: levels + 1], *[config.generator_channels[-1]] * 8)[: levels + 1]
         self.code = nn.Parameter(0.02 * torch.randn(1, widths[0], 4, 4, 4))
         self.enter = AdaIN(widths[0], config.appearance_size)
