@@ -33,6 +33,8 @@ PLANTED = [
     ),
     ("rooms import in one direction", "cellar/shelf.py", "import viewnet.config"),
     ("data does not import model", "data/store.py", "import viewnet.model"),
+    ("rooms import in one direction", "reference.py", "import viewnet.training.step"),
+    ("the reference has networks, renderer and losses of its own", "reference.py", "import viewnet.model.losses"),
     ("neither the estimator nor tables import training", "estimator/hub.py", "import viewnet.training"),
     ("neither the estimator nor tables import training", "tables/table.py", "import viewnet.training.step"),
     ("no circle among siblings, in any room", "cad/car/__init__.py", "import viewnet.cad.chair"),
@@ -48,10 +50,12 @@ def imports() -> dict[str, set[str]]:
 
 
 def room(module: str) -> str:
-    """A module's folder; the files at the root are one room, and the command line's entry another."""
+    """A module's folder; the files at the root are one room, the command line's entry and the reference two more."""
     _, name, *within = f"{module}.".split(".")
     if name in ("cli", "__main__"):
         return "cli"
+    if name == "reference":
+        return name
     return name if (PACKAGE / name).is_dir() and within else ""
 
 
@@ -113,8 +117,8 @@ def test_rooms_lie_on_nine_levels_at_most():
     assert max(levels.values()) <= 9
 
 
-def test_the_root_holds_eight_files_at_most():
-    assert len(list(PACKAGE.glob("*.py"))) <= 8
+def test_the_root_holds_nine_files_at_most():
+    assert len(list(PACKAGE.glob("*.py"))) <= 9
 
 
 def test_no_module_is_longer_than_400_lines():

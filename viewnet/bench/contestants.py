@@ -1,4 +1,4 @@
-"""The contestants of `viewnet bench`, the package and viewnet.bench.textbook: their work, its time and its memory.
+"""The contestants of `viewnet bench`, the package and viewnet.reference: their work, its time and its memory.
 
 A contestant is a function without arguments that does the work once, on the same inputs as the other.
 """
@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from viewnet.bench import textbook
+from viewnet import reference
 from viewnet.bench.roofline import seconds, synchronise
 from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
@@ -105,8 +105,31 @@ def step_config(profile: str) -> RunConfig:
     return make_config(profile=profile, recipe="paper", **changes)
 
 
+def reference_name(name: str) -> str:
+    """What viewnet.reference calls a weight of the package's network."""
+    for ours, theirs in (
+        ("viewpoint.encoder.", "f_v."),
+        ("appearance.", "f_a."),
+        ("decoder.", "f_d."),
+        (".norm.", "."),
+    ):
+        name = name.replace(ours, theirs)
+    return name
+
+
+def as_reference(model: ViewNet) -> reference.ViewNet:
+    """The network of viewnet.reference with the weights of `model`."""
+    net = reference.ViewNet(model.config)
+    weights = {reference_name(name): value for name, value in model.state_dict().items()}
+    code = weights["f_d.code"].view(-1, 1, 1, 1, 1)  # (Z, 1, 1, 1, 1)
+    # The package learns W z of the first layer alone; any weights W that give it will do.
+    weights["f_d.stages.0.convolution.weight"] = weights["f_d.stages.0.convolution.output"] * code / code.square().sum()
+    net.load_state_dict({name: weights[name] for name in net.state_dict()})
+    return net
+
+
 def prepare(work: Work, contestant: str, device: torch.device) -> Call:
-    """The function that does `work` once, by the "textbook" version or by "viewnet"."""
+    """The function that does `work` once, by the "textbook" version, viewnet.reference, or by "viewnet"."""
     return (_step if work.kind == STEP else _renderer)(work, contestant == "textbook", device)
 
 
@@ -120,7 +143,7 @@ def _renderer(work: Work, by_textbook: bool, device: torch.device) -> Call:
         # New leaves each time, so that nothing cached of the last volume helps.
         leaves = (x.detach().requires_grad_(work.kind != FORWARD) for x in (shape, cameras, focal))
         inputs = next(leaves), next(leaves), next(leaves), size
-        image = textbook.render(*inputs, size) if by_textbook else volume.render(*inputs, sparse=work.kind != EXACT)
+        image = reference.render(*inputs, size) if by_textbook else volume.render(*inputs, sparse=work.kind != EXACT)
         if work.kind != FORWARD:
             image.backward(weights)
 
@@ -138,16 +161,15 @@ def _step(work: Work, by_textbook: bool, device: torch.device) -> Call:
         # In the place of S, so that the volumes of untrained networks are like those of trained ones.
         model.prior = torch.tanh(2 * (1 - superellipsoid(config.model.volume_size)))
     if by_textbook:
-        net = textbook.TextbookViewNet(config.model)
-        net.load(model.state_dict())
-        net.prior = model.prior
+        net = as_reference(model)
+        net.prior.copy_(model.prior)
         net.to(device)
         adam = torch.optim.Adam(net.parameters(), settings.optimiser.learning_rate, settings.optimiser.betas)
 
         def call() -> None:
-            loss = textbook.step_loss(net, batch, settings)
+            terms = reference.step_loss(net, batch, settings, None, torch.Generator().manual_seed(0))
             adam.zero_grad()
-            loss.backward()
+            torch.stack(list(terms.values())).sum().backward()
             adam.step()
     else:
         model.to(device)

@@ -15,7 +15,8 @@ from typing import Any
 import pandas as pd
 import torch
 
-from viewnet.bench import contestants, textbook
+from viewnet import reference
+from viewnet.bench import contestants
 from viewnet.bench.contestants import BOTH, EXACT, FORWARD, STEP, VIEWS, Work
 from viewnet.bench.roofline import Need, Rates, lit_samples, render_need, step_need
 from viewnet.config import RunConfig
@@ -183,7 +184,7 @@ def need(work: Work, device: torch.device) -> Need:
     shape = volume.squash(contestants.logits(occupancy, size, 1).to(device), None).expand(VIEWS, -1, -1, -1, -1)
     cameras, focal = contestants.camera_frames(VIEWS).to(device), torch.tensor(contestants.FOCAL, device=device)
     with torch.no_grad():
-        samples = lit_samples(textbook.rotate(shape, cameras, focal, size, size)) / VIEWS
+        samples = lit_samples(reference.rotate(shape, cameras, focal, size, size)) / VIEWS
 
     def rendering(images: int, backward: bool) -> Need:
         return render_need(samples * images, work.batch * size**3, images * size**2, backward)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from viewnet.bench.textbook import TextbookViewNet
+from viewnet import reference
 from viewnet.config import ModelConfig
 
 SAMPLE = 36
@@ -105,12 +105,12 @@ def network_need(networks: nn.Module, run: Callable[[], Tensor], parameters: int
 def step_need(config: ModelConfig, batch: int) -> "Need":
     """The networks' part of a training step with `batch` targets."""
     with torch.device("meta"):
-        net = TextbookViewNet(config)
+        net = reference.ViewNet(config)
         images = torch.zeros(2, 3, config.input_size, config.input_size)
 
     def run() -> Tensor:
         vectors, logits = net.viewpoints(images)
-        return net.generate(images).sum() + vectors.sum() + logits.sum()
+        return net.volumes(images).sum() + vectors.sum() + logits.sum()
 
     return network_need(net, run, sum(weight.numel() for weight in net.parameters()), batch / 2)
 

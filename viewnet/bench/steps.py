@@ -25,7 +25,7 @@ from torch.autograd.profiler import record_function
 from torch.profiler import ProfilerActivity, profile
 from torch.utils.flop_counter import FlopCounterMode
 
-from viewnet.bench import textbook
+from viewnet import reference
 from viewnet.bench.contestants import camera_frames
 from viewnet.bench.measure import Row, Settings, about
 from viewnet.bench.roofline import COUNTED, Need, Rates, lit_samples, network_need, render_need, seconds
@@ -316,6 +316,6 @@ def _samples(step: Step, size: int) -> tuple[float, float]:
     frames, focal = camera_frames(4 * len(volumes)).to(step.device), step.model.focal
     found = []
     for volume, side in ((volumes.float(), size), (halved(volumes.float()), size // 2)):
-        rotated = textbook.rotate(volume.repeat_interleave(4, 0), frames, focal, side, side)
+        rotated = reference.rotate(volume.repeat_interleave(4, 0), frames, focal, side, side)
         found.append(lit_samples(rotated) / len(frames))
     return found[0], found[1]
