@@ -22,11 +22,12 @@ from torch import Tensor, nn
 from viewnet.config import ModelConfig, RunConfig, TrainConfig
 from viewnet.data.augment import crop_and_rotate
 from viewnet.data.build import view_store
-from viewnet.data.pairs import Views, model_views, resize, sample_pairs, step_generator, tight_crop
+from viewnet.data.pairs import Views, model_views, sample_pairs, step_generator
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.alignment import fit_rotation
 from viewnet.evaluation.metrics import accuracy, geodesic_error, median
 from viewnet.recipes import make_config
+from viewnet.runtime.images import resize, tight_crop
 from viewnet.runtime.torchvision_weights import IMAGENET_MEAN, IMAGENET_STD, convolutions
 
 SMOKE = {"models": 100, "learning_rate": 1e-3}  # to learn anything in two minutes; the paper's recipe has 1e-4
