@@ -25,7 +25,7 @@ Rows = dict[str, tuple[ViewStore, NDArray[np.intp]]]
 """Split, "val" to align on and "test" to score -> a view store and which of its rows."""
 
 
-def _is_viewnet(variant: str, recipe: str) -> bool:
+def _is_viewnet(recipe: str, variant: str) -> bool:
     return variant not in UNTRAINED and is_viewnet(variant, recipe)
 
 
@@ -40,10 +40,13 @@ class Experiment(Request):
     @property
     def configs(self) -> list[RunConfig]:
         """One configuration a run: by recipe, variant, category and seed; untrained variants once a category."""
-        trained = ((recipe, variant) for recipe, variant in product(self.recipes, self.variants))
-        rows = [(recipe, variant) for recipe, variant in trained if not _is_viewnet(variant, recipe)]
+        rows = [row for row in product(self.recipes, self.variants) if not _is_viewnet(*row)]
         runs = product(rows, self.categories, self.seeds)
-        return list(dict.fromkeys(self._config(variant, *run, recipe=recipe) for (recipe, variant), *run in runs))
+        return list(
+            dict.fromkeys(
+                self._config(variant, category, seed, recipe=recipe) for (recipe, variant), category, seed in runs
+            )
+        )
 
     def _config(
         self, variant: str, category: str, seed: int, *, recipe: str | None = None, **overrides: Any
