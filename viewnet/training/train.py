@@ -25,7 +25,7 @@ from viewnet.model.checkpoint import CHECKPOINT, starting_weights
 from viewnet.model.kernels import volume_cpu
 from viewnet.model.losses import PerceptualLoss
 from viewnet.model.viewnet import ViewNet
-from viewnet.runtime import distributed
+from viewnet.runtime import distributed, memory
 from viewnet.runtime.progress import bar
 from viewnet.runtime.random import RankGenerator
 from viewnet.training.history import board_of, keep_best, resume, write
@@ -59,6 +59,7 @@ def train(
     if distributed.first((folder / CHECKPOINT).exists):
         return  # finished before: nothing to do
     volume_cpu.warm_up()  # loads kernels before the clock starts
+    memory.keep_freed()
     run = _set_up(config, views)
     history = resume(run.model, run.optimisers, folder)
     board = board_of(folder) if writes else None
