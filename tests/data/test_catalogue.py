@@ -128,8 +128,8 @@ def test_the_command_tells_all_there_is(capsys, tmp_path, monkeypatch):
     (tmp_path / "mine.pth").touch()
     assert cli.main(["data"]) == 0
     text = capsys.readouterr().out
-    for data in DATA_SETS.values():
-        assert f"{data.key}: {data.title}" in text and data.source in text and data.terms in text
+    for key, data in DATA_SETS.items():
+        assert f"{key}: {data.title}" in text and data.source in text and data.terms in text
     assert f"vgg16: there: {tmp_path / 'mine.pth'}" in text
     assert f"squeezenet1_1: missing: {tmp_path}" in text
     assert cli.main(["data", "--json"]) == 0

@@ -181,7 +181,6 @@ def _count(root: Path, contents: Contents) -> None:
 
 READER = Reader(
     DataSet(
-        key="objectron",
         title="Objectron",
         use="videos to train on: bicycles, bottles and chairs",
         named="-p video_root FOLDER (notebook objectron)",

@@ -297,7 +297,6 @@ def _count(root: Path, contents: Contents) -> None:
 
 READER = Reader(
     DataSet(
-        key="pascal3d",
         title="PASCAL3D+ release 1.1",
         use="photographs to score on: Tables 3 and 4, DVA, the study of alignments",
         named="-p data_root FOLDER",
