@@ -2,8 +2,8 @@
 
 import contextlib
 import csv
+import itertools
 import os
-import queue
 import signal
 import threading
 import time
@@ -155,27 +155,22 @@ class LocalPool(futures.ThreadPoolExecutor):
     def __init__(self, workers: int | None = None):
         gpus = torch.cuda.device_count()
         workers = workers or gpus or parallel.room()
-        super().__init__(workers)  # a thread for each process, which waits for it
+        super().__init__(workers, initializer=self._begin)  # a thread for each process, which waits for it
         self.threads = parallel.threads(workers)
         # As CUDA_VISIBLE_DEVICES names them.
         visible = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
         names = visible if len(visible) >= gpus and visible[0] else [str(number) for number in range(gpus)]
-        self._workers = [_Worker(names[number % gpus] if gpus else None) for number in range(workers)]
-        self._idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
-        for worker in self._workers:
-            self._idle.put(worker)
+        self._gpus = itertools.cycle(names[:gpus] or [None])
+        self._workers: list[_Worker] = []
+        self._mine = threading.local()
+
+    def _begin(self) -> None:
+        self._mine.worker = _Worker(next(self._gpus))
+        self._workers.append(self._mine.worker)
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         """As Executor.submit. RuntimeError once the pool is shut down."""
-
-        def on_idle_worker() -> T:
-            worker = self._idle.get()
-            try:
-                return worker.call(fn, *args, **kwargs)
-            finally:
-                self._idle.put(worker)
-
-        return super().submit(on_idle_worker)
+        return super().submit(lambda: self._mine.worker.call(fn, *args, **kwargs))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """As Executor.shutdown."""
