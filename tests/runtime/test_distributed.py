@@ -47,17 +47,17 @@ def environment(**more: str) -> dict[str, str]:
 
 
 def write_task(store: ViewStore, folder: Path, config: RunConfig, **task) -> Path:
-    """The tasks of trains.py."""
+    """The trainings of torchrun_training.py."""
     file = folder.with_suffix(".json")
     task |= {"config": config.to_dict(), "folder": str(folder), "views": str(store.folder)}
     file.write_text(json.dumps(task))
     return file
 
 
-def start(processes: int, data: Path, *tasks: Path, code: int = 0) -> str:
-    """Run trains.py; its stderr."""
+def start(processes: int, data: Path, *trainings: Path, code: int = 0) -> str:
+    """Run torchrun_training.py; its stderr."""
     done = subprocess.run(
-        [*command(processes), str(HERE / "helpers" / "trains.py"), *map(str, tasks)],
+        [*command(processes), str(HERE / "helpers" / "torchrun_training.py"), *map(str, trainings)],
         env=environment(VIEWNET_DATA=str(data)),
         capture_output=True,
         text=True,
@@ -135,11 +135,11 @@ def steps(store, tmp_path_factory) -> Path:
     """One step of each of STEPS, in one process and in two."""
     folder = tmp_path_factory.mktemp("steps")
     for processes in (1, 2):
-        tasks = []
+        trainings = []
         for name, (variant, overrides, progress, _) in STEPS.items():
             asked = config(variant, epochs=1, **{"batch_size": 24, **overrides})
-            tasks.append(write_task(store, folder / f"{name}{processes}", asked, progress=progress))
-        start(processes, folder / "data", *tasks)
+            trainings.append(write_task(store, folder / f"{name}{processes}", asked, progress=progress))
+        start(processes, folder / "data", *trainings)
     return folder
 
 

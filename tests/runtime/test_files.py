@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.faulty import can_mount, file_limit, grow, read_only, small_disk
+from helpers.simulated_faults import can_mount, file_limit, grow, read_only, small_disk
 from safetensors.torch import save_file
 
 from viewnet.errors import ViewnetError
