@@ -186,6 +186,9 @@ class LocalPool(futures.ThreadPoolExecutor):
             worker.terminate()
 
 
+_starting = threading.Lock()
+
+
 class _Worker:
     """A process for one task at a time, started when needed and again when it has died."""
 
@@ -198,7 +201,10 @@ class _Worker:
         if self._executor is None:
             self._executor = futures.ProcessPoolExecutor(1, self._context, _initialise, (self._gpu,))
         try:
-            return self._executor.submit(fn, *args, **kwargs).result()
+            # Pages of 2 MiB make a step some per cent faster. The C library reads this when the process starts.
+            with _starting, environment(GLIBC_TUNABLES=os.environ.get("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")):
+                future = self._executor.submit(fn, *args, **kwargs)
+            return future.result()
         except BrokenExecutor:
             self.close()
             code = self._context.process.exitcode if self._context.process else None
@@ -218,23 +224,13 @@ class _Worker:
 
 
 class _Context(SpawnContext):
-    """Spawns processes with large pages, and remembers the last one: executors do not tell how theirs ended."""
+    """Remembers the last process that it has spawned: executors do not tell how theirs ended."""
 
     process: SpawnProcess | None = None
 
     def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
-        self.process = _Process(*args, **kwargs)
+        self.process = SpawnProcess(*args, **kwargs)
         return self.process
-
-
-_starting = threading.Lock()
-
-
-class _Process(SpawnProcess):
-    def start(self) -> None:
-        # Volumes on pages of 2 MiB make a step some per cent faster. The C library reads this when a process starts.
-        with _starting, environment(GLIBC_TUNABLES=os.environ.get("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")):
-            super().start()
 
 
 def _initialise(gpu: str | None) -> None:
