@@ -91,8 +91,7 @@ def ensure(
         raise ViewnetError(f"workers {workers}: expected 1 or more")
     steps = steps or make_run.default_steps()
     distributed.start()
-    cluster = dask_cluster.executor() if not executor and dask_cluster.named() else contextlib.nullcontext(executor)
-    with cluster as executor:
+    with contextlib.nullcontext(executor) if executor else dask_cluster.executor() as executor:
         if executor is not None and distributed.size() > 1:
             raise ViewnetError("torchrun and --cluster cannot be combined: torchrun is for one run, a cluster for many")
         folders, jobs = distributed.first(lambda: _plan(configs, workers, progress, steps, executor))
