@@ -89,6 +89,7 @@ def _collect(
             for future in futures.wait(pending, POLL, futures.FIRST_COMPLETED).done:
                 number = pending.pop(future)
                 failure = _failure(future, jobs[number])
+                # What failed by itself would fail again; a run whose worker died resumes from its last state.
                 if isinstance(failure, BrokenExecutor) and attempts[number] < tries:
                     attempts[number] += 1
                     with contextlib.suppress(RuntimeError):  # an executor that is broken for good takes no more
