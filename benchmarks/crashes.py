@@ -23,9 +23,9 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 import pandas as pd
-from helpers.kills import Tally, finish, trial, undisturbed
-from helpers.twice import QUESTIONS, two_processes
-from helpers.works import Work, drawing, table, training
+from helpers.interrupted_work import Work, drawing, table, training
+from helpers.killed_processes import Tally, finish, trial, undisturbed
+from helpers.two_processes import QUESTIONS, two_processes
 
 from viewnet import paths
 from viewnet.runtime.files import replacing

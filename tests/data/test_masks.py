@@ -71,7 +71,7 @@ def test_the_images_own_alpha():
     image.putalpha(Image.fromarray(HALF))
     follow = from_alpha().follow(clip())
     assert (follow(0, "", image) == HALF).all()
-    with pytest.raises(ViewnetError, match=r"mask is missing \(the image has no alpha"):
+    with pytest.raises(ViewnetError, match="the image has no alpha"):
         follow(0, "", IMAGE)
 
 
@@ -169,7 +169,7 @@ def test_every_category_has_a_class_of_both_networks():
 def test_missing_and_wrong_weights_are_told(tmp_path, monkeypatch):
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     monkeypatch.delenv("VIEWNET_MASKRCNN_RESNET50_FPN_WEIGHTS", raising=False)
-    with pytest.raises(ViewnetError, match=r"maskrcnn.*hub/checkpoints/.*\.pth.*VIEWNET_MASKRCNN_RESNET50_FPN_WEIGHTS"):
+    with pytest.raises(ViewnetError, match=r"maskrcnn.*hub/checkpoints/.*_FPN_WEIGHTS"):
         predicted("maskrcnn", "car")
     torch.save({"backbone.body.conv1.weight": torch.zeros(3)}, tmp_path / "w.pth")
     with pytest.raises(ViewnetError, match=r"w\.pth does not hold maskrcnn"):

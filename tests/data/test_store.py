@@ -90,7 +90,7 @@ def test_what_is_written_is_read(store: ViewStore, images: np.ndarray) -> None:
 
 
 def test_a_split_without_views(store: ViewStore) -> None:
-    with pytest.raises(ViewnetError, match=r"no views in split 'full' \(only test, train, val\)"):
+    with pytest.raises(ViewnetError, match=r"split 'full' .only test, train, val"):
         store.split("full")
 
 
@@ -253,7 +253,7 @@ def test_unusable_models_are_listed_and_the_rest_go_through(
     for model in models:
         if model.path.exists():
             model.path.write_text("")
-    with pytest.raises(ViewnetError, match=r"none of the 7 models can be used .the first, model0: empty file"):
+    with pytest.raises(ViewnetError, match=r"7 models can.* model0: empty file"):
         draw(models, tmp_path / "none")
 
 
@@ -313,9 +313,7 @@ def test_a_full_disk_is_said(models: list[ModelFile], tmp_path: Path, monkeypatc
 
     with monkeypatch.context() as patch:
         patch.setattr(np, "savez", full)
-        with pytest.raises(
-            ViewnetError, match=r"00000000.npz: cannot be written \(No space left on device\): make room"
-        ):
+        with pytest.raises(ViewnetError, match=r"00000000.npz: cannot be written \(No space"):
             draw(models, tmp_path / "views")
     assert [path.name for path in (tmp_path / ".views.partial").iterdir()] == ["plan.json"]
     draw(models, tmp_path / "views")

@@ -44,7 +44,7 @@ def test_splits_are_given_listed_or_seeded(tmp_path):
     assert {clip.id: clip.split for clip in clips} == {"a": "train", "b": "val", "c": "train"}
     assert rejected == [("d", "d", "in no split")]
     (tmp_path / "splits.csv").write_text("clip,split\na,half\n")
-    with pytest.raises(ViewnetError, match=r"splits\.csv: row 1: split 'half': expected one of train, val, test"):
+    with pytest.raises(ViewnetError, match=r"splits\.csv: row 1: split 'half'"):
         read(tmp_path, "car")
     (tmp_path / "splits.csv").write_text("clip,split\na,val\na,val\n")
     with pytest.raises(ViewnetError, match="clip 'a' is listed twice"):
@@ -62,7 +62,7 @@ def test_where_nothing_can_be_used_there_is_an_error(tmp_path):
     with pytest.raises(ViewnetError, match=r"nowhere: no such folder"):
         read(tmp_path / "nowhere", "car")
     (tmp_path / "a.mp4").write_bytes(b"?")
-    with pytest.raises(ViewnetError, match=r"no usable video .*: a.mp4: video cannot be read"):
+    with pytest.raises(ViewnetError, match=r"a\.mp4: video cannot be read"):
         read(tmp_path, "car")
     write_frames(tmp_path / "b", {"0.png": 1})
     with pytest.raises(ViewnetError, match="frames -1: expected 1 or more a clip"):

@@ -307,7 +307,7 @@ OWN = (
     ("view store", "odd index", put("index.parquet", parquet(lambda t: t.assign(**VIEWS))), "expected"),
     ("view store", "index of lists", put("index.parquet", parquet(lambda t: t.assign(split=[[1]] * len(t)))), "text"),
     ("view store", "empty list", put("rejected.csv", b""), "not a readable CSV file"),
-    ("view store", "other columns", put("rejected.csv", b"a,b\n1,2\n"), "columns are not model_id, path, reason"),
+    ("view store", "other columns", put("rejected.csv", b"a,b\n1,2\n"), "column 'model_id'"),
     ("predictions", "text", put("predictions.parquet", parquet(lambda t: t.assign(h0_x="a"))), "predictions.parquet"),
     ("predictions", "lists", put("predictions.parquet", parquet(lambda t: t.assign(h0_x=[[1]] * len(t)))), "parquet"),
     ("predictions", "large views", put("predictions.parquet", parquet(lambda t: t.assign(view=1e300))), "whole number"),

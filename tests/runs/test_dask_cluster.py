@@ -18,11 +18,11 @@ pytestmark = pytest.mark.usefixtures("folders")
 
 
 def test_clusters_that_are_not_there_are_named(folders, monkeypatch):
-    with pytest.raises(ViewnetError, match="no cluster: give tcp://HOST:PORT"), dask_cluster.executor():
-        pass
+    with dask_cluster.executor() as nobody:
+        assert nobody is None
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.setenv(parallel.CLUSTER, "tcp://nowhere:1")
-    with pytest.raises(ViewnetError, match=r"cluster tcp://nowhere:1: Dask is not installed: pip install"):
+    with pytest.raises(ViewnetError, match="tcp://nowhere:1: Dask is not installed"):
         ensure([config()], progress=False, steps=STEPS)
 
 

@@ -33,9 +33,8 @@ def test_a_failure_names_its_run_and_leaves_the_others(folders):
         ensure([config(s) for s in range(4)], workers=1, progress=False, steps=STEPS)
     message = str(caught.value)
     assert "\n" not in message
-    first = "2 of 4 runs failed: viewnet car seed 1 (smoke, matting): the loss is not finite at step 20"
-    assert message.startswith(first)
-    assert "viewnet car seed 2 (smoke, matting): ZeroDivisionError: division by zero (see " in message
+    assert message.startswith("2 of 4 runs") and "; viewnet car seed 2 " in message
+    assert "car seed 1 (smoke, matting): the loss" in message and "ZeroDivisionError: division by zero" in message
     report = Path(message.split("(see ")[1].rstrip(")"))
     assert "Traceback" in report.read_text()
     plan(folders)
@@ -52,8 +51,8 @@ def test_side_by_side_a_failure_or_a_death_costs_its_run_only(folders):
         ensure(wanted, workers=2, progress=False, steps=STEPS)
     assert not multiprocessing.active_children()
     message = str(caught.value)
-    assert message.startswith("2 of 4 runs failed: viewnet car seed 0 (smoke, matting): the loss is not finite")
-    assert "; viewnet car seed 1 (smoke, matting): its process was ended (signal 9): run again" in message
+    assert message.startswith("2 of 4 runs failed: viewnet car seed 0 ") and "the loss is not finite" in message
+    assert "; viewnet car seed 1 " in message and "was ended (signal 9)" in message
     assert calls(folders) == ["car-0", "car-1", "car-2", "chair-3"]
     notes = [p.read_text().split() for p in (folders / "data" / "calls").glob("*")]
     assert {number for _, number in notes} == {str(threads(2))}
@@ -126,11 +125,11 @@ def test_a_run_whose_worker_dies_is_begun_again_and_a_refused_one_is_not(folders
     (run,) = ensure([config()], progress=False, steps=STEPS, executor=Mortal(TRIES - 1))
     assert list(run.log["epoch"]) == [1, 2, 3, 4]
     mortal = Mortal(0)
-    with pytest.raises(ViewnetError, match=r"1 of 1 runs failed: .*seed 1.* the loss is not finite at step 20"):
+    with pytest.raises(ViewnetError, match=r"1 of 1 runs.*seed 1.*finite at step 20"):
         ensure([config(1)], progress=False, steps=STEPS, executor=mortal)
     assert mortal.submitted == 1
     mortal = Mortal(TRIES)
-    with pytest.raises(ViewnetError, match=r"its process was ended \(signal 9\): run again to resume it"):
+    with pytest.raises(ViewnetError, match=r"was ended \(signal 9\)"):
         ensure([config(2)], progress=False, steps=STEPS, executor=mortal)
     assert mortal.submitted == TRIES
     assert calls(folders) == ["car-0", "car-1"]

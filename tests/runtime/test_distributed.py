@@ -46,18 +46,18 @@ def environment(**more: str) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": paths, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": "", **more}
 
 
-def write_task(store: ViewStore, folder: Path, config: RunConfig, **task) -> Path:
-    """The tasks of trains.py."""
+def write_training(store: ViewStore, folder: Path, config: RunConfig, **task) -> Path:
+    """The file of a training for torchrun_training.py."""
     file = folder.with_suffix(".json")
     task |= {"config": config.to_dict(), "folder": str(folder), "views": str(store.folder)}
     file.write_text(json.dumps(task))
     return file
 
 
-def start(processes: int, data: Path, *tasks: Path, code: int = 0) -> str:
-    """Run trains.py; its stderr."""
+def start(processes: int, data: Path, *trainings: Path, code: int = 0) -> str:
+    """Run torchrun_training.py; its stderr."""
     done = subprocess.run(
-        [*command(processes), str(HERE / "helpers" / "trains.py"), *map(str, tasks)],
+        [*command(processes), str(HERE / "helpers" / "torchrun_training.py"), *map(str, trainings)],
         env=environment(VIEWNET_DATA=str(data)),
         capture_output=True,
         text=True,
@@ -68,7 +68,7 @@ def start(processes: int, data: Path, *tasks: Path, code: int = 0) -> str:
 
 
 def train(processes: int, store: ViewStore, folder: Path, config: RunConfig, code: int = 0, **task) -> str:
-    return start(processes, folder.parent / "data", write_task(store, folder, config, **task), code=code)
+    return start(processes, folder.parent / "data", write_training(store, folder, config, **task), code=code)
 
 
 def weights(folder: Path) -> dict[str, torch.Tensor]:
@@ -135,11 +135,11 @@ def steps(store, tmp_path_factory) -> Path:
     """One step of each of STEPS, in one process and in two."""
     folder = tmp_path_factory.mktemp("steps")
     for processes in (1, 2):
-        tasks = []
+        trainings = []
         for name, (variant, overrides, progress, _) in STEPS.items():
             asked = config(variant, epochs=1, **{"batch_size": 24, **overrides})
-            tasks.append(write_task(store, folder / f"{name}{processes}", asked, progress=progress))
-        start(processes, folder / "data", *tasks)
+            trainings.append(write_training(store, folder / f"{name}{processes}", asked, progress=progress))
+        start(processes, folder / "data", *trainings)
     return folder
 
 
@@ -194,5 +194,5 @@ def test_more_processes_than_gpus_are_refused(monkeypatch):
         monkeypatch.setenv(name, value)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
-    with pytest.raises(ViewnetError, match="process 1 of this machine has no GPU, there are 1"):
+    with pytest.raises(ViewnetError, match="process 1 of this machine has no GPU"):
         distributed.start()

@@ -47,7 +47,7 @@ def test_without_it_runs_share_the_cores(monkeypatch, text):
 @pytest.mark.parametrize("text", ["0", "-1", "junk", "1.5", "1025", "9" * 5000, ",2", "²"])
 def test_other_numbers_of_threads_are_refused(monkeypatch, text):
     monkeypatch.setenv("OMP_NUM_THREADS", text)
-    with pytest.raises(ViewnetError, match=r"^OMP_NUM_THREADS=.*: expected a whole number from 1 to 1024, or nothing$"):
+    with pytest.raises(ViewnetError, match=r"^OMP_NUM_THREADS=.*from 1 to 1024"):
         parallel.threads()
 
 

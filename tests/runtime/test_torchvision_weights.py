@@ -12,7 +12,7 @@ def test_a_variable_names_the_file_and_its_home_folder_is_expanded(network, tmp_
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv(torchvision_weights.variable(network), "~/weights.pth")
     assert torchvision_weights.weights_file(network) == tmp_path / "weights.pth"
-    with pytest.raises(ViewnetError, match=rf"_WEIGHTS: no such file: {tmp_path}/weights\.pth"):
+    with pytest.raises(ViewnetError, match=rf"_WEIGHTS: .*{tmp_path}/weights\.pth"):
         torchvision_weights.available(network)
 
 
@@ -20,7 +20,7 @@ def test_the_perceptual_loss_reads_the_file_that_the_variable_names(tmp_path, mo
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("VIEWNET_SQUEEZENET_WEIGHTS", "~/weights.pth")
     (tmp_path / "weights.pth").write_bytes(b"no weights")
-    with pytest.raises(ViewnetError, match=rf"{tmp_path}/weights\.pth does not hold squeezenet weights"):
+    with pytest.raises(ViewnetError, match=rf"{tmp_path}/weights\.pth does not hold"):
         PerceptualLoss("squeezenet")
 
 

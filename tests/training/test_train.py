@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.boxes import box_store
-from helpers.faulty import weights_spoilt_at
+from helpers.simulated_faults import weights_spoilt_at
 from PIL import Image
 from safetensors import safe_open
 from safetensors.torch import load_file

@@ -18,9 +18,9 @@ from random import Random
 import numpy as np
 import psutil
 import pytest
-from helpers.kills import Tally, kill_all, trial, undisturbed
-from helpers.twice import QUESTIONS, two_processes
-from helpers.works import damage, differences, drawing, leftovers, training
+from helpers.interrupted_work import damage, differences, drawing, leftovers, training
+from helpers.killed_processes import Tally, kill_all, trial, undisturbed
+from helpers.two_processes import QUESTIONS, two_processes
 
 from viewnet.runtime.files import PART
 

@@ -20,9 +20,9 @@ import pytest
 from helpers import fake_steps
 from helpers.boxes import box_store
 from helpers.fake_steps import STEPS
-from helpers.faulty import can_mount, file_limit, read_only
-from helpers.tasks import Task, undisturbed
-from helpers.works import differences, leftovers
+from helpers.interrupted_work import differences, leftovers
+from helpers.simulated_faults import can_mount, file_limit, read_only
+from helpers.work_in_process import Task, undisturbed
 
 from viewnet.config import DataConfig, VideoConfig
 from viewnet.data import build

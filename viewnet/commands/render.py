@@ -10,7 +10,6 @@ Examples:
     viewnet render car --profile paper --data-root /data/ShapeNetCore.v1 --cluster tcp://HOST:8786
 """
 
-import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +32,7 @@ def run(options: Options) -> None:
     configs = shared.configurations(options)
     shared.choose_cluster(options)
     views = make_run.default_steps().views
-    with dask_cluster.executor() if dask_cluster.named() else contextlib.nullcontext() as executor:
+    with dask_cluster.executor() as executor:
         stores = [
             _described(config, views(config.data, workers=options.workers, progress=True, executor=executor))
             for config in configs

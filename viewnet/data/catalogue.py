@@ -3,7 +3,7 @@
 Nothing is downloaded. A copy is read by the readers of training and scoring, so problems are theirs, in their words.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +18,6 @@ from viewnet.runtime.image_files import SUFFIXES
 DATA_SETS = {key: reader.about for key, reader in READERS.items() if reader.about}
 
 
-@dataclass(frozen=True)
-class Weights:
-    """Weights of a network from torchvision: a file and not a folder."""
-
-    network: str
-    use: str
-    variable: str
-    path: str
-    there: bool
-    source: str
-
-
 NETWORKS = {
     "vgg16": "perceptual loss of the recipe paper, view regression",
     "squeezenet1_1": "view regression without VGG16",
@@ -37,14 +25,13 @@ NETWORKS = {
 }
 
 
-def weights() -> list[Weights]:
+def weights() -> list[dict[str, Any]]:
     """The networks whose weights are read, where they are expected, and whether they are there."""
     listed = []
     for network, use in NETWORKS.items():
-        variable, path = torchvision_weights.variable(network), torchvision_weights.weights_file(network)
-        listed.append(
-            Weights(network, use, variable, str(path), path.is_file(), torchvision_weights.published(network).url)
-        )
+        path, source = torchvision_weights.weights_file(network), torchvision_weights.published(network).url
+        named = {"network": network, "use": use, "variable": torchvision_weights.variable(network)}
+        listed.append({**named, "path": str(path), "there": path.is_file(), "source": source})
     return listed
 
 
@@ -67,7 +54,7 @@ def recognise(folder: Path) -> str:
             raise ViewnetError(f"{folder}: no data set by itself, but {inside.name}/ in it is {key}: name {inside}")
     if any(path.suffix.lower() in SUFFIXES for path in folder.rglob("*")):
         return "backgrounds"
-    expected = "; ".join(f"{data.key}: {data.layout}" for data in DATA_SETS.values())
+    expected = "; ".join(f"{key}: {data.layout}" for key, data in DATA_SETS.items())
     raise ViewnetError(f"{folder}: none of the layouts that are read ({expected})")
 
 
@@ -84,20 +71,21 @@ def as_dict(contents: Contents | None = None) -> dict[str, Any]:
     """JSON values: of a checked folder, or the whole catalogue."""
     if contents is not None:
         return asdict(contents)
-    return {"data sets": [asdict(d) for d in DATA_SETS.values()], "weights": [asdict(w) for w in weights()]}
+    return {"data sets": [{"key": key, **asdict(data)} for key, data in DATA_SETS.items()], "weights": weights()}
 
 
 def as_text(contents: Contents | None = None) -> str:
     """The same for reading."""
     if contents is None:
         lines = []
-        for data in DATA_SETS.values():
-            lines += [f"{data.key}: {data.title}", f"  for     {data.use}", f"  named   {data.named}"]
+        for key, data in DATA_SETS.items():
+            lines += [f"{key}: {data.title}", f"  for     {data.use}", f"  named   {data.named}"]
             lines += [f"  layout  {data.layout}", f"  terms   {data.terms}", f"  from    {data.source}", ""]
         lines.append("weights, torchvision's (terms: https://github.com/pytorch/vision#pre-trained-model-license)")
-        for w in weights():
-            lines += [f"  {w.network}: {'there' if w.there else 'missing'}: {w.path}", f"    for    {w.use}"]
-            lines += [f"    named  {w.variable}", f"    from   {w.source}"]
+        for file in weights():
+            there = "there" if file["there"] else "missing"
+            lines += [f"  {file['network']}: {there}: {file['path']}", f"    for    {file['use']}"]
+            lines += [f"    named  {file['variable']}", f"    from   {file['source']}"]
         return "\n".join([*lines, "", "viewnet data check FOLDER says what a copy holds"])
     lines = [f"{contents.folder}: {DATA_SETS[contents.key].title}"]
     for category, counts in contents.counts.items():

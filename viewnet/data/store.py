@@ -84,11 +84,7 @@ class ViewStore:
     @property
     def rejected(self) -> "pd.DataFrame":
         """What cannot be used: model_id, path, reason. ViewnetError for a damaged list."""
-        path = self.folder / "rejected.csv"
-        table = read_csv(path, dtype=str, keep_default_na=False)
-        if tuple(table.columns) != REJECTED:
-            raise ViewnetError(f"{path}: columns are not {', '.join(REJECTED)}: {_AGAIN}")
-        return table
+        return read_csv(self.folder / "rejected.csv", REJECTED, dtype=str, keep_default_na=False)
 
     def split(self, name: str) -> np.ndarray:
         """Row numbers (n,) of the views of a split. Raises ViewnetError where it has none."""

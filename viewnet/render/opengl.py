@@ -21,64 +21,39 @@ from viewnet.render.camera import DISTANCE, FOCAL, RADIUS
 from viewnet.render.mesh import Material, Mesh, surfaces
 from viewnet.render.raycast import ALPHA_CUT, AMBIENT
 
+# pyrender defines the locations. Every primitive has texture coordinates, colours and a texture.
 _VERTEX = """#version 330 core
 layout(location = 0) in vec3 position;
 layout(location = NORMAL_LOC) in vec3 normal;
-#ifdef TEXCOORD_0_LOC
 layout(location = TEXCOORD_0_LOC) in vec2 texcoord_0;
-out vec2 uv_0;
-#endif
-#ifdef COLOR_0_LOC
 layout(location = COLOR_0_LOC) in vec4 color_0;
-out vec4 vertex_color;
-#endif
 layout(location = INST_M_LOC) in mat4 inst_m;
 uniform mat4 M, V, P;
-out vec3 point, face_normal;
+out vec2 uv_0;
+out vec3 point, face_normal, colour;
 void main() {
     point = vec3(M * inst_m * vec4(position, 1.0));
     gl_Position = P * V * vec4(point, 1.0);
     face_normal = normal;
-#ifdef TEXCOORD_0_LOC
     uv_0 = texcoord_0;
-#endif
-#ifdef COLOR_0_LOC
-    vertex_color = color_0;
-#endif
+    colour = color_0.rgb;
 }
 """
 _FRAGMENT = """#version 330 core
 struct DirectionalLight { vec3 direction; };
-struct Material {
-    vec4 base_color_factor;
-#ifdef HAS_BASE_COLOR_TEX
-    sampler2D base_color_texture;
-#endif
-};
+struct Material { sampler2D base_color_texture; };
 uniform DirectionalLight directional_lights[1];
 uniform Material material;
 uniform vec3 ambient_light, cam_pos;
-in vec3 point, face_normal;
-#ifdef TEXCOORD_0_LOC
 in vec2 uv_0;
-#endif
-#ifdef COLOR_0_LOC
-in vec4 vertex_color;
-#endif
+in vec3 point, face_normal, colour;
 out vec4 frag_color;
 void main() {
-    vec3 albedo = material.base_color_factor.rgb;
-#ifdef HAS_BASE_COLOR_TEX
     vec4 texel = texture(material.base_color_texture, uv_0);
     if (texel.a * 255.0 < %d.0) discard;
-    albedo = texel.rgb;
-#endif
-#ifdef COLOR_0_LOC
-    albedo = vertex_color.rgb;
-#endif
     float side = dot(face_normal, cam_pos - point) < 0.0 ? -1.0 : 1.0;
     float diffuse = max(side * dot(normalize(face_normal), -directional_lights[0].direction), 0.0);
-    frag_color = vec4(albedo * mix(ambient_light, vec3(1.0), diffuse), 1.0);
+    frag_color = vec4(colour * texel.rgb * mix(ambient_light, vec3(1.0), diffuse), 1.0);
 }
 """
 _LINEAR, _REPEAT = 9729, 10497
@@ -166,25 +141,27 @@ def _primitives(mesh: Mesh) -> Iterator[Any]:
     shown, single = np.zeros((2, len(mesh.faces)), bool)
     shown[front] = shown[back] = True
     single[front] = single[back] = front != back
+    uv = np.zeros((len(mesh.faces), 3, 2)) if mesh.uv is None else mesh.uv
     for number in np.unique(mesh.material):
-        entry, texture = mesh.materials[number], None
-        if (texels := entry.texture) is not None:
-            if texels.shape[2] == 3:
-                texels = np.concatenate([texels, np.full_like(texels[..., :1], 255)], axis=2)
-            sampler = pyrender.Sampler(magFilter=_LINEAR, minFilter=_LINEAR, wrapS=_REPEAT, wrapT=_REPEAT)
-            texture = pyrender.Texture(source=texels, source_channels="RGBA", sampler=sampler)
-        colours = mesh.colours if number == 0 else None
+        entry = mesh.materials[number]
+        textured = entry.texture is not None and mesh.uv is not None
+        texels = entry.texture if textured else np.full((1, 1, 4), 255, np.uint8)
+        if texels.shape[2] == 3:
+            texels = np.concatenate([texels, np.full_like(texels[..., :1], 255)], axis=2)
+        sampler = pyrender.Sampler(magFilter=_LINEAR, minFilter=_LINEAR, wrapS=_REPEAT, wrapT=_REPEAT)
+        texture = pyrender.Texture(source=texels, source_channels="RGBA", sampler=sampler)
+        colours = np.broadcast_to(np.ones(3) if textured else entry.diffuse, mesh.vertices.shape)
+        if number == 0 and mesh.colours is not None:
+            colours = mesh.colours
         for one in (False, True):
             faces = shown & (mesh.material == number) & (single == one)
             if faces.any():
                 yield pyrender.Primitive(
                     positions=corners[faces].reshape(-1, 3),
                     normals=np.repeat(normals[faces], 3, axis=0),
-                    texcoord_0=None if texture is None or mesh.uv is None else mesh.uv[faces].reshape(-1, 2),
-                    color_0=None if colours is None else colours[mesh.faces[faces]].reshape(-1, 3),
-                    material=pyrender.MetallicRoughnessMaterial(
-                        baseColorFactor=(*entry.diffuse, 1.0), baseColorTexture=texture, doubleSided=not one
-                    ),
+                    texcoord_0=uv[faces].reshape(-1, 2),
+                    color_0=colours[mesh.faces[faces]].reshape(-1, 3),
+                    material=pyrender.MetallicRoughnessMaterial(baseColorTexture=texture, doubleSided=not one),
                     mode=4,
                 )
 

@@ -12,20 +12,18 @@ from viewnet.runtime.parallel import CLUSTER
 FILE = "scheduler-file:"
 
 
-def named() -> str:
-    """The cluster that VIEWNET_CLUSTER names, "" for none."""
-    return os.environ.get(CLUSTER, "")
-
-
 @contextlib.contextmanager
-def executor(address: str | None = None, timeout: float = 30) -> Iterator[Executor]:
-    """The workers of a scheduler: its address (tcp://host:8786) or `scheduler-file:PATH`; default: `named`.
+def executor(address: str | None = None, timeout: float = 30) -> Iterator[Executor | None]:
+    """The workers of a scheduler: its address (tcp://host:8786) or `scheduler-file:PATH`.
 
+    By default it is the one that VIEWNET_CLUSTER names, or else there is none (None).
     Dask submits the job of a worker that dies to another, up to three times. ViewnetError where Dask is not installed,
     or no scheduler answers within `timeout` seconds.
     """
-    if not (address := address or named()):
-        raise ViewnetError(f"no cluster: give tcp://HOST:PORT or {FILE}PATH, or set {CLUSTER}")
+    address = address or os.environ.get(CLUSTER)
+    if not address:
+        yield None
+        return
     try:
         from distributed import Client
     except ImportError as error:

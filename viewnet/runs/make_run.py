@@ -102,6 +102,7 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
                 raise ViewnetError(f"{job.name}: {NOT_SCORED}, and there is nothing to train: use an annotated store")
             predictions = UNTRAINED[config.variant](views.index)
         else:
+            # A training that ended is never repeated; predictions are, where the code that predicts has changed.
             if not ("training" in result and (folder / checkpoint.CHECKPOINT).is_file()):
                 result = {"schema": SCHEMA, "training": _train(job, views, steps, threads, progress)}
                 write_json(folder / "result.json", result)
@@ -112,6 +113,7 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
             predictions.to_parquet(folder / "predictions.parquet")
         elif scored:
             predictions = Predictions.from_parquet(folder / "predictions.parquet")
+        # Metrics are cheap and follow from predictions, so they are always computed anew.
         metrics = None if predictions is None else {kind: evaluate(predictions, kind) for kind in job.alignments}
         result = {
             "schema": SCHEMA,

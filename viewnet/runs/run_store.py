@@ -66,6 +66,7 @@ def locate(config: RunConfig, identity: str, backgrounds: str = "") -> Path:
     if data.video is not None:
         video = replace(data.video, root=None, mask_folder=VideoConfig.mask_folder)
         data = DataConfig(data.category, video=video)  # of videos only their own settings count, not those of rendering
+    # Where files lie decides nothing: copies of the data give the same run, and their content is in the identities.
     without_places = replace(config, data=data, train=replace(config.train, start=None))
     identities = [identity, backgrounds] if backgrounds else [identity]
     identities += [checkpoint.identity(config.train.start)] if config.train.start else []
@@ -92,11 +93,11 @@ def ensure(
         raise ViewnetError(f"workers {workers}: expected 1 or more")
     steps = steps or make_run.default_steps()
     distributed.start()
-    cluster = dask_cluster.executor() if not executor and dask_cluster.named() else contextlib.nullcontext(executor)
-    with cluster as executor:
+    with contextlib.nullcontext(executor) if executor else dask_cluster.executor() as executor:
         if executor is not None and distributed.size() > 1:
             raise ViewnetError("torchrun and --cluster cannot be combined: torchrun is for one run, a cluster for many")
         folders, jobs = distributed.first(lambda: _plan(configs, workers, progress, steps, executor))
+        # A torchrun is for one run at a time; its processes end together, so that the first failure ends all.
         if distributed.size() > 1:
             make_together(jobs, steps, progress)
         elif failures := run_all(jobs, steps, workers, progress, executor):

@@ -2,8 +2,8 @@
 
 import contextlib
 import csv
+import itertools
 import os
-import queue
 import signal
 import threading
 import time
@@ -89,6 +89,7 @@ def _collect(
             for future in futures.wait(pending, POLL, futures.FIRST_COMPLETED).done:
                 number = pending.pop(future)
                 failure = _failure(future, jobs[number])
+                # What failed by itself would fail again; a run whose worker died resumes from its last state.
                 if isinstance(failure, BrokenExecutor) and attempts[number] < tries:
                     attempts[number] += 1
                     with contextlib.suppress(RuntimeError):  # an executor that is broken for good takes no more
@@ -155,27 +156,22 @@ class LocalPool(futures.ThreadPoolExecutor):
     def __init__(self, workers: int | None = None):
         gpus = torch.cuda.device_count()
         workers = workers or gpus or parallel.room()
-        super().__init__(workers)  # a thread for each process, which waits for it
+        super().__init__(workers, initializer=self._begin)  # a thread for each process, which waits for it
         self.threads = parallel.threads(workers)
         # As CUDA_VISIBLE_DEVICES names them.
         visible = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
         names = visible if len(visible) >= gpus and visible[0] else [str(number) for number in range(gpus)]
-        self._workers = [_Worker(names[number % gpus] if gpus else None) for number in range(workers)]
-        self._idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
-        for worker in self._workers:
-            self._idle.put(worker)
+        self._gpus = itertools.cycle(names[:gpus] or [None])
+        self._workers: list[_Worker] = []
+        self._mine = threading.local()
+
+    def _begin(self) -> None:
+        self._mine.worker = _Worker(next(self._gpus))
+        self._workers.append(self._mine.worker)
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         """As Executor.submit. RuntimeError once the pool is shut down."""
-
-        def on_idle_worker() -> T:
-            worker = self._idle.get()
-            try:
-                return worker.call(fn, *args, **kwargs)
-            finally:
-                self._idle.put(worker)
-
-        return super().submit(on_idle_worker)
+        return super().submit(lambda: self._mine.worker.call(fn, *args, **kwargs))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """As Executor.shutdown."""
@@ -191,6 +187,9 @@ class LocalPool(futures.ThreadPoolExecutor):
             worker.terminate()
 
 
+_starting = threading.Lock()
+
+
 class _Worker:
     """A process for one task at a time, started when needed and again when it has died."""
 
@@ -203,7 +202,10 @@ class _Worker:
         if self._executor is None:
             self._executor = futures.ProcessPoolExecutor(1, self._context, _initialise, (self._gpu,))
         try:
-            return self._executor.submit(fn, *args, **kwargs).result()
+            # Pages of 2 MiB make a step some per cent faster. The C library reads this when the process starts.
+            with _starting, environment(GLIBC_TUNABLES=os.environ.get("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")):
+                future = self._executor.submit(fn, *args, **kwargs)
+            return future.result()
         except BrokenExecutor:
             self.close()
             code = self._context.process.exitcode if self._context.process else None
@@ -223,23 +225,13 @@ class _Worker:
 
 
 class _Context(SpawnContext):
-    """Spawns processes with large pages, and remembers the last one: executors do not tell how theirs ended."""
+    """Remembers the last process that it has spawned: executors do not tell how theirs ended."""
 
     process: SpawnProcess | None = None
 
     def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
-        self.process = _Process(*args, **kwargs)
+        self.process = SpawnProcess(*args, **kwargs)
         return self.process
-
-
-_starting = threading.Lock()
-
-
-class _Process(SpawnProcess):
-    def start(self) -> None:
-        # Volumes on pages of 2 MiB make a step some per cent faster. The C library reads this when a process starts.
-        with _starting, environment(GLIBC_TUNABLES=os.environ.get("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")):
-            super().start()
 
 
 def _initialise(gpu: str | None) -> None:

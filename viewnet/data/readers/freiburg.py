@@ -151,7 +151,6 @@ def _count(root: Path, contents: Contents) -> None:
 
 READER = Reader(
     DataSet(
-        key="freiburg",
         title="Freiburg static cars 52, release 1.1",
         use="videos to train on: Table 4",
         named="-p video_root FOLDER",

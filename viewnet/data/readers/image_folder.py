@@ -63,7 +63,6 @@ def _count(root: Path, contents: Contents) -> None:
 
 READER = Reader(
     DataSet(
-        key="backgrounds",
         title="SUN397, or any folder of images",
         use="behind what is trained on for photographs",
         named="-p backgrounds FOLDER",

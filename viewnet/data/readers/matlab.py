@@ -6,6 +6,7 @@ entered until the process dies.
 
 import io
 import math
+import re
 import struct
 import zlib
 from pathlib import Path
@@ -69,15 +70,14 @@ def _unpacked(content: bytes, order: str) -> bytes:
 def _check(content: bytes, order: str) -> None:
     """Raise ViewnetError where there are too many arrays, or one of too many values: wherever one could begin."""
     mark = struct.pack(f"{order}I", _ARRAY)
-    if content.count(mark) > MOST_ARRAYS:
+    places = [found.start() for found in re.finditer(re.escape(mark), content)]
+    if len(places) > MOST_ARRAYS:
         raise ViewnetError(f"more than {MOST_ARRAYS} arrays in it")
-    place = content.find(mark)
-    while place >= 0:
+    for place in places:
         # An array begins with its own tag (8 bytes) and flags (16); then come its dimensions.
         dimensions = _integers(content, place + 24, order)
         if math.prod(max(number, 0) for number in dimensions) > MOST_VALUES:
             raise ViewnetError(f"an array of {' x '.join(map(str, dimensions[:4]))} values")
-        place = content.find(mark, place + 1)
 
 
 def _integers(content: bytes, place: int, order: str) -> tuple[int, ...]:

@@ -63,7 +63,7 @@ def read(
     videos = {path: within(path.with_suffix(""), root / "annotations") for path in records}
     for path, video in bar(progress, iterable=videos.items(), desc="records", unit="video"):
         try:
-            clips.append(_clip(root, path, video, category, _split(listed, video), frames, seed, rejected))
+            clips.append(_clip(root, video, category, _split(listed, video), frames, seed, rejected))
         except ViewnetError as error:
             rejected.append((video, within(path, root), str(error)))
     known = set(videos.values())
@@ -78,12 +78,10 @@ def read(
     return [replace(clip, split=splits.get(clip.id, clip.split)) for clip in clips], rejected
 
 
-def _clip(
-    root: Path, path: Path, video: str, category: str, split: str, count: int, seed: int, rejected: list[Rejected]
-) -> Clip:
+def _clip(root: Path, video: str, category: str, split: str, count: int, seed: int, rejected: list[Rejected]) -> Clip:
     """One video; what cannot be used joins `rejected`."""
-    where = within(path, root)
-    record = read_record(path)
+    where = f"annotations/{video}.pbdata"
+    record = read_record(root / where)
     source, images = _source(root / "videos" / video, record)
     rejected += [(f"{video}/{number}", where, reason) for number, reason in record.rejected]
     rejected += [(f"{video}/object {name}", where, "object smaller than another one") for name in record.others]
@@ -181,7 +179,6 @@ def _count(root: Path, contents: Contents) -> None:
 
 READER = Reader(
     DataSet(
-        key="objectron",
         title="Objectron",
         use="videos to train on: bicycles, bottles and chairs",
         named="-p video_root FOLDER (notebook objectron)",

@@ -190,10 +190,7 @@ def _world_to_camera(camera: Any) -> np.ndarray:
     matrix = values.reshape(4, 4)
     if not _is_rotation(matrix[:3, :3]) or not np.allclose(matrix[3], (0, 0, 0, 1), atol=_SLACK):
         raise ViewnetError("camera's pose is not a rigid transform")
-    if not recorded:
-        turn = matrix[:3, :3].T
-        matrix = np.vstack([np.column_stack([turn, -turn @ matrix[:3, 3]]), (0.0, 0.0, 0.0, 1.0)])
-    return matrix
+    return matrix if recorded else np.linalg.inv(matrix)
 
 
 def _is_rotation(matrix: np.ndarray) -> bool:

@@ -47,23 +47,6 @@ BEYOND_EDGES = "box beyond the picture's edges"
 _SUFFIXES = (".JPEG", ".jpg", ".jpeg", ".JPG", ".png", ".PNG")
 
 
-@dataclass(frozen=True)
-class Annotation(Photograph):
-    """One object of one photograph; its split is the data set's own, "train" or "val"."""
-
-    subset: str
-    image: str
-    number: int  # which of the record's objects it is, from 0
-    truncated: bool
-    occluded: bool
-    difficult: bool
-
-    @property
-    def easy(self) -> bool:
-        """Neither difficult nor truncated nor occluded."""
-        return not (self.difficult or self.truncated or self.occluded)
-
-
 @dataclass
 class Report:
     """The entries of a list that are not among the annotations as they are."""
@@ -72,17 +55,12 @@ class Report:
     mended: list[tuple[str, str]] = field(default_factory=list)  # (id, what) of those that are used after a correction
     others: int = 0  # objects of other categories in the same images
 
-    @property
-    def counts(self) -> dict[str, int]:
-        """Reason -> number of objects or images that cannot be used."""
-        return tally(reason for *_, reason in self.rejected)
 
-
-def read(root: Path, category: str, subset: str, split: str, keep: Keep = "all") -> tuple[list[Annotation], Report]:
+def read(root: Path, category: str, subset: str, split: str, keep: Keep = "all") -> tuple[list[Photograph], Report]:
     """The objects of `category` in the split of a subset ("imagenet", "pascal" or "both"), in the order of its list.
 
     `keep`: all objects; the easy ones; or the first of each image, as the released code has it. Objects whose viewpoint
-    is only known to an eighth of a turn are left out.
+    is only known to an eighth of a turn are left out. An id is subset, image and which of the record's objects it is.
 
     Boxes with exchanged corners, beyond their image's edges or in another scale than their image are mended.
     Raises ViewnetError where `root` is not PASCAL3D+ or nothing can be used.
@@ -91,15 +69,15 @@ def read(root: Path, category: str, subset: str, split: str, keep: Keep = "all")
     known(split, SPLITS, "split")
     known(keep, KEEP, "filter")
     root, report = Path(root), Report()
-    annotations: list[Annotation] = []
+    photographs: list[Photograph] = []
     for part in parts(subset):
         names = listed(root, category, part, split)
         report.mended += [(f"{part}/{name}", "listed twice") for name, times in Counter(names).items() if times > 1]
         for image in dict.fromkeys(names):
-            annotations += _read_image(root, category, part, split, image, keep, report)
-    if not annotations:
+            photographs += _read_image(root, category, part, split, image, keep, report)
+    if not photographs:
         raise no_usable(root, f"{category} in {subset} {split}", report.rejected, "the list is empty")
-    return annotations, report
+    return photographs, report
 
 
 def parts(subset: str) -> tuple[str, ...]:
@@ -150,7 +128,7 @@ def image_file(root: Path, category: str, subset: str, image: str) -> Path:
 
 def _read_image(
     root: Path, category: str, subset: str, split: str, image: str, keep: Keep, report: Report
-) -> list[Annotation]:
+) -> list[Photograph]:
     """The objects of one image that are requested and can be used; all others go to the report."""
     path, image_path = (locate(root, category, subset, image) for locate in (annotation_file, image_file))
     name, where = f"{subset}/{image}", within(image_path, root)
@@ -165,22 +143,23 @@ def _read_image(
     report.others += len(objects) - len(mine)
     if not mine:
         report.rejected.append((name, where, "no object of the category"))
-    annotations = []
+    photographs = []
     for place, (number, item) in enumerate(mine):
         corrections: list[str] = []
         try:
             if keep == "first" and place:
                 raise ViewnetError("not the first of its image")
             box = _box(item, size, annotated, corrections)
-            annotation = _annotation(item, category, subset, split, image, number, image_path, box)
-            if keep == "easy" and not annotation.easy:
+            azimuth, elevation = _viewpoint(item)
+            hard = [_number(item, flag, 0.0) for flag in ("truncated", "occluded", "difficult")]
+            if keep == "easy" and any(hard):
                 raise ViewnetError("truncated, occluded or difficult")
         except ViewnetError as error:
             report.rejected.append((f"{name}/{number}", where, str(error)))
             continue
-        annotations.append(annotation)
-        report.mended += [(annotation.id, what) for what in corrections]
-    return annotations
+        photographs.append(Photograph(f"{name}/{number}", category, split, image_path, box, azimuth, elevation))
+        report.mended += [(f"{name}/{number}", what) for what in corrections]
+    return photographs
 
 
 def _record(path: Path) -> tuple[list[Any], tuple[float, float] | None]:
@@ -230,9 +209,8 @@ def _box(item: Any, size: tuple[int, int], annotated: tuple[float, float] | None
     return left, upper, right, lower
 
 
-def _annotation(
-    item: Any, category: str, subset: str, split: str, image: str, number: int, image_path: Path, box: Box
-) -> Annotation:
+def _viewpoint(item: Any) -> tuple[float, float]:
+    """Azimuth and elevation of an object."""
     viewpoint = getattr(item, "viewpoint", None)
     if not hasattr(viewpoint, "_fieldnames"):
         raise ViewnetError("object without a viewpoint")
@@ -241,10 +219,7 @@ def _annotation(
     azimuth, elevation = (_number(viewpoint, name) for name in ("azimuth", "elevation"))
     if abs(elevation) > 90:
         raise ViewnetError(f"elevation beyond 90 degrees ({elevation:g})")
-    flags = (bool(_number(item, name, 0.0)) for name in ("truncated", "occluded", "difficult"))
-    azimuth = azimuth % 360 % 360  # a tiny negative angle is 360 after rounding
-    base = (f"{subset}/{image}/{number}", category, split, image_path, box, azimuth, elevation)
-    return Annotation(*base, subset, image, number, *flags)
+    return azimuth % 360 % 360, elevation  # a tiny negative angle is 360 after rounding
 
 
 def _is_coarse(viewpoint: Any) -> bool:
@@ -297,8 +272,8 @@ def _read_both_splits(config: PhotoConfig, root: Path) -> Photographs:
     (first, calibrated), (second, scored) = (
         read(root, config.category, config.subset, split, config.keep) for split in SPLITS
     )
-    usable: list[Photograph] = [replace(annotation, split="val") for annotation in first]
-    usable += [replace(annotation, split="test") for annotation in second]
+    usable = [replace(photograph, split="val") for photograph in first]
+    usable += [replace(photograph, split="test") for photograph in second]
     mended = tally(what for _, what in calibrated.mended + scored.mended)
     notes = {"mended": mended, "objects of other categories": calibrated.others + scored.others}
     return Photographs(root, usable, calibrated.rejected + scored.rejected, notes)
@@ -311,8 +286,8 @@ def _count(root: Path, contents: Contents) -> None:
         usable, reasons = [], []
         for subset, (split, use) in itertools.product(there, zip(SPLITS, ("calibrate", "score"), strict=True)):
             with contents.error_is_problem():
-                annotations, report = read(root, category, subset, split)
-                usable += [f"{subset} objects to {use}"] * len(annotations)
+                photographs, report = read(root, category, subset, split)
+                usable += [f"{subset} objects to {use}"] * len(photographs)
                 reasons += [reason for _, _, reason in report.rejected]
         if there:
             contents.add(category, usable, reasons)
@@ -322,7 +297,6 @@ def _count(root: Path, contents: Contents) -> None:
 
 READER = Reader(
     DataSet(
-        key="pascal3d",
         title="PASCAL3D+ release 1.1",
         use="photographs to score on: Tables 3 and 4, DVA, the study of alignments",
         named="-p data_root FOLDER",

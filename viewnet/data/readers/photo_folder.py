@@ -100,7 +100,6 @@ def _count(root: Path, contents: Contents) -> None:
 
 READER = Reader(
     DataSet(
-        key="photographs",
         title="photographs of your own",
         use="in place of PASCAL3D+",
         named="-p data_root FOLDER",

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 class DataSet:
     """The catalogue's entry of a data set."""
 
-    key: str
     title: str
     use: str  # what it serves for
     named: str  # how a copy is named to the project

@@ -192,7 +192,6 @@ def _count(root: Path, contents: Contents) -> None:
 
 READER = Reader(
     DataSet(
-        key="shapenet",
         title="ShapeNetCore v1 or v2",
         use="CAD models to train on; Tables 1 and 2",
         named="-p data_root FOLDER (Tables 1 and 2), -p cad_root FOLDER (Tables 3 and 4), train --data-root FOLDER",

@@ -6,7 +6,6 @@ and with two kinds of masks, like those of a supervised (masks/) and of a weakly
 """
 
 from collections.abc import Callable
-from collections.abc import Sequence as Many
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -44,8 +43,8 @@ _SENSOR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _NEAR, _FAR = 0.01, 1000.0
 
 
-Shot = tuple[np.ndarray, float, tuple[float, float]]
-"""The camera of one frame: world_from_camera (3, 3), focal length and principal point in pixels."""
+Shots = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""The cameras of the frames: world_from_camera (F, 3, 3), focal lengths (F,) and principal points (F, 2) in pixels."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ def _write_video(root: Path, name: str, number: int, made: ObjectronStandIn) -> 
     rng = np.random.default_rng(source)
     mesh = built_in_mesh(made.category, number, made.seed + MODEL_SEED)
     shots = _shots(rng, made.frames, made.size)
-    cameras = np.stack([camera for camera, _, _ in shots])
+    cameras, *_ = shots
     renderings = render_cameras(mesh, cameras, _lights(rng, cameras), max(made.size), 2, "raycast")
     images, masks = _filmed(rng, shots, renderings, made.size)
     folders = {part: root / part / name for part in ("videos", MASKS, WEAK)}
@@ -101,7 +100,7 @@ def _write_video(root: Path, name: str, number: int, made: ObjectronStandIn) -> 
     record.write_bytes(_record(rng, shots, mesh, made.size).SerializeToString(deterministic=True))
 
 
-def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> list[Shot]:
+def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> Shots:
     """Cameras on an arc around the object, never tilted; a wandering aim shifts the principal point."""
     width, height = size
     sweep = rng.uniform(60, 180) * rng.choice([-1, 1])
@@ -110,11 +109,9 @@ def _shots(rng: np.random.Generator, frames: int, size: tuple[int, int]) -> list
     azimuth = rng.uniform(0, 360) + sweep * (time + 0.04 * _drift(rng, frames)) + jitter[0]
     elevation = (rng.uniform(8, 38) + 12 * _drift(rng, frames) + jitter[1]).clip(-5, 75)
     zoom = rng.uniform(0.9, 1.25) * (1 + 0.1 * _drift(rng, frames))
-    x, y = 0.5 + 0.05 * _drift(rng, frames), 0.5 + 0.06 * _drift(rng, frames)
-    cameras = look_from(azimuth % 360, elevation)
-    return [
-        (cameras[i], float(FOCAL * width * zoom[i]), (float(x[i] * width), float(y[i] * height))) for i in range(frames)
-    ]
+    x = 0.5 + 0.05 * _drift(rng, frames)
+    y = 0.5 + 0.06 * _drift(rng, frames)
+    return look_from(azimuth % 360, elevation), FOCAL * width * zoom, np.stack([x * width, y * height], axis=1)
 
 
 def _drift(rng: np.random.Generator, frames: int) -> np.ndarray:
@@ -134,7 +131,7 @@ def _lights(rng: np.random.Generator, cameras: np.ndarray) -> np.ndarray:
 
 
 def _filmed(
-    rng: np.random.Generator, shots: Many[Shot], renderings: np.ndarray, size: tuple[int, int]
+    rng: np.random.Generator, shots: Shots, renderings: np.ndarray, size: tuple[int, int]
 ) -> tuple[list[Image.Image], list[Image.Image]]:
     """The images and true masks of a video, from renderings (frames, S, S, 4) of its object."""
     width, height = size
@@ -142,12 +139,14 @@ def _filmed(
     kind = (scenes.room, scenes.clutter, scenes.facade)[int(rng.integers(3))]
     background = Image.fromarray(kind(rng, wide, high).clip(0, 255).astype(np.uint8))
     background = background.filter(ImageFilter.GaussianBlur(rng.uniform(0, 0.006) * width))
-    pan = [0.5 + 0.5 * np.clip(_drift(rng, len(shots)), -1, 1) for _ in range(2)]
-    gain, tint = np.exp(0.25 * _drift(rng, len(shots))), np.exp(rng.normal(0, 0.05, 3))
+    frames = len(renderings)
+    pan = [0.5 + 0.5 * np.clip(_drift(rng, frames), -1, 1) for _ in range(2)]
+    gain, tint = np.exp(0.25 * _drift(rng, frames)), np.exp(rng.normal(0, 0.05, 3))
     grain = rng.uniform(0, 0.02)
     images, masks = [], []
-    previous = shots[0][2]
-    for place, ((_, focal, centre), rendering) in enumerate(zip(shots, renderings, strict=True)):
+    _, focals, centres = shots
+    previous = centres[0]
+    for place, (focal, centre, rendering) in enumerate(zip(focals, centres, renderings, strict=True)):
         left, upper = pan[0][place] * (wide - width), pan[1][place] * (high - height)
         image = background.resize(size, Image.Resampling.BILINEAR, box=(left, upper, left + width, upper + height))
         # The rendering, scaled and shifted as the shot's camera has it.
@@ -218,7 +217,7 @@ def _weak(rng: np.random.Generator, mask: Image.Image, cells: int = 12) -> Image
     return Image.fromarray(((soft > level.clip(0.1, 0.75)) * 255).astype(np.uint8))
 
 
-def _record(rng: np.random.Generator, shots: Many[Shot], mesh: Mesh, size: tuple[int, int]) -> Any:
+def _record(rng: np.random.Generator, shots: Shots, mesh: Mesh, size: tuple[int, int]) -> Any:
     """The record of a video whose object stands somewhere in the world (y up), rotated about the vertical."""
     width, height = size
     turn = rng.uniform(0, 2 * np.pi)
@@ -233,7 +232,7 @@ def _record(rng: np.random.Generator, shots: Many[Shot], mesh: Mesh, size: tuple
     thing.rotation.extend(rotation.ravel())
     thing.translation.extend(translation)
     thing.scale.extend(scale)
-    for number, (world_from_camera, focal, (x, y)) in enumerate(shots):
+    for number, (world_from_camera, focal, (x, y)) in enumerate(zip(*shots, strict=True)):
         pose = np.eye(4)
         pose[:3, :3] = rotation @ AXES.T @ world_from_camera @ _SENSOR
         pose[:3, 3] = rotation @ AXES.T @ (DISTANCE * world_from_camera[:, 2]) + where

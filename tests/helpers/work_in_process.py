@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from helpers.works import PLACES, damage, differences
+from helpers.interrupted_work import PLACES, damage, differences
 
 from viewnet.config import RunConfig
 from viewnet.data.build import view_store
@@ -42,11 +42,11 @@ class Task:
         return ""
 
     def damage(self, root: Path, reference: Path) -> list[str]:
-        """See works.damage."""
+        """See interrupted_work.damage."""
         return damage(root, reference, (self.makes,))
 
     def differences(self, root: Path, reference: Path) -> list[str]:
-        """See works.differences."""
+        """See interrupted_work.differences."""
         return differences(root, reference, (self.makes,))
 
 

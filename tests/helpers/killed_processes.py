@@ -12,7 +12,7 @@ from random import Random
 from subprocess import Popen, TimeoutExpired
 
 import psutil
-from helpers.works import Work, damage, differences
+from helpers.interrupted_work import Work, damage, differences
 
 PATIENCE = 1800
 """Seconds after which unfinished work counts as hung."""

@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
 
-from helpers import works
+from helpers import interrupted_work
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def two_processes(data: Path) -> Iterator[Callable[[str, Path], Pair]]:
             (one.made > 0) + (two.made > 0),
             one.waited or two.waited,
             one.read == two.read,
-            works.leftovers(root),
+            interrupted_work.leftovers(root),
         )
 
     try:
@@ -127,7 +127,7 @@ def _serve(pipe: Connection, barrier: Barrier, data: Path) -> None:
             question, root = pipe.recv()
         except EOFError:
             return
-        for place, variable in works.PLACES.items():
+        for place, variable in interrupted_work.PLACES.items():
             os.environ[variable] = str(root / place)
         if question == "run":
             os.environ["VIEWNET_DATA"] = str(data)
@@ -136,7 +136,7 @@ def _serve(pipe: Connection, barrier: Barrier, data: Path) -> None:
         barrier.wait(600)
         try:
             made, folder = QUESTIONS[question][0](root)
-            read = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in works.files(folder)}
+            read = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in interrupted_work.files(folder)}
             pipe.send(Answer(made, handler.seen, read))
         except Exception as error:
             pipe.send(f"{type(error).__name__}: {error}")

@@ -1,4 +1,4 @@
-"""Trainings as a script, for torchrun: `trains.py TASK...` with files that test_distributed writes."""
+"""Trainings as a script, for torchrun: `torchrun_training.py TASK...` with files that test_distributed writes."""
 
 from __future__ import annotations
 
