@@ -305,7 +305,7 @@ def test_a_category_may_have_a_method_of_its_own_and_learns_by_itself(photograph
     both = Submission("Both", {"car": Says(straight), "chair": Says(lambda n: -straight(n))})
     vectors = predictions(request, both)
     assert (vectors.selected[:, 0] == np.where(vectors.ids["category"] == "car", 1, -1)).all()
-    with pytest.raises(ViewnetError, match="method 'Half': there is none for chair, only for car"):
+    with pytest.raises(ViewnetError, match="'Half' 'chair'"):
         predictions(request, Submission("Half", {"car": Says(straight)}))
 
 

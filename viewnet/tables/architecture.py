@@ -49,8 +49,10 @@ class Architecture:
 
     def write(self, folder: Path) -> list[Path]:
         """`architecture_<part>.tex` and `.csv`."""
-        write_text(tex := folder / f"architecture_{self.part}.tex", self.latex())
-        write_text(csv := tex.with_suffix(".csv"), self.layers.to_csv(index=False, lineterminator="\n"))
+        tex = folder / f"architecture_{self.part}.tex"
+        csv = tex.with_suffix(".csv")
+        write_text(tex, self.latex())
+        write_text(csv, self.layers.to_csv(index=False, lineterminator="\n"))
         return [tex, csv]
 
 

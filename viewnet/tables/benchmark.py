@@ -6,12 +6,12 @@ from typing import Any
 CONTESTANTS = ("textbook", "viewnet")
 NOT_MEASURED = "not measured"
 QUICK = "quick: a check that everything works, and no measurement"
+# The two lines above `cells`.
 HEADINGS = (
     ("", "", "", "", "time", "", "", "memory", "", "", "images/s", "", "growth", "", "", "x floor", ""),
     ("work", "volume", "size", "on", "textbook", "viewnet", "ratio", "textbook", "viewnet", "ratio", "textbook",
      "viewnet", "expected", "textbook", "viewnet", "textbook", "viewnet"),
 )  # fmt: skip
-"""The two lines above `cells`."""
 
 
 def cells(row: Mapping[str, Any]) -> tuple[str, ...]:

@@ -15,8 +15,8 @@ from viewnet.tables.image_grids import image_grid
 from viewnet.tables.plots import angles
 from viewnet.tables.run_renderer import Stores, own_views, renderers
 
+# Degrees: an error of this size or more is a failure, and a cause explains an azimuth to within less than this.
 THRESHOLD = 30.0
-"""Degrees: an error of this size or more is a failure, and a cause explains an azimuth to within less than this."""
 CAUSES = ("half a turn", "front and back mirrored", "elevation", "other")
 
 

@@ -8,15 +8,15 @@ import pandas as pd
 from viewnet.tables.columns import DASH, METRICS, Key, best, by_key, text
 from viewnet.tables.layouts import Layout
 
+# The paper's short names of categories.
 SHORT = {"aeroplane": "airplane", "bicycle": "bike", "diningtable": "table", "motorbike": "mbike", "tvmonitor": "tv"}
-"""The paper's short names of categories."""
 NAMED = {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}"}
+# Special characters of LaTeX -> how they are written.
 SPECIAL = str.maketrans(NAMED | {character: f"\\{character}" for character in "&%$#_{}"})
-"""Special characters of LaTeX -> how they are written."""
 WIDE = 4  # with more categories than this, a measured number stands below the reported one and not beside it
 
 
-def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ()) -> str:
+def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> str:
     """Metrics side by side, each with two columns for a category, reported and measured; `lines` of text at the end.
 
     `cells` are those of viewnet.tables.table.Table.
@@ -35,7 +35,7 @@ def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ())
     return tabular(f"l{'r' * 2 * count}", body, lines)
 
 
-def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ()) -> str:
+def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> str:
     """Metrics one below the other, as Table 3 has them; `lines` of text in a box below.
 
     Up to WIDE categories have two columns each, reported and measured; more of them one, with the measured number in

@@ -67,7 +67,7 @@ def compare(rendered: Tensor, target: Tensor) -> pd.DataFrame:
     lines = []
     for one, true in pairs:
         colours, true_colours = one[..., :3], true[..., :3]
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore"):  # equal images have an infinite one
             psnr = min(HIGHEST, float(peak_signal_noise_ratio(true_colours, colours, data_range=1.0)))
         ssim = structural_similarity(
             true_colours, colours, data_range=1.0, channel_axis=-1,
@@ -80,16 +80,17 @@ def compare(rendered: Tensor, target: Tensor) -> pd.DataFrame:
 
 
 @torch.no_grad()
-def consistency(renderer: RunRenderer, judge: RunRenderer | None = None, seed: int = 0) -> Floats:
+def consistency(renderer: RunRenderer, judge: RunRenderer | None = None) -> Floats:
     """Errors (N,), degrees, of the viewpoints predicted for views rendered from random viewpoints, one per test view.
 
     Predicted by the network's own viewpoint network or, if given, the judge's; see above. Each test view gives an
     appearance. Azimuths are uniform, elevations uniform in the range of the run's views. All decoders render at the
     size they were trained at, enlarged to the input size, so that none has an advantage in sharpness.
     """
-    reader, rng = judge or renderer, np.random.default_rng(seed)
+    reader = judge or renderer
     low, high = renderer.config.data.elevation_range
-    angles = torch.from_numpy(rng.uniform((0, low), (360, high), (len(renderer), 2)))
+    # One seed for all: every network is shown its objects from the same viewpoints.
+    angles = torch.from_numpy(np.random.default_rng(0).uniform((0, low), (360, high), (len(renderer), 2)))
     truth = view_vector(angles[:, 0], angles[:, 1])
     vectors, up_vectors = [], []
     for rows in map(Tensor.tolist, torch.arange(len(renderer)).split(BATCH)):
@@ -166,8 +167,9 @@ def frame(cells: pd.DataFrame) -> pd.DataFrame:
 
 def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
     """`novel_views.tex`, a booktabs tabular, and `novel_views.csv`: every number, with its interval and runs."""
-    write_text(tex := folder / "novel_views.tex", latex.measured(cells, NOVEL_VIEWS, note))
-    write_text(csv := folder / "novel_views.csv", cells.round(4).to_csv(index=False, lineterminator="\n"))
+    tex, csv = folder / "novel_views.tex", folder / "novel_views.csv"
+    write_text(tex, latex.measured(cells, NOVEL_VIEWS, note))
+    write_text(csv, cells.round(4).to_csv(index=False, lineterminator="\n"))
     return [tex, csv]
 
 

@@ -31,13 +31,13 @@ STYLE: Any = {
 }
 INK = "#1f4e79"
 STYLES = {"none": "-", "procrustes": "-", "robust": "-.", "linear": "--", "per_angle": ":"}
+# Distinct for colour-blind readers too (Okabe and Ito 2008).
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Distinct for colour-blind readers too (Okabe and Ito 2008)."""
 DASHES: Any = ("-", "--", ":", "-.")
+# Columns of a run's log that are no term of its loss, and their titles.
 LOGGED = {"val_accuracy": "validation accuracy (%)", "val_folded": "the same, folded (%)",
     "val_reconstruction": "validation error", "val_least_used": "least used head (%)",
     "val_focal": "focal length", "loss": "training loss"}  # fmt: skip
-"""Columns of a run's log that are no term of its loss, and their titles."""
 COUNTED = ("epoch", "step", "seconds")  # columns that only say where the training is
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
 LEGEND: Any = {"loc": "outside right upper", "frameon": False, "fontsize": 7}
@@ -127,7 +127,7 @@ def training_curves(logs: pd.DataFrame) -> Figure:
 
 
 @matplotlib.rc_context(STYLE)
-def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = tuple(AXES)) -> Figure:
+def calibration_curves(scores: pd.DataFrame) -> Figure:
     """Scores over the number of calibration photographs, a row a metric and a column a category.
 
     `scores` is `scores` of viewnet.experiments.alignment_study.Study: a line is the median over draws and seeds of a
@@ -137,14 +137,14 @@ def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = tuple(AXES
     categories = list(dict.fromkeys(scores["category"]))
     fitted = set(scores.loc[scores["alignment"] == "none", "predictor"])
     colours = {predictor: f"C{i}" for i, predictor in enumerate(dict.fromkeys(scores["predictor"]))}
-    figure = Figure(figsize=(2.3 * len(categories) + 1.6, 1.7 * len(metrics)), layout="constrained")
-    grid = figure.subplots(len(metrics), len(categories), squeeze=False, sharex=True, sharey="row")
+    figure = Figure(figsize=(2.3 * len(categories) + 1.6, 1.7 * len(AXES)), layout="constrained")
+    grid = figure.subplots(len(AXES), len(categories), squeeze=False, sharex=True, sharey="row")
     for (predictor, kind), rows in scores.groupby(["predictor", "alignment"], sort=False):
         if (predictor in fitted) != (kind == "none"):
             continue
         colour, label = colours[predictor], predictor if kind == "none" else f"{predictor}, {kind}"
         style: Any = {"color": colour, "linestyle": STYLES[kind], "label": label}
-        for (i, metric), (j, category) in itertools.product(enumerate(metrics), enumerate(categories)):
+        for (i, metric), (j, category) in itertools.product(enumerate(AXES), enumerate(categories)):
             shown = rows[rows["category"] == category].groupby("images")[metric].agg(["median", "min", "max"])
             images, axes = shown.index.to_numpy(dtype=float), grid[i, j]
             axes.plot(images, shown["median"], linewidth=1, markersize=2, marker="o", **style)
@@ -154,8 +154,8 @@ def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = tuple(AXES
         grid[0, j].set_xscale("log", base=2)
         grid[-1, j].xaxis.set_major_formatter("{x:.0f}")
         grid[-1, j].set_xlabel("calibration photographs")
-    for i, metric in enumerate(metrics):
-        grid[i, 0].set_ylabel(AXES[metric])
+    for i, title in enumerate(AXES.values()):
+        grid[i, 0].set_ylabel(title)
         grid[i, 0].set_ylim(bottom=0)
     figure.legend(*grid[0, 0].get_legend_handles_labels(), **LEGEND)
     return figure

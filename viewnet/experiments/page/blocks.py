@@ -18,11 +18,11 @@ from viewnet.tables.architecture import COLUMNS, Architecture
 from viewnet.tables.columns import METRICS, Column, best, by_key
 
 FLOATS = ("measured", "sd", "low", "high")
+# End of a CSV file's name beside a table -> its title.
 BESIDE = {
     "definitions": "By other alignments and definitions of the error",
     "nearest": "How near test models are to those trained on: IoU of silhouettes with the most alike",
 }
-"""End of a CSV file's name beside a table -> its title."""
 Files = Mapping[str, Path]  # name -> file
 
 
@@ -202,6 +202,7 @@ def plain_table(title: str, frame: pd.DataFrame, folded: bool = False, index: bo
     return PlainTable(title, Markup(html), folded)
 
 
+# Section -> the function that reads its files, where that is not `tables`.
 READERS: dict[str, Callable[[Files], Content]] = {
     "novel_views": novel_views,
     "alignment_study": study,
@@ -210,4 +211,3 @@ READERS: dict[str, Callable[[Files], Content]] = {
     "bench": bench,
     **dict.fromkeys(("fuzz", "faults", "crashes", "predicting"), csv_files),
 }
-"""Section -> the function that reads its files, where that is not `tables`."""
