@@ -245,14 +245,10 @@ def _unit_vectors(values: Any, count: int, who: str) -> Floats:
         raise ViewnetError(f"{who}: predict returned no array of numbers ({str(error).splitlines()[0]})") from error
     if vectors.shape != (count, 3):
         raise ViewnetError(f"{who}: predict returned {vectors.shape} for {count} images: expected ({count}, 3)")
-    wrong = ~(np.abs(np.linalg.norm(vectors, axis=1) - 1) <= UNIT_TOLERANCE)  # NaN is wrong as well
-    if wrong.any():
-        at = int(np.flatnonzero(wrong)[0])
-        numbers = ", ".join(f"{value:g}" for value in vectors[at])
-        raise ViewnetError(
-            f"{who}: predict returned ({numbers}) for image {at} of the {count} in this call: expected unit vectors"
-            f" ({int(wrong.sum())} are none)"
-        )
+    wrong = np.flatnonzero(~(np.abs(np.linalg.norm(vectors, axis=1) - 1) <= UNIT_TOLERANCE))  # NaN is wrong as well
+    if wrong.size:
+        which = f"{vectors[wrong[0]].tolist()} for image {wrong[0]} of the {count} in this call"
+        raise ViewnetError(f"{who}: predict returned {which}: expected unit vectors ({wrong.size} are none)")
     return vectors
 
 
