@@ -23,7 +23,7 @@ def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> s
     """
     categories, pairs = list(dict.fromkeys(cells["category"])), _pairs(cells)
     headings = [METRICS[metric].latex for metric in layout.metrics]
-    count = len(headings) * len(categories)
+    count = len(headings) * len(categories)  # each of two columns
     body = [
         spanned(headings, [len(categories) * 2] * len(headings)),
         spanned(categories * len(headings), [2] * count),
@@ -42,7 +42,7 @@ def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> str:
     italics below the reported one, in a smaller font and with less space between columns.
     """
     categories, pairs = list(dict.fromkeys(cells["category"])), _pairs(cells)
-    measured_rows = set(cells.loc[cells["variant"] != "", "row"])
+    measured_rows = set(cells.loc[cells["variant"] != "", "row"])  # others have no line of ours
     if wide := len(categories) > WIDE:
         body = [line(["", *(SHORT.get(category, category) for category in categories)])]
     else:
@@ -58,7 +58,7 @@ def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> str:
             label = f"{escape(row)}, \\textit{{ours}}"
             if row not in measured_rows or any(reported != DASH for reported, _ in shown):
                 body.append(line([escape(row), *(reported for reported, _ in shown)]))
-                label = "\\quad\\textit{ours}"
+                label = "\\quad\\textit{ours}"  # the row is named above
             if row in measured_rows:
                 body.append(line([label, *(f"\\textit{{{measured}}}" for _, measured in shown)]))
     table = tabular(f"l{'r' * width}", body) + (f"\n{boxed(lines, 'footnotesize')}\n" if lines else "")
@@ -101,7 +101,7 @@ def line(cells: Iterable[str]) -> str:
 def spanned(labels: Sequence[str], spans: Sequence[int]) -> str:
     """A row of headings after an empty cell, each over several columns, with a rule below each."""
     cells = [f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label, span in zip(labels, spans, strict=True)]
-    ends = np.cumsum(spans) + 1
+    ends = np.cumsum(spans) + 1  # the first column holds the labels
     rules = [f"\\cmidrule(lr){{{end - span + 1}-{end}}}" for end, span in zip(ends, spans, strict=True)]
     return line(["", *cells]) + " ".join(rules) + "\n"
 
@@ -117,7 +117,7 @@ def _heading(latex: str, width: int) -> str:
 
 def _pairs(cells: pd.DataFrame) -> dict[Key, tuple[str, str]]:
     """(row, category, metric) -> reported and measured number, the best of each in bold."""
-    top = best(cells, lambda metric: METRICS[metric].digits)
+    top = best(cells, lambda metric: METRICS[metric].digits)  # of numbers as they are printed
     return {
         key: (
             _bold(cell["printed"] or DASH, cell["bold"]),

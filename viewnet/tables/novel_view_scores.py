@@ -36,7 +36,7 @@ from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, r
 
 COPY = "Appearance view"  # the row of the appearance view itself, in the place of a rendered view
 HIGHEST = 100.0  # dB: the PSNR of equal images
-DRAWS = 1000
+DRAWS = 1000  # of the bootstrap, as for the other tables
 
 
 def fidelity(renderer: RunRenderer, copy: bool = False) -> pd.DataFrame:
@@ -52,12 +52,12 @@ def fidelity(renderer: RunRenderer, copy: bool = False) -> pd.DataFrame:
     frames = renderer.in_own_frame(look_at(torch.from_numpy(true_vectors(ids))))
     parts = []
     for rows in map(Tensor.tolist, torch.arange(len(renderer)).split(BATCH)):
-        other = renderer.next_views(rows)
+        other = renderer.next_views(rows)  # its own view would give the answer away
         rendered = renderer.images(other) if copy else renderer.render(renderer.encode(other), frames[rows])
         parts.append(compare(rendered, renderer.images(rows)))
     scores = pd.concat([ids[["model_id", "view"]], pd.concat(parts, ignore_index=True)], axis=1)
     if not copy and renderer.config.train.target == "mask":
-        scores[["psnr", "ssim"]] = np.nan
+        scores[["psnr", "ssim"]] = np.nan  # its colours were never compared with any
     return scores
 
 
@@ -73,8 +73,9 @@ def compare(rendered: Tensor, target: Tensor) -> pd.DataFrame:
             true_colours, colours, data_range=1.0, channel_axis=-1,
             gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
         )  # fmt: skip
-        mask, true_mask = one[..., 3] > 0.5, true[..., 3] > 0.5
+        mask, true_mask = one[..., 3] > 0.5, true[..., 3] > 0.5  # masks are soft at edges
         union = (mask | true_mask).sum()
+        # Empty both.
         lines.append({"psnr": psnr, "ssim": float(ssim), "iou": (mask & true_mask).sum() / union if union else 1.0})
     return pd.DataFrame(lines, columns=list(FIDELITY))
 
@@ -94,7 +95,7 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None) -> Floa
     truth = view_vector(angles[:, 0], angles[:, 1])
     vectors, up_vectors = [], []
     for rows in map(Tensor.tolist, torch.arange(len(renderer)).split(BATCH)):
-        rendered = renderer.render(renderer.encode(rows), look_at(truth[rows]))
+        rendered = renderer.render(renderer.encode(rows), look_at(truth[rows]))  # level, as the views are
         hypotheses = reader.network.viewpoint(_as_input(rendered, renderer, reader))
         heads = hypotheses.logits.argmax(1)
         vectors.append(hypotheses.of_heads(heads).double().cpu().numpy())
@@ -102,9 +103,9 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None) -> Floa
             up_vectors.append(hypotheses.ups[torch.arange(len(rows)), heads].double().cpu().numpy())
     predicted, true = np.concatenate(vectors), truth.numpy()
     ups = np.concatenate(up_vectors) if up_vectors else None
-    if judge is None:
+    if judge is None:  # its own network knows the frame
         return metrics.geodesic_error(predicted, true, ups)
-    errors, even = np.empty(len(predicted)), renderer.views.objects.numpy() % 2 == 0
+    errors, even = np.empty(len(predicted)), renderer.views.objects.numpy() % 2 == 0  # halves of objects, not of views
     # Each half is aligned by a fit on the other, so that no object decides on its own score.
     for half in (even, ~even):
         rotation = fit_rotation(predicted[~half], true[~half])
@@ -116,6 +117,7 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None) -> Floa
 def _as_input(rendered: Tensor, renderer: RunRenderer, reader: RunRenderer) -> Tensor:
     """Rendered views (N, 4, S, S) as inputs (N, 3, s, s) of the reader's viewpoint network."""
     model = reader.network.config
+    # No sharper for larger ones.
     images = F.interpolate(rendered, (model.input_size, model.input_size), mode="bilinear")
     if model.crop != "none":
         images = tight_crop(images, model.input_size, model.crop == "stretched")
@@ -139,7 +141,7 @@ def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -
         here = [run for run in runs if run.config.category == category]
         groups = {variant: [run for run in here if run.config.variant == variant] for variant in LABELS}
         mine = {variant: renderers(group, stores) for variant, group in groups.items() if group}
-        judge = mine["viewnet"][0] if "viewnet" in mine else None
+        judge = mine["viewnet"][0] if "viewnet" in mine else None  # one judge, so that rows compare
         copied = fidelity(next(iter(mine.values()))[0], copy=True)
         lines += _lines({"row": COPY, "variant": "", "category": category}, "", [copied], {}, draws)
         for variant, seeds in mine.items():

@@ -26,7 +26,7 @@ from viewnet.model.rendering import ObjectRenderer, to_uint8
 from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import read_json
 
-BATCH = 64
+BATCH = 64  # images rendered at once
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class RunRenderer(ObjectRenderer):
 
     def predicted_frames(self, rows: Sequence[int]) -> Tensor:
         """Own camera frames (N, 3, 3) of the viewpoints that the network selects for test views."""
-        taken = self.aligned.predictions.take(list(rows))
+        taken = self.aligned.predictions.take(list(rows))  # those of the tables, not predicted again
         ups = None if taken.ups is None else torch.from_numpy(taken.ups[np.arange(len(taken)), taken.choice])
         return look_at(torch.from_numpy(np.array(taken.selected)), ups).float()
 
