@@ -87,16 +87,13 @@ def test_train_reports_runs_that_are_not_scored(capsys, monkeypatch):
         (["train", "cart"], "unknown category 'cart'"),
         (["train", "car", "-s", "epochs"], "-s epochs: expected NAME=VALUE"),
         (["train", "car", "-s", "epoch=3"], "unknown setting 'epoch'"),
-        (["train", "car", "-s", "epochs=many"], "config.train.epochs: expected int, got 'many'"),
+        (["train", "car", "-s", "epochs=many"], "config.train.epochs: expected int"),
         (["train", "car", "--data-root", "nowhere"], "data_root nowhere: no such folder"),
         (["train", "car", "--threads", "0"], "--threads 0: expected 1 to 1024"),
         (["train", "car", "--threads", "-1"], "--threads -1: expected 1 to 1024"),
         (["notebook", "table2_ablation", "--threads", "1025"], "--threads 1025: expected 1 to 1024"),
         (["predict", "a.png", "--model", "car", "--threads", "0"], "--threads 0: expected 1 to 1024"),
-        (
-            ["train", "car", "--threads", "2", "--cluster", "tcp://a:1"],
-            "--threads: workers of a cluster have their own",
-        ),
+        (["train", "car", "--threads", "2", "--cluster", "tcp://a:1"], "--threads: workers of a cluster"),
         (["train", "car", "--cluster", "scheduler-file:nowhere"], "cluster scheduler-file:nowhere: "),
     ],
 )
@@ -171,10 +168,10 @@ def test_every_command_s_examples_are_ones_that_it_takes(command, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "the following arguments are required: COMMAND (see viewnet --help)"),
-        (["train"], "the following arguments are required: CATEGORY (see viewnet train --help)"),
-        (["bench", "--batch", "many"], "argument --batch: invalid int value: 'many' (see viewnet bench --help)"),
-        (["tables", "--pages"], "unrecognized arguments: --pages (see viewnet --help)"),
+        ([], "COMMAND (see viewnet --help)"),
+        (["train"], "CATEGORY (see viewnet train --help)"),
+        (["bench", "--batch", "many"], "'many' (see viewnet bench --help)"),
+        (["tables", "--pages"], "--pages (see viewnet --help)"),
     ],
 )
 def test_a_wrong_command_line_is_reported_in_one_line(arguments, message, capsys):

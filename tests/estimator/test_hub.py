@@ -29,7 +29,7 @@ def test_the_hub_s_models_are_read_from_its_cache(images, tmp_path):
     found = load("someone/cars", cache_dir=tmp_path, local_files_only=True)
     assert same(found.predict(images), estimator.predict(images), 0)
     for name, options in (("someone/boats", {}), ("someone/cars", {"revision": "v2"})):
-        with pytest.raises(ViewnetError, match=rf"{name}: the Hugging Face hub gives no such model \(") as told:
+        with pytest.raises(ViewnetError, match=rf"{name}: .* no such model \(") as told:
             load(name, cache_dir=tmp_path, local_files_only=True, **options)
         assert "\n" not in str(told.value)
 
@@ -38,7 +38,7 @@ def test_without_the_hub_s_library_folders_are_all_there_is(tmp_path, monkeypatc
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
     untrained().save_pretrained(tmp_path)
     load(tmp_path)
-    with pytest.raises(ViewnetError, match=r'and for the Hugging Face hub: pip install "viewnet\[hub\]"'):
+    with pytest.raises(ViewnetError, match=r'"viewnet\[hub\]"'):
         load("someone/cars")
 
 
@@ -65,5 +65,5 @@ def test_models_go_to_the_hub(tmp_path, monkeypatch, images):
     assert address == "https://huggingface.co/someone/cars/commit/1"
     assert same(load(tmp_path / "hub" / "someone" / "cars").predict(images), estimator.predict(images), 0)
     assert not (tmp_path / "hub" / "someone" / "cars" / "private.txt").exists()
-    with pytest.raises(ViewnetError, match=r"someone/cars: the Hugging Face hub takes no model \("):
+    with pytest.raises(ViewnetError, match=r"someone/cars: .* takes no model"):
         estimator.save_pretrained(tmp_path / "cars", repo_id="someone/cars", **options)

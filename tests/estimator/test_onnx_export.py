@@ -43,9 +43,9 @@ def test_onnx_gives_the_outputs_of_the_network(tmp_path, overrides):
 
 
 def test_errors_of_the_export(tmp_path, monkeypatch):
-    with pytest.raises(ViewnetError, match=r"car\.pt: unknown kind of model file: name it \.onnx"):
+    with pytest.raises(ViewnetError, match=r"car\.pt: .* name it \.onnx"):
         untrained().export_onnx(tmp_path / "car.pt")
     monkeypatch.setitem(sys.modules, "onnxscript", None)
-    with pytest.raises(ViewnetError, match=r'onnxscript is not installed: pip install "viewnet\[onnx\]"'):
+    with pytest.raises(ViewnetError, match=r'onnxscript .*"viewnet\[onnx\]"'):
         untrained().export_onnx(tmp_path / "car.onnx")
     assert not list(tmp_path.iterdir())

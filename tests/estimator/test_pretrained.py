@@ -45,15 +45,13 @@ def test_a_run_that_is_not_scored_is_not_aligned(tmp_path, images):
 
 def test_errors_of_loading(run, tmp_path):
     unfinished = untrained_run(tmp_path / "unfinished").folder
-    with pytest.raises(ViewnetError, match="the run is not finished: run viewnet train again to resume it"):
+    with pytest.raises(ViewnetError, match="the run is not finished"):
         load(unfinished)
     (unfinished / "checkpoint.safetensors").unlink()
-    with pytest.raises(ViewnetError, match="neither a model of save_pretrained nor a finished run"):
+    with pytest.raises(ViewnetError, match="nor a finished run"):
         load(unfinished)
     for where in ("ba9876543210", tmp_path / "nowhere", tmp_path, "cars"):
-        with pytest.raises(
-            ViewnetError, match=r"no model there: expected a model that .*, a folder of save_pretrained"
-        ):
+        with pytest.raises(ViewnetError, match=r"no model there"):
             load(where)
     with pytest.raises(ViewnetError, match="device gpu: not available here"):
         load(run.folder, device="gpu")
@@ -96,8 +94,8 @@ def test_folders_of_a_machine_stay_there(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": 2, "viewnet": "9.1"}, "format 2, written by viewnet 9.1: this version reads format 1"),
-        ({"format": None}, "neither a model of save_pretrained nor a finished run"),
+        ({"format": 2, "viewnet": "9.1"}, "format 2, written by viewnet 9.1"),
+        ({"format": None}, "nor a finished run"),
         ({"about": ...}, "'about' is missing"),
         ({"alignment": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}}, "was not saved with this config.json"),
         ({"config": {"variant": "viewnet"}}, "is of another version of viewnet"),
@@ -114,7 +112,7 @@ def test_errors_of_configurations(tmp_path, change, message):
 @pytest.mark.parametrize("rotation", [np.diag([1.0, 1.0, -1.0]), 2 * np.eye(3), np.ones(5)])
 def test_an_alignment_that_is_not_a_rotation_is_an_error(tmp_path, rotation):
     untrained(rotation=rotation).save_pretrained(tmp_path)
-    with pytest.raises(ViewnetError, match=r"config\.json: its alignment is not a rotation"):
+    with pytest.raises(ViewnetError, match=r"config\.json: .* not a rotation"):
         load(tmp_path)
 
 
@@ -129,7 +127,7 @@ def test_weights_that_do_not_fit_are_named(tmp_path):
         ({"focal": None}, "focal is missing"),
     ):
         save_file({name: value for name, value in (weights | change).items() if value is not None}, path)
-        with pytest.raises(ViewnetError, match=rf"{message}.*: weights and configuration are not of one network"):
+        with pytest.raises(ViewnetError, match=rf"{message}.*: not of one network"):
             load(tmp_path)
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ViewnetError, match="not a whole file of weights"):
@@ -186,7 +184,7 @@ def test_values_out_of_range_of_half_precision_are_an_error(tmp_path):
     estimator = untrained()
     with torch.no_grad():
         next(estimator.network.viewpoint.encoder.parameters()).fill_(1e6)
-    with pytest.raises(ViewnetError, match=r"viewpoint\.encoder.* holds values that half precision cannot"):
+    with pytest.raises(ViewnetError, match=r"viewpoint\.encoder.* half precision"):
         estimator.save_pretrained(tmp_path / "saved", half=True)
     assert not (tmp_path / "saved").exists()
 
@@ -197,7 +195,7 @@ def test_models_that_come_with_the_package_are_called_by_their_category(tmp_path
     (tmp_path / "not a model").mkdir()
     assert pretrained.shipped() == ["car"]
     assert np.allclose(load("car").predict(images).hypotheses, load(tmp_path / "car").predict(images).hypotheses)
-    with pytest.raises(ViewnetError, match=r"boat: no model there: expected a model that comes with viewnet \(car\)"):
+    with pytest.raises(ViewnetError, match=r"boat: .* comes with viewnet \(car\)"):
         load("boat")
 
 

@@ -323,7 +323,7 @@ def test_the_view_from_the_predicted_viewpoint_is_the_reconstruction(store, imag
     other = estimator.novel_view(images, 10, 20, size=24)
     assert np.abs(again.astype(int) - other).max() > 20
     for azimuth in ([1.0, 2.0], np.nan):
-        with pytest.raises(ViewnetError, match=r"azimuth .*: expected degrees, one number or 9"):
+        with pytest.raises(ViewnetError, match=r"azimuth .*: .* one number or 9"):
             estimator.novel_view(images, azimuth, 0)
 
 

@@ -78,7 +78,7 @@ def test_files_come_back(tmp_path, suffix):
 
 
 def test_errors_of_meshes(tmp_path):
-    with pytest.raises(ViewnetError, match=r"highest occupancy is 0\.4, not above 0\.5"):
+    with pytest.raises(ViewnetError, match=r"occupancy is 0\.4, not above 0\.5"):
         volume_mesh.surface(torch.full((4, 4, 4, 4), 0.4))
     with pytest.raises(ViewnetError, match=r"expected \(4, Z, Y, X\)"):
         volume_mesh.surface(torch.ones(1, 4, 4, 4, 4))

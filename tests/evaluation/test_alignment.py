@@ -179,7 +179,7 @@ def test_identity_leaves_vectors_alone():
 @pytest.mark.parametrize("kind", ["procrustes", "linear", "per_angle"])
 def test_too_little_to_fit_on_is_said(kind):
     truth = viewpoints(0)
-    with pytest.raises(ViewnetError, match="3 calibration images, expected 4 or more"):
+    with pytest.raises(ViewnetError, match="3 calibration images"):
         ALIGNMENTS[kind].fit(truth[:3], truth[:3])
     with pytest.raises(ViewnetError, match="expected"):
         ALIGNMENTS[kind].fit(truth, truth[:5])

@@ -79,7 +79,7 @@ def test_what_has_no_mean_is_said():
     with pytest.raises(ViewnetError, match="cancel out"):
         baselines.constant(ring, source="val")
     assert abs(angles(baselines.constant(ring, source="val", mean="rotation").selected[0])[1]) < 1e-6
-    with pytest.raises(ViewnetError, match="unknown mean 'middle': choose one of vector, rotation"):
+    with pytest.raises(ViewnetError, match="unknown mean 'middle'"):
         baselines.constant(ring, source="val", mean="middle")
     with pytest.raises(ViewnetError, match="no views of split 'train'"):
         baselines.constant(ring)
@@ -145,7 +145,7 @@ def test_test_photographs_have_no_part_in_the_fit(readable):
 
 def test_regressions_that_cannot_be_fitted_are_refused(readable):
     index, features = readable
-    with pytest.raises(ViewnetError, match=r"features are \(299, 2040\) for 300 images"):
+    with pytest.raises(ViewnetError, match=r"\(299, 2040\) for 300 images"):
         baselines.view_regression(index, features[1:])
     with pytest.raises(ViewnetError, match=r"ridge 0: expected more than 0"):
         baselines.view_regression(index, features, ridge=0)

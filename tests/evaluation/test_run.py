@@ -46,23 +46,23 @@ def test_a_run_knows_how_it_is_aligned(run, variant, alignments):
 def test_a_run_that_is_not_finished_or_was_not_scored_is_refused(run):
     (run.folder / "result.json").write_text('{"metrics": null}')
     assert not run.scored
-    with pytest.raises(ViewnetError, match=f"chair seed 3 .*: {NOT_SCORED}: score it on photographs"):
+    with pytest.raises(ViewnetError, match=f"chair seed 3 .*: {NOT_SCORED}"):
         _ = run.predictions
     (run.folder / "result.json").write_text("{}")
-    with pytest.raises(ViewnetError, match="no metrics: the run is not finished, train it again"):
+    with pytest.raises(ViewnetError, match="no metrics"):
         _ = run.scored
     (run.folder / "result.json").write_text("[]")
-    with pytest.raises(ViewnetError, match=r"result.json: not a run's result: delete it"):
+    with pytest.raises(ViewnetError, match=r"result.json: not a run's result"):
         _ = run.result
     (run.folder / "log.csv").unlink()
-    with pytest.raises(ViewnetError, match=r"no log.csv: viewnet_cycle chair .* needs no training, or it was removed"):
+    with pytest.raises(ViewnetError, match=r"no log.csv: viewnet_cycle chair"):
         _ = run.log
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (LOG.replace("1.5,2.5", "1.5,high"), "column 'loss' holds values that are not numbers"),
+        (LOG.replace("1.5,2.5", "1.5,high"), "column 'loss' .* not numbers"),
         ("epoch,step\n1,2\n", "column 'loss' is missing"),
     ],
 )

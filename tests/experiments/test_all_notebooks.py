@@ -73,10 +73,10 @@ def test_the_page_alone_runs_nothing(ran, capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--only", "table9"], "unknown notebook 'table9': choose one of architecture"),
-        (["--profile", "huge"], "unknown profile 'huge': choose one of smoke"),
+        (["--only", "table9"], "unknown notebook 'table9'"),
+        (["--profile", "huge"], "unknown profile 'huge'"),
         (["--seeds", "none"], "seeds 'none': expected how many"),
-        (["--page", "--profile", "smoke"], "--page cannot be combined with other options"),
+        (["--page", "--profile", "smoke"], "--page cannot be combined"),
     ],
 )
 def test_what_cannot_be_run_is_said_before_anything_is(ran, arguments, message, capsys):

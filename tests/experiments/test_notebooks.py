@@ -135,10 +135,10 @@ def test_values_get_the_declared_types_and_nothing_is_guessed(root):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["-p", "sede", "3"], "unknown parameter of table1_shapenet 'sede': choose one of profile, categories, seeds"),
-        (["-p", "workers", "two"], "parameter workers 'two': expected a whole number"),
-        (["-p", "profile", "huge"], "unknown profile 'huge': choose one of smoke, tiny, pocket, small, paper"),
-        (["-p", "categories", "02958343"], "unknown category '02958343': choose one of aeroplane"),
+        (["-p", "sede", "3"], "table1_shapenet 'sede'"),
+        (["-p", "workers", "two"], "parameter workers 'two'"),
+        (["-p", "profile", "huge"], "unknown profile 'huge'"),
+        (["-p", "categories", "02958343"], "unknown category '02958343'"),
         (["-p", "seeds", "1", "-p", "seeds", "2"], "parameter seeds is given twice"),
         (["-p", "data_root", "nowhere"], "data_root nowhere: no such folder"),
         (["--refresh", "-p", "seeds", "2"], "--refresh takes neither -p nor --output"),
@@ -157,10 +157,7 @@ def test_problems_are_told_in_one_line_before_a_kernel_starts(arguments, message
 
 def test_unknown_notebooks_are_told(capsys):
     assert cli.main(["notebook", "table9"]) == 2
-    assert (
-        "unknown notebook 'table9': choose one of alignment_study, architecture, audit_metrics, failures, figure3"
-        in capsys.readouterr().err
-    )
+    assert "unknown notebook 'table9'" in capsys.readouterr().err
 
 
 def test_parameters_are_listed(capsys):

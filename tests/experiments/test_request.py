@@ -92,8 +92,8 @@ def test_evaluation_data_are_all_models_of_the_other_collection(tmp_path):
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ({"profile": "huge"}, "unknown profile 'huge': choose one of smoke, tiny, pocket, small, paper"),
-        ({"categories": "plane"}, "unknown category 'plane': choose one of aeroplane"),
+        ({"profile": "huge"}, "unknown profile 'huge'"),
+        ({"categories": "plane"}, "unknown category 'plane'"),
         ({"categories": "car,car"}, "a name is there twice"),
         ({"categories": 2958343}, "expected names such as car"),
         ({"categories": ""}, "expected names such as car"),
@@ -130,7 +130,7 @@ def test_parameters_a_notebook_does_not_take_are_ignored_at_their_defaults(name,
 
 
 def test_every_design_is_known():
-    with pytest.raises(ViewnetError, match="unknown notebook 'table9': choose one of table1_shapenet"):
+    with pytest.raises(ViewnetError, match="unknown notebook 'table9'"):
         experiment("table9")
     assert set(DESIGNS) >= {"table1_shapenet", "table2_ablation", "figure3_azimuth", "architecture"}
 

@@ -79,7 +79,7 @@ def test_a_saved_model_scores_as_the_run_it_is_of(run, store, tmp_path):
 def test_a_saved_model_is_not_scored_on_views_it_may_have_seen(run, tmp_path):
     ViewpointEstimator.from_pretrained(KEY, device="cpu").save_pretrained(tmp_path / "saved")
     other = box_store(tmp_path / "other", {"val": 4, "test": 4}, views=3, seed=1)
-    with pytest.raises(ViewnetError, match="are not those it was trained with: name the collection"):
+    with pytest.raises(ViewnetError, match="not those it was trained with"):
         scores(str(tmp_path / "saved"), steps=steps_of(other))
 
 
@@ -150,13 +150,10 @@ OTHERS = json.dumps({"key": "ba9876543210", "on": "photographs", "alignments": {
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (OTHERS, "scores: are of the run ba9876543210, and"),
-        ('{"key": "0123456789ab", "on": "photographs"}', "scores: expected the output of viewnet evaluate --json"),
-        (
-            '{"key": "0123456789ab", "on": "photographs", "alignments": {}}',
-            "scores: expected the output of viewnet evaluate",
-        ),
-        ("[3]", "scores: expected the output of viewnet evaluate --json"),
+        (OTHERS, "are of the run ba9876543210"),
+        ('{"key": "0123456789ab", "on": "photographs"}', "scores: expected the output"),
+        ('{"key": "0123456789ab", "on": "photographs", "alignments": {}}', "scores: expected the output"),
+        ("[3]", "scores: expected the output"),
         ("{", "not JSON"),
     ],
 )
@@ -185,7 +182,7 @@ def test_another_collection_is_scored_whole_and_aligned_on_own_views(tmp_path, m
     [
         ("nowhere", ScoredData(), "nowhere: no model there"),
         (KEY, ScoredData("nowhere"), "data_root nowhere: no such folder"),
-        (KEY, ScoredData(subset="imagenet10"), "unknown subset 'imagenet10': choose one of imagenet, pascal, both"),
+        (KEY, ScoredData(subset="imagenet10"), "unknown subset 'imagenet10'"),
         (KEY, ScoredData(cad_root="nowhere"), "cad_root nowhere: no such folder"),
     ],
 )
@@ -198,7 +195,7 @@ def test_what_cannot_be_scored_is_said(run, where, on, message):
 def test_folders_without_viewpoints_are_not_scored_on(run, tmp_path):
     (tmp_path / "pictures").mkdir()
     Image.new("RGB", (8, 8)).save(tmp_path / "pictures" / "a.jpg")
-    with pytest.raises(ViewnetError, match="is backgrounds, whose viewpoints are not scored"):
+    with pytest.raises(ViewnetError, match="is backgrounds, whose viewpoints"):
         scores(KEY, ScoredData(str(tmp_path / "pictures")))
 
 

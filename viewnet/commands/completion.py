@@ -10,6 +10,7 @@ Examples:
 """
 
 import argparse
+import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,11 +20,9 @@ from viewnet.config import CATEGORIES
 from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES, RECIPES, VARIANTS
 
+# The values of arguments that have few; whatever uses an argument checks it.
 VALUES = {"categories": CATEGORIES, "variant": VARIANTS, "profile": PROFILES, "recipe": RECIPES}
-"""The values of arguments that have few; whatever uses an argument checks it."""
 FILES, FOLDERS = ("FILE", "IMAGE", "WHERE"), ("FOLDER",)  # metavars of arguments that take files and folders
-
-
 ARGUMENTS = (argument("shell", choices=("bash", "zsh", "tcsh")),)
 
 
@@ -37,7 +36,8 @@ def run(options: Options) -> None:
         elif action.type is Path or action.metavar in FILES:
             action.complete = shtab.FILE  # type: ignore[attr-defined]
         elif action.metavar == "NOTEBOOK":
-            action.choices = _notebooks()
+            with contextlib.suppress(ViewnetError):  # installed without them
+                action.choices = sorted(path.stem for path in paths.part("notebooks").glob("*.ipynb"))
         elif action.dest in VALUES:
             action.choices = list(VALUES[action.dest])
     print(shtab.complete(options.parser, options.shell))
@@ -51,10 +51,3 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
                 yield from _actions(command)
         else:
             yield action
-
-
-def _notebooks() -> list[str]:
-    try:
-        return sorted(path.stem for path in paths.part("notebooks").glob("*.ipynb"))
-    except ViewnetError:  # installed without them
-        return []

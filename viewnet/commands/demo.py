@@ -18,8 +18,6 @@ from viewnet.errors import ViewnetError
 
 LAUNCH: dict[str, Any] = {"prevent_thread_lock": True, "quiet": True, "show_error": False, "max_file_size": "20mb"}
 LAUNCH |= {"footer_links": [], "run_history": False, "ssr_mode": False}
-
-
 SHARED = "yes: a public address too, by a tunnel through gradio's servers (default: no)"
 ARGUMENTS = (
     *MODEL,
@@ -56,16 +54,9 @@ def start(options: Options) -> Any:
 
     estimator = ViewpointEstimator.from_pretrained(options.model, device=options.device)
     page = app.Page(estimator, examples.rendered(estimator)).blocks
+    address = {"server_name": options.host, "server_port": options.port, "share": options.share == "yes"}
     try:
-        page.launch(
-            server_name=options.host,
-            server_port=options.port,
-            share=options.share == "yes",
-            inbrowser=options.open,
-            theme=app.theme(),
-            css_paths=app.STYLE,
-            **LAUNCH,
-        )
+        page.launch(**address, inbrowser=options.open, theme=app.theme(), css_paths=app.STYLE, **LAUNCH)
     except ValueError:  # gradio could not reach its own page
         page.close()
         raise ViewnetError(

@@ -12,7 +12,7 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import CLUSTER, THREADS, Options, argument, choose_cluster, choose_threads
+from viewnet.commands.options import CLUSTER, THREADS, Options, argument, choose_resources
 from viewnet.errors import ViewnetError
 
 ARGUMENTS = (
@@ -28,8 +28,7 @@ ARGUMENTS = (
 
 def run(options: Options) -> None:
     """Run the notebook and print the path of its copy. ViewnetError for --refresh with other values."""
-    choose_cluster(options)
-    choose_threads(options)
+    choose_resources(options)
     from viewnet.experiments import notebooks
 
     if options.parameters:

@@ -81,21 +81,19 @@ def _setting(text: str) -> tuple[str, Any]:
         return name, value
 
 
-def choose_threads(options: Options) -> None:
-    """Set the threads of this process and of those that it starts. Call it before PyTorch is imported.
+def choose_resources(options: Options) -> None:
+    """Set cluster and threads, where a command has them, for this process and those that it starts.
 
-    ViewnetError for a number out of range, and for a cluster, whose workers have their own.
+    Call it before PyTorch is imported. ViewnetError for a number of threads out of range, and for threads of a cluster,
+    whose workers have their own.
     """
-    if options.threads is None:
+    if getattr(options, "cluster", None):
+        os.environ[parallel.CLUSTER] = options.cluster
+    threads = getattr(options, "threads", None)
+    if threads is None:
         return
-    if not 1 <= options.threads <= parallel.MOST_THREADS:
-        raise ViewnetError(f"--threads {options.threads}: expected 1 to {parallel.MOST_THREADS}")
+    if not 1 <= threads <= parallel.MOST_THREADS:
+        raise ViewnetError(f"--threads {threads}: expected 1 to {parallel.MOST_THREADS}")
     if os.environ.get(parallel.CLUSTER):
         raise ViewnetError(f"--threads: workers of a cluster have their own {parallel.THREADS}: leave one of them out")
-    os.environ[parallel.THREADS] = str(options.threads)
-
-
-def choose_cluster(options: Options) -> None:
-    """Set the cluster for this process and the kernels that it starts."""
-    if options.cluster:
-        os.environ[parallel.CLUSTER] = options.cluster
+    os.environ[parallel.THREADS] = str(threads)

@@ -15,7 +15,7 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import BOX, MODEL, THREADS, Options, argument, choose_threads, print_results
+from viewnet.commands.options import BOX, MODEL, THREADS, Options, argument, choose_resources, print_results
 
 EDGES = "the object's edges in pixels; once for all images, or once for each"
 ARGUMENTS = (
@@ -31,7 +31,7 @@ ARGUMENTS = (
 
 def run(options: Options) -> None:
     """Print a line for each image, or JSON: {"frame": "annotated" or "own", "images": [...]}."""
-    choose_threads(options)
+    choose_resources(options)
     from viewnet.estimator import ViewpointEstimator
 
     images, boxes = options.images, options.boxes

@@ -30,7 +30,7 @@ def run(options: Options) -> None:
     from viewnet.runs import dask_cluster, make_run
 
     configs = shared.configurations(options)
-    shared.choose_cluster(options)
+    shared.choose_resources(options)
     views = make_run.default_steps().views
     with dask_cluster.executor() as executor:
         stores = [

@@ -16,7 +16,7 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import CLUSTER, Options, argument, choose_cluster, print_results
+from viewnet.commands.options import CLUSTER, Options, argument, choose_resources, print_results
 from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES
 
@@ -47,7 +47,7 @@ def run(options: Options) -> int:
         raise ViewnetError(f"--{alone[0].replace('_', '-')} cannot be combined with other options")
     if options.from_predictions:
         return _compare(options, paths.tables())
-    choose_cluster(options)
+    choose_resources(options)
     done = []
     if not options.page:
         planned = notebooks.plan(options.only, options.profile, options.seeds)

@@ -27,8 +27,7 @@ ARGUMENTS = (
 
 def run(options: Options) -> None:
     """Train what is missing and print the runs; of several processes the first one prints."""
-    shared.choose_cluster(options)
-    shared.choose_threads(options)
+    shared.choose_resources(options)
     from viewnet.evaluation.run import NOT_SCORED
     from viewnet.runs import run_store
     from viewnet.runtime import distributed

@@ -253,20 +253,15 @@ def ready_batches(images: Tensor, framing: "Framing", device: torch.device, batc
             buffer = torch.empty_like(part, dtype=torch.float32) if buffer is None else buffer
             scaled = buffer[: len(part)].copy_(part).div_(255)
         else:
-            scaled = _in_unit_range(part)
+            if not part.is_floating_point():
+                raise ViewnetError(f"images are of {part.dtype}: expected uint8, or floating point in [0, 1]")
+            low, high = (float(value) for value in part.detach().aminmax())
+            if not (low >= 0 and high <= 1):  # false for NaN
+                raise ViewnetError(f"images have values from {low:g} to {high:g}: expected 0 to 1, or uint8")
+            scaled = part.detach().float()
         if start == 0:
             _warn(framing, _bright(scaled), [_name(image, row) for row, image in enumerate(scaled)])
         yield scaled
-
-
-def _in_unit_range(images: Tensor) -> Tensor:
-    """Images of floating point in [0, 1] as float32. ViewnetError for other values."""
-    if not images.is_floating_point():
-        raise ViewnetError(f"images are of {images.dtype}: expected uint8, or floating point in [0, 1]")
-    low, high = (float(value) for value in images.detach().aminmax())
-    if not (low >= 0 and high <= 1):  # false for NaN
-        raise ViewnetError(f"images have values from {low:g} to {high:g}: expected 0 to 1, or uint8")
-    return images.detach().float()
 
 
 def _bright(images: Tensor) -> Tensor:

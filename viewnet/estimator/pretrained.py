@@ -33,8 +33,8 @@ from viewnet.runtime.files import read_json, replacing, write_json, write_text
 FORMAT = 1
 FILES = WEIGHTS, CONFIG, CARD = ("model.safetensors", "config.json", "README.md")
 FIELDS = ("format", "viewnet", "config", "alignment", "about")
+# The fields of a run's result that a saved model keeps.
 RESULT = ("key", "variant", "category", "profile", "recipe", "seed", "views", "metrics", "git")
-"""The fields of a run's result that a saved model keeps."""
 SHIPPED = Path(__file__).parent / "models"  # folders that come with the package, named by their category
 HUB_ID = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
 

@@ -103,13 +103,8 @@ def _composed(
         pen.rectangle((size + EDGE, 0, 2 * size + 3 * EDGE - 1, size + 2 * EDGE - 1), outline=MARK, width=EDGE)
     top, font = size + 2 * EDGE, ImageFont.load_default(13)
     pen.multiline_text((EDGE + 2, top + 6), text, fill=MARK if marked else INK, font=font, spacing=3)
-    _dial(pen, (2 * size - STRIP // 2, top + STRIP // 2), STRIP // 2 - 7, angle, predicted)
-    return np.asarray(frame)
-
-
-def _dial(pen: ImageDraw.ImageDraw, centre: tuple[int, int], radius: int, angle: float, predicted: float) -> None:
-    """Draw the camera's circle from above, with the predicted camera and the present one."""
-    x, y = centre
+    # The camera's circle from above, with the predicted camera and the present one.
+    x, y, radius = 2 * size - STRIP // 2, top + STRIP // 2, STRIP // 2 - 7
     pen.ellipse((x - radius, y - radius, x + radius, y + radius), outline=INK)
     for azimuth, colour, dot in ((predicted, MARK, 5), (angle, INK, 3)):
         a = np.radians(azimuth)
@@ -117,3 +112,4 @@ def _dial(pen: ImageDraw.ImageDraw, centre: tuple[int, int], radius: int, angle:
         px, py = x + radius * np.sin(a), y + radius * np.cos(a)
         pen.line((x, y, px, py), fill=colour)
         pen.ellipse((px - dot, py - dot, px + dot, py + dot), fill=colour)
+    return np.asarray(frame)

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
     import trimesh
 
 BATCH = 256
+OneImage = ImageLike | Prepared  # prepared images are those that the demo has cut already
+Images = ImagesLike | Prepared
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -54,9 +56,9 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
     views, as a finished run's is (`aligned`). A network that was trained on videos without viewpoints is not aligned:
     its predictions are in its own frame, whose azimuth 0 and up are arbitrary.
 
-    Images are PIL images, paths, numpy arrays (H, W), (H, W, 3) or (H, W, 4), or torch tensors (1, H, W), (3, H, W) or
-    (4, H, W), uint8 or floating point in [0, 1], of any size; several come as a list or as an array of one more
-    dimension. Files are turned upright by their EXIF data. Which part of an image the networks see:
+    Images are PIL images, paths, numpy arrays (H, W), (H, W, 3) or (H, W, 4), or torch tensors (1, 3 or 4, H, W), uint8
+    or floating point in [0, 1]; several come as a list or as an array of one more dimension. Files are turned upright
+    by their EXIF data. Which part of an image the networks see:
 
     - with a mask (H, W), above 0 on the object, or with transparency, which is a mask: the object. A network trained on
       objects over black sees nothing else; one trained over backgrounds (recipe photos), or on videos without masks,
@@ -106,9 +108,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         """How images are cut for the networks."""
         return Framing.of(self.config)
 
-    def predict(
-        self, images: ImagesLike | Prepared, masks: Any = None, boxes: Any = None, batch_size: int = BATCH
-    ) -> Viewpoints:
+    def predict(self, images: Images, masks: Any = None, boxes: Any = None, batch_size: int = BATCH) -> Viewpoints:
         """The viewpoints of one or several images, in their order.
 
         `masks` and `boxes` are one, or one for each image, None for images without. ViewnetError names the image that
@@ -135,7 +135,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
             vectors, ups = vectors @ rotation.T, None if ups is None else ups @ rotation.T
         return Viewpoints.of(vectors, logits, ups, self.aligned)
 
-    def volume(self, image: ImageLike | Prepared, mask: Any = None, box: Any = None) -> Tensor:
+    def volume(self, image: OneImage, mask: Any = None, box: Any = None) -> Tensor:
         """The volume that is reconstructed from one image: (4, Z, Y, X), colour and occupancy in [0, 1], on the CPU.
 
         It is in the network's own frame; `rotation` leads to that of the predictions. ViewnetError for the HoloGAN
@@ -145,9 +145,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
             raise ViewnetError("volume: the HoloGAN decoder has no volume of colours: take another variant")
         return self.encode(self._one(image, mask, box)).volume[0].cpu()
 
-    def mesh(
-        self, image: ImageLike | Prepared, mask: Any = None, box: Any = None, level: float = 0.5
-    ) -> "trimesh.Trimesh":
+    def mesh(self, image: OneImage, mask: Any = None, box: Any = None, level: float = 0.5) -> "trimesh.Trimesh":
         """The surface of `volume` where occupancy passes `level`, in the frame of the predictions.
 
         viewnet.estimator.volume_mesh.write saves it. ViewnetError as `volume` does, and for an empty volume.
@@ -156,9 +154,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
 
         return volume_mesh.surface(self.volume(image, mask, box), self.rotation, level)
 
-    def reconstruct(
-        self, images: ImagesLike | Prepared, masks: Any = None, boxes: Any = None, size: int | None = None
-    ) -> np.ndarray:
+    def reconstruct(self, images: Images, masks: Any = None, boxes: Any = None, size: int | None = None) -> np.ndarray:
         """Images (N, S, S, 3) uint8 of the objects on white, rendered from their predicted viewpoints.
 
         Images that were cut to their object are rendered cut as well. `size` is S in pixels (default: as trained).
@@ -172,7 +168,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
 
     def novel_view(
         self,
-        images: ImagesLike | Prepared,
+        images: Images,
         azimuth: ArrayLike,
         elevation: ArrayLike,
         masks: Any = None,
@@ -198,7 +194,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
 
     def turntable(
         self,
-        image: ImageLike | Prepared,
+        image: OneImage,
         path: str | os.PathLike[str] | None = None,
         mask: Any = None,
         box: Any = None,
@@ -277,22 +273,21 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         """The objects of prepared images, for `render`."""
         return Encoded(*self.network.encode(prepared.appearance, background=prepared.background))
 
-    def _prepared(
-        self, images: ImagesLike | Prepared, masks: Any, boxes: Any, batch_size: int = BATCH
-    ) -> Iterator[Prepared]:
+    def _prepared(self, images: Images, masks: Any, boxes: Any, batch_size: int = BATCH) -> Iterator[Prepared]:
         """The images as the networks see them, batch by batch."""
         if isinstance(images, Prepared):
             return iter([images])
         return preprocess.batches(images, masks, boxes, self.framing, self.device, batch_size)
 
-    def _one(self, image: ImageLike | Prepared, mask: Any, box: Any) -> Prepared:
-        if (count := _count(image)) != 1:
+    def _one(self, image: OneImage, mask: Any, box: Any) -> Prepared:
+        count = _count(image)
+        if count != 1:
             raise ViewnetError(f"{count} images: expected one")
         masks, boxes = (None if value is None else [value] for value in (mask, box))
         return next(self._prepared(image, masks, boxes, 1))
 
 
-def _count(images: ImagesLike | Prepared) -> int:
+def _count(images: Images) -> int:
     return len(images if isinstance(images, Prepared) else as_list(images))
 
 

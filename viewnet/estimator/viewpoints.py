@@ -49,13 +49,11 @@ class Viewpoint:
         >>> [(each.azimuth, round(each.probability, 2)) for each in viewpoint.ranked()]
         [(90.0, 0.88), (0.0, 0.12)]
         """
-        angles = [values.tolist() for values in geometry.azimuth_elevation(torch.from_numpy(self.hypotheses))]
-        rows = range(len(self.probabilities))
-        order = sorted(rows, key=lambda row: (-self.probabilities[row], row != self.choice))
-        return [
-            Hypothesis(number, angles[0][row], angles[1][row], float(self.probabilities[row]), row == self.choice)
-            for number, row in enumerate(order, 1)
-        ]
+        azimuth, elevation = (a.tolist() for a in geometry.azimuth_elevation(torch.from_numpy(self.hypotheses)))
+        shares = self.probabilities.tolist()
+        order = sorted(range(len(shares)), key=lambda row: (-shares[row], row != self.choice))
+        ranks = enumerate(order, 1)
+        return [Hypothesis(n, azimuth[row], elevation[row], shares[row], row == self.choice) for n, row in ranks]
 
 
 @dataclass(frozen=True, repr=False, eq=False)

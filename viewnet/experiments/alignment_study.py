@@ -27,14 +27,14 @@ from viewnet.tables.columns import HEADLINE
 from viewnet.tables.layouts import LAYOUTS
 
 TABLE = "table3_pascal3d"
-KINDS = ("procrustes", "robust", "linear", "per_angle")
+KINDS = ("procrustes", "robust", "linear", "per_angle")  # rigid ones first
 METRICS = (*HEADLINE, "dva")
 COUNTS = (16, 32, 64, 128, 256, 512)  # calibration photographs, as far as there are so many; all of them as well
-DRAWS = 5
+DRAWS = 5  # of each number of photographs: how much depends on which they are
+# How one-sided a subset is; 0: all photographs, 8: hardly any from beyond 45 degrees of the commonest side.
 CONCENTRATIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""How one-sided a subset is; 0: all photographs, 8: hardly any from beyond 45 degrees of the commonest side."""
 FEWEST = 16  # photographs that a subset must have to calibrate, and to score
-EXPECTED = ("spread_linear", "acc30_gain", "dva_gain")
+EXPECTED = ("spread_linear", "acc30_gain", "dva_gain")  # what the paper's reasoning predicts, see Study.verdict
 RANDOM = "Random"
 RANDOM_SEED = 20211011  # used nowhere else: a stand-in sampled from the same seed would be predicted by them
 FITTED = ("constant", "constant_rotation", "view_regression")  # predictors fitted on calibration photographs
@@ -86,7 +86,7 @@ class Study:
     def side_by_side(self) -> pd.DataFrame:
         """Each predictor by each alignment, calibrated on all photographs: means over seeds."""
         most = self.scores.groupby("category")["images"].transform("max")
-        whole = self.scores[self.scores["images"] == most]
+        whole = self.scores[self.scores["images"] == most]  # categories differ in how many there are
         wide = whole.pivot_table(index=["category", "predictor"], columns="alignment", values=list(METRICS), sort=False)
         columns = [(m, kind) for m in METRICS for kind in ("none", *KINDS)]
         return wide[columns].round(1).rename_axis(columns=[None, None])
@@ -155,9 +155,10 @@ def predictors(experiment: PhotoExperiment, runs: Sequence[Run]) -> Iterator[Pre
         return experiment.fitted(variant, stores[category], count, seed)[0]
 
     for entry in experiment.entries(runs, stores, TABLE):
-        if entry.alignment == "procrustes":
+        if entry.alignment == "procrustes":  # the same predictions stand in rows of other alignments
             yield fixed(entry.row, entry.category, entry.seed, entry.predictions)
     for category, store in stores.items():
+        # What linear alignment adds to random predictions it adds by the viewpoints' distribution alone.
         yield fixed(RANDOM, category, 0, baselines.random(store.index, seed=RANDOM_SEED))
         for row in LAYOUTS[TABLE].rows:
             if row.variant in FITTED:
@@ -176,25 +177,26 @@ def score_rows(predictor: Predictor, counts: Sequence[int] = COUNTS, draws: int 
             yield {**predictor.row, "alignment": kind, "images": count, "draw": draw, **_scores(aligned)}
 
 
-def collapse_rows(predictor: Predictor, concentrations: Sequence[float] = CONCENTRATIONS) -> Iterator[dict[str, Any]]:
+def collapse_rows(predictor: Predictor) -> Iterator[dict[str, Any]]:
     """The rows of Study.collapse for one predictor, without subsets of fewer than FEWEST photographs."""
     predictions = predictor.predict(None, 0)
-    for concentration in concentrations:
+    for concentration in CONCENTRATIONS:
         subset = one_sided(predictions, concentration)
         if subset is None:
             continue
         val, test = subset.subset("val"), subset.subset("test")
         azimuths = test.ids["azimuth"].to_numpy()
-        linear = Linear.fit(val.selected, val.truth)
+        linear = Linear.fit(val.selected, val.truth)  # weights near zero leave the mean viewpoint
         row = {**predictor.row, "concentration": concentration, "calibrating": len(val), "scored": len(test)}
         row |= {"side": side(azimuths), "confidence_index": metrics.confidence_index(azimuths)}
         row |= {name: float(np.linalg.norm(getattr(linear, name))) for name in ("weights", "bias")}
-        constant = baselines.constant(subset.ids, source="val")
+        constant = baselines.constant(subset.ids, source="val")  # what a collapsed alignment amounts to
         kinds = (("rigid", subset, "procrustes"), ("linear", subset, "linear"), ("constant", constant, "none"))
         for name, predicted, kind in kinds:
-            scores = _scores(aligned := align(predicted, kind))
-            if name != "constant":
-                row[f"spread_{name}"] = spread(aligned.selected) / spread(test.truth)
+            aligned = align(predicted, kind)
+            scores = _scores(aligned)
+            if name != "constant":  # whose spread is 0
+                row[f"spread_{name}"] = spread(aligned.selected) / spread(test.truth)  # 1: as varied as the truth
             row |= {f"{metric}_{name}": scores[metric] for metric in ("acc30", "dva")}
         yield row
 
@@ -209,7 +211,7 @@ def spread(vectors: np.ndarray) -> float:
     return float(np.square(vectors - vectors.mean(axis=0)).sum(axis=1).mean())
 
 
-def one_sided(predictions: Predictions, concentration: float, seed: int = 0) -> Predictions | None:
+def one_sided(predictions: Predictions, concentration: float) -> Predictions | None:
     """A random subset of images around their commonest azimuth: all at concentration 0, fewer sides the larger it is.
 
     An image at azimuth a is kept with probability exp(k (cos(a - m) - 1)), k the concentration and m the middle of the
@@ -221,11 +223,12 @@ def one_sided(predictions: Predictions, concentration: float, seed: int = 0) -> 
     azimuths = predictions.ids["azimuth"].to_numpy()
     calibrating = (predictions.ids["split"] == "val").to_numpy()
     width = 360 / metrics.AZIMUTH_BINS
+    # Of the calibration photographs alone: the choice of the subset must not depend on what is scored.
     middle = (np.bincount(metrics.azimuth_bins(azimuths[calibrating])).argmax() + 0.5) * width
     probability = np.exp(concentration * (np.cos(np.deg2rad(azimuths - middle)) - 1))
     # Sampled in the order of names, so that every predictor keeps the same images whatever their order.
     rank = predictions.ids.sort_values(["model_id", "view"]).index.argsort()
-    stays = np.random.default_rng(seed).random(len(azimuths))[rank] < probability
+    stays = np.random.default_rng(0).random(len(azimuths))[rank] < probability
     fewest = min(np.sum(stays & calibrating), np.sum(stays & ~calibrating))
     return None if fewest < FEWEST else predictions.take(stays)
 

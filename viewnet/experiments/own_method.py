@@ -14,7 +14,6 @@ program wrote (viewnet.evaluation.submitted_predictions).
 
 import functools
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,13 +45,10 @@ Images = NDArray[np.uint8]
 class Method(Protocol):
     """Estimates viewpoints. May have a method `fit(images, view_vectors)`.
 
-    Images are (N, S, S, 3) uint8, RGB. Photographs are cropped to the object's box at 128 pixels a side, as the view
-    regression gets them; the profile's networks get the same at their own size. Views of CAD models have the size they
-    are rendered at (32 pixels at the profile smoke, else 64) and a black background, which is what ViewNet's viewpoint
-    network gets, except for the crop to the object in the recipe `paper`.
-
-    `fit` is given the images that predictions are aligned on and their true view vectors (N, 3), before `predict`, once
-    for each category: nothing learned from another category may remain.
+    Images are (N, S, S, 3) uint8, RGB: photographs cropped to the object's box at 128 pixels a side, as the view
+    regression gets them, and views of CAD models over black, in the size they are rendered at. `fit` is given the
+    images that predictions are aligned on and their true view vectors (N, 3), before `predict`, once for each category:
+    nothing learned from another category may remain.
     """
 
     def predict(self, images: Images) -> ArrayLike:
@@ -102,9 +98,7 @@ class Submission:
         """The method of a category. Raises ViewnetError where there is none."""
         if not isinstance(self.method, Mapping):
             return self.method
-        if category in self.method:
-            return self.method[category]
-        raise ViewnetError(f"method {self.label!r}: there is none for {category}, only for {', '.join(self.method)}")
+        return self.method[known(category, self.method, f"category of method {self.label!r}")]
 
     @property
     def remark(self) -> str:
@@ -129,7 +123,7 @@ class HeldOut:
     def images(self, split: str, rows: NDArray[np.intp]) -> Images:
         """Some images (n, S, S, 3) of a split, over black: new arrays without a reference to their store."""
         store, mine = self.stores[split]
-        straight = np.array(store.images[mine[rows]], dtype=np.uint16)  # (n, S, S, 4)
+        straight = np.array(store.images[mine[rows]], dtype=np.uint16)  # (n, S, S, 4), wide enough for the products
         return ((straight[..., :3] * straight[..., 3:] + 127) // 255).astype(np.uint8)
 
 
@@ -145,14 +139,13 @@ class OwnMethodExperiment(Experiment):
         """Table -> the experiment that makes it."""
         # As plain values: "" and 0 for None.
         own = {name: getattr(self, name) or PARAMETERS[name].default for name in accepted(self.name) - {"output"}}
-        tables: dict[str, Experiment] = {}
-        for table in DESIGNS[self.name].tables:
-            if DESIGNS[table].kind == "photos":
-                tables[table] = PhotoExperiment.check(table, **own)
-            else:
-                names = ("profile", "categories", "seeds", "workers")
-                tables[table] = Experiment.check(table, data_root=own["cad_root"], **{n: own[n] for n in names})
-        return tables
+        on_cad = {name: own[name] for name in ("profile", "categories", "seeds", "workers")}
+        return {
+            table: PhotoExperiment.check(table, **own)
+            if DESIGNS[table].kind == "photos"
+            else Experiment.check(table, data_root=own["cad_root"], **on_cad)
+            for table in DESIGNS[self.name].tables
+        }
 
     @property
     def configs(self) -> list[RunConfig]:
@@ -198,11 +191,11 @@ def entries(table: Experiment, submissions: Sequence[Submission]) -> list[Entry]
     layout = LAYOUTS[known(table.name, LAYOUTS, "table")].extended(table.renamed_rows.values())
     for submission in submissions:
         layout = layout.extended([submission.label])
-    return [
-        _entry(submission, images, category, table.calibration)
-        for category, images in ((category, held_out(table, category)) for category in table.categories)
-        for submission in submissions
-    ]
+    found = []
+    for category in table.categories:
+        images = held_out(table, category)  # once for all methods
+        found += [_entry(submission, images, category, table.calibration) for submission in submissions]
+    return found
 
 
 def predictions(table: Experiment, submission: Submission) -> Predictions:
@@ -226,15 +219,17 @@ def view_vectors(azimuth: ArrayLike, elevation: ArrayLike) -> Floats:
 def _predict(submission: Submission, images: HeldOut, category: str, calibration: int | None) -> Predictions:
     if submission.file is not None:
         return submitted_predictions.read(submission.file, images.ids)
-    method, who = submission.of(category), f"method {submission.label!r}, {category}"
-    if hasattr(method, "fit"):
+    method = submission.of(category)
+    who = f"method {submission.label!r}, {category}"
+    if hasattr(method, "fit"):  # on the images whose labels an alignment uses, and no others
         rows = np.flatnonzero(baselines.calibrating(images.ids, calibration)[: len(images.stores["val"][1])])
         method.fit(images.images("val", rows), true_vectors(images.ids.iloc[rows]))
     # Neighbours in a store show the same object: its order may tell more than an image does.
     rng = np.random.default_rng(0)
     parts = []
     for split, (_, mine) in images.stores.items():
-        vectors, order = np.empty((len(mine), 3)), rng.permutation(len(mine))
+        vectors = np.empty((len(mine), 3))
+        order = rng.permutation(len(mine))
         for start in range(0, len(mine), BATCH):
             rows = order[start : start + BATCH]
             vectors[rows] = _unit_vectors(method.predict(images.images(split, rows)), len(rows), who)
@@ -250,14 +245,10 @@ def _unit_vectors(values: Any, count: int, who: str) -> Floats:
         raise ViewnetError(f"{who}: predict returned no array of numbers ({str(error).splitlines()[0]})") from error
     if vectors.shape != (count, 3):
         raise ViewnetError(f"{who}: predict returned {vectors.shape} for {count} images: expected ({count}, 3)")
-    wrong = ~(np.abs(np.linalg.norm(vectors, axis=1) - 1) <= UNIT_TOLERANCE)  # NaN is wrong as well
-    if wrong.any():
-        at = int(np.flatnonzero(wrong)[0])
-        numbers = ", ".join(f"{value:g}" for value in vectors[at])
-        raise ViewnetError(
-            f"{who}: predict returned ({numbers}) for image {at} of the {count} in this call: expected unit vectors"
-            f" ({int(wrong.sum())} are none)"
-        )
+    wrong = np.flatnonzero(~(np.abs(np.linalg.norm(vectors, axis=1) - 1) <= UNIT_TOLERANCE))  # NaN is wrong as well
+    if wrong.size:
+        which = f"{vectors[wrong[0]].tolist()} for image {wrong[0]} of the {count} in this call"
+        raise ViewnetError(f"{who}: predict returned {which}: expected unit vectors ({wrong.size} are none)")
     return vectors
 
 
@@ -269,14 +260,11 @@ def _entry(submission: Submission, images: HeldOut, category: str, calibration: 
     origin["source"] = submission.file.name if submission.file else type(method).__qualname__
     origin |= {"fitted": hasattr(method, "fit"), "predictions": digest(predicted)}
     key = content_key(ADDED, origin)
-    origin["git"] = provenance.commit()
+    origin["git"] = provenance.commit()  # not in the key: the same predictions keep theirs
     return Entry(submission.label, category, 0, alignment, key, predicted, origin, calibration)
 
 
 def digest(predictions: Predictions) -> str:
     """16 hex digits that identify predictions: which images, and every number."""
-    content = hashlib.sha256(predictions.ids.to_csv(index=False, lineterminator="\n").encode())
-    arrays = (predictions.hypotheses, predictions.logits, predictions.ups)
-    for values in (array for array in arrays if array is not None):
-        content.update(json.dumps(values.shape).encode() + np.ascontiguousarray(values, dtype="<f8").tobytes())
-    return content.hexdigest()[:16]
+    rows = pd.util.hash_pandas_object(predictions.to_frame(), index=False).to_numpy()
+    return hashlib.sha256(rows.tobytes()).hexdigest()[:16]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+from scipy.spatial.transform import Rotation
 
 from viewnet import geometry
 from viewnet.config import known
@@ -26,12 +27,12 @@ from viewnet.runtime.files import write_text
 from viewnet.tables import reported
 
 STEP = 2.0  # degrees between neighbours of the grid of all constants
+# No viewpoint is further from the grid, degrees: for level cameras cos(error / 2) = cos(da / 2) cos(de / 2).
 COVER = float(np.degrees(2 * np.arccos(np.cos(np.radians(STEP / 4)) ** 2)))
-"""No viewpoint is further from the grid, degrees: for level cameras cos(error / 2) = cos(da / 2) cos(de / 2)."""
+# Largest difference from the report of a constant that was meant: annotations and lists differ a little.
 REPRODUCED = {"acc30": 1.0, "median": 0.5, "dva": 1.0}
-"""Largest difference from the report of a constant that was meant: annotations and lists differ a little."""
-ROUNDING = {"acc30": 0.5, "median": 0.05, "dva": 0.5, "confidence_index": 0.005}
-VERDICTS = ("reproduced", "possible", "no one constant", "excluded")
+ROUNDING = {"acc30": 0.5, "median": 0.05, "dva": 0.5, "confidence_index": 0.005}  # of the paper's last digit
+VERDICTS = ("reproduced", "possible", "no one constant", "excluded")  # the best first
 TABLES = {"table2_ablation": ("acc30", "median"), "table3_pascal3d": ("acc30", "median"), "table5_dva": ("dva",)}
 
 
@@ -69,7 +70,7 @@ class ConstantAudit:
         lines: dict[tuple[str, str], dict[str, str]] = {}
         groups = self.constants.groupby(["table", "category", "definition"], sort=False)
         for (table, category, definition), cells in groups:
-            best = min(cells["verdict"], key=VERDICTS.index)
+            best = min(cells["verdict"], key=VERDICTS.index)  # one test set that explains the report is enough
             where = cells.loc[cells["verdict"] == best, "test_set"]
             text = best if len(where) == len(cells) else f"{best} ({', '.join(where)})"
             lines.setdefault((table, category), {"printed": cells["printed"].iloc[0]})[definition] = text
@@ -112,14 +113,13 @@ def audit_file(path: Path | None = None) -> ConstantAudit:
 def audit_viewpoints(viewpoints: pd.DataFrame, left_out: dict[str, int] | None = None) -> ConstantAudit:
     """All reported cells of the rows Constant, and the confidence index, against a list of annotated viewpoints.
 
-    Categories that the list lacks are left out. Table 2's test set is not in a list: its viewpoints are evenly
-    distributed (section 4.2), so an even lattice stands for it, whatever the list holds. Raises ViewnetError where the
-    list has no row of a split "val" or "test" at all.
+    Categories that the list lacks are left out. Table 2's viewpoints are evenly distributed (section 4.2), so an even
+    lattice stands for them. Raises ViewnetError where the list has no row of a split "val" or "test" at all.
     """
     if not dict(test_sets(viewpoints)):
         splits = ", ".join(sorted(viewpoints["split"].unique()))
         raise ViewnetError(f"audit: the list has viewpoints of the splits {splits} only: val is what was tested on")
-    even = lattice()
+    even = lattice()  # Table 2's viewpoints, whatever the list holds
     cells = examine("drawn evenly", "", even, {"drawn evenly": even}, ("table2_ablation",))
     for category in dict.fromkeys(viewpoints["category"]):
         mine = viewpoints[viewpoints["category"] == category]
@@ -132,6 +132,7 @@ def audit_viewpoints(viewpoints: pd.DataFrame, left_out: dict[str, int] | None =
 def test_sets(viewpoints: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
     """The sets that PASCAL3D+ results are reported on, by name, as far as the list has some of them."""
     held_out = viewpoints[viewpoints["split"].isin(("val", "test"))]
+    # Papers score on one subset or on both, with or without occluded and truncated objects.
     for subset in ("imagenet", "pascal", "all"):
         rows = held_out[held_out["subset"] == subset]
         if len(rows):
@@ -144,7 +145,7 @@ def test_sets(viewpoints: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
 
 def lattice() -> pd.DataFrame:
     """Azimuths all around and elevations from -20 to 40 degrees, evenly: Table 2's views, and Table 1's."""
-    azimuth, elevation = np.meshgrid(np.arange(0.5, 360), np.arange(-19.5, 40), indexing="ij")
+    azimuth, elevation = np.meshgrid(np.arange(0.5, 360), np.arange(-19.5, 40), indexing="ij")  # middles of degrees
     return pd.DataFrame({"azimuth": azimuth.ravel(), "elevation": elevation.ravel()})
 
 
@@ -155,8 +156,7 @@ def mean_view(truth: Floats) -> Floats:
 
 def mean_rotation(truth: Floats) -> Floats:
     """The rotation (3, 3) closest to the camera frames of view vectors (N, 3), in the sum of squared entries."""
-    u, _, vt = np.linalg.svd(level_frames(truth).mean(axis=0))
-    return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return np.asarray(Rotation.from_matrix(level_frames(truth)).mean().as_matrix())
 
 
 MEANS = {"mean view vector": mean_view, "mean rotation": mean_rotation}
@@ -193,10 +193,11 @@ def examine(
     reports = [(table, *report) for table in tables for report in reported_scores(table).items()]
     cells = []
     for definition, defined in metrics.DEFINITIONS.items():
-        bound = bounds(errors := defined(grid), azimuths)
+        errors = defined(grid)  # (K, N)
+        bound = bounds(errors, azimuths)
         by_candidate = {name: scores(defined(e), azimuths) for name, e in candidates.items()}
         for table, column, report in reports:
-            if category in ("", column):
+            if category in ("", column):  # the even lattice stands for every category
                 verdict, closest = _judge(report, by_candidate, bound, errors)
                 cells.append(
                     {"table": table, "category": column, "test_set": test_set, "images": len(rows)}
@@ -218,6 +219,7 @@ def _judge(
         for name, score in candidates.items()
     }
     closest = min(distance, key=distance.__getitem__)
+    # What no constant reaches was no constant's score, however close the closest comes.
     if any(
         value + ROUNDING[name] < bound[name] if name == "median" else value - ROUNDING[name] > bound[name]
         for name, value in report.items()
@@ -225,6 +227,7 @@ def _judge(
         return "excluded", closest
     if distance[closest] <= 1:
         return "reproduced", closest
+    # Each score alone may be possible, but not both of one viewpoint.
     if len(report) > 1 and not _some_constant(errors, report):
         return "no one constant", closest
     return "possible", closest
@@ -232,6 +235,7 @@ def _judge(
 
 def _some_constant(errors: Floats, report: dict[str, float]) -> bool:
     """Whether one viewpoint of the grid, errors (K, N), may have all reported scores, within what COVER allows."""
+    # A viewpoint between those of the grid has errors within COVER of one of them.
     low, high = ((errors < 30 + shift).mean(axis=1) * 100 for shift in (-COVER, COVER))
     acc, median = report["acc30"], np.median(errors, axis=1)
     fits = (low - REPRODUCED["acc30"] <= acc) & (acc <= high + REPRODUCED["acc30"])
@@ -272,7 +276,7 @@ def reported_scores(table: str, row: str = "Constant", names: Sequence[str] = ()
 
 def grid_frames(around: bool) -> Floats:
     """Camera frames (K, 3, 3) of all constants; without `around` at one azimuth, enough for evenly spread ones."""
-    azimuth = np.arange(0, 360 if around else STEP, STEP)
+    azimuth = np.arange(0, 360 if around else STEP, STEP)  # evenly spread viewpoints are alike from every azimuth
     elevation = np.arange(-90 + STEP / 2, 90, STEP)
     a, e = (torch.from_numpy(part.ravel()) for part in np.meshgrid(azimuth, elevation, indexing="ij"))
     return geometry.look_at(geometry.view_vector(a, e)).numpy()

@@ -72,9 +72,10 @@ def scores(
         run = _run(where, data.cad_root, Path(folder))
         description, predictions, is_photographs = _predictions(run, data, steps)
         result = run.result
-    kinds = LEARNED if run.trained else run.alignments
+    kinds = LEARNED if run.trained else run.alignments  # an untrained predictor is in the annotated frame already
     alignments = {kind: evaluate(predictions, kind, calibration) for kind in kinds}
     if is_photographs and result["metrics"] is not None:
+        # What a user of the model gets: no label of the photographs is used.
         back = np.array(result["metrics"]["procrustes"]["alignment"]["rotation"]).T
         ups = None if predictions.ups is None else predictions.ups @ back
         rotated = replace(predictions, hypotheses=predictions.hypotheses @ back, ups=ups)
@@ -112,7 +113,7 @@ def _run(where: str, cad_root: str | None, folder: Path) -> Run:
     weights = {name: value.contiguous() for name, value in model.network.state_dict().items()}
     save_file(weights, folder / checkpoint.CHECKPOINT, metadata={"config": json.dumps(config.to_dict())})
     write_json(folder / "config.json", config.to_dict())
-    write_json(folder / "result.json", {"metrics": None} | model.about)
+    write_json(folder / "result.json", {"metrics": None} | model.about)  # no metrics: of videos without viewpoints
     return Run(config, folder)
 
 
@@ -133,14 +134,15 @@ def _predictions(run: Run, data: ScoredData, steps: Steps) -> tuple[str, Predict
         kind = catalogue.recognise(Path(data.data_root))
         if kind == "shapenet":
             other = make_config("viewnet", config.category, config.profile, config.recipe, data_root=root).data
-            views = steps.views(other)
+            views = steps.views(other)  # rendered as the model's own, so that only the objects differ
             return f"all models of {name}", other_views.transferred(_own(run, steps), views, steps), False
         if kind not in ("pascal3d", "photographs"):
             raise ViewnetError(
                 f"data_root {data.data_root}: is {kind}, whose viewpoints are not scored: name PASCAL3D+, a folder "
                 "with images/ and viewpoints.csv, or a ShapeNetCore folder"
             )
-    square, smoke = config.model.crop != "stretched", root is None and config.profile == "smoke"
+    square = config.model.crop != "stretched"  # photographs are cut as the network was trained on views
+    smoke = root is None and config.profile == "smoke"
     store = photo_views(photos.photographs(config.category, root, square, smoke, subset=data.subset))
     return description, other_views.on_photographs(run, store, steps), True
 
@@ -149,7 +151,7 @@ def _own(run: Run, steps: Steps) -> Run:
     """The same run, with predictions of its own views: made where it was laid out from a saved model."""
     if run.scored and not (run.folder / "predictions.parquet").is_file():
         views = steps.views(run.config.data)
-        if views.identity != run.result.get("views"):
+        if views.identity != run.result.get("views"):  # a model trained on some of them would be scored on these
             raise ViewnetError(
                 f"{run.name}: the views of its configuration are not those it was trained with: name the "
                 "collection it was trained on (cad_root), or other data (data_root)"

@@ -20,7 +20,7 @@ NAMES = {
     nn.Conv2d: "Conv2D",
     nn.ConvTranspose2d: "ConvTranspose2D",
     nn.ConvTranspose3d: "ConvTranspose3D",
-    FixedCodeDeconv: "ConvTranspose3D",
+    FixedCodeDeconv: "ConvTranspose3D",  # the first one, of a single voxel, computed as a product
     nn.BatchNorm2d: "BatchNorm",
     nn.BatchNorm3d: "BatchNorm",
     nn.ReLU: "ReLU",
@@ -50,8 +50,10 @@ class Architecture:
 
     def write(self, folder: Path) -> list[Path]:
         """`architecture_<part>.tex` and `.csv`."""
-        write_text(tex := folder / f"architecture_{self.part}.tex", self.latex())
-        write_text(csv := tex.with_suffix(".csv"), self.layers.to_csv(index=False, lineterminator="\n"))
+        tex = folder / f"architecture_{self.part}.tex"
+        csv = tex.with_suffix(".csv")
+        write_text(tex, self.latex())
+        write_text(csv, self.layers.to_csv(index=False, lineterminator="\n"))
         return [tex, csv]
 
 
@@ -59,7 +61,7 @@ def architectures(config: ModelConfig) -> list[Architecture]:
     """Encoder (f^v and f^a, which differ in the last layer only) and generator (f^d) of a configuration."""
     model = ViewNet(config)
     viewpoint, appearance = layers(model.viewpoint.encoder), layers(model.appearance)
-    encoder = viewpoint.where(viewpoint == appearance, viewpoint + " or " + appearance)
+    encoder = viewpoint.where(viewpoint == appearance, viewpoint + " or " + appearance)  # only the last layers differ
     return [
         Architecture("encoder", encoder, parameters(model.viewpoint) + parameters(model.appearance)),
         Architecture("generator", layers(model.decoder), parameters(model.decoder)),
@@ -68,7 +70,7 @@ def architectures(config: ModelConfig) -> list[Architecture]:
 
 def layers(network: nn.Module) -> pd.DataFrame:
     """Convolutions, normalisations and activations in the order they are applied."""
-    return pd.DataFrame(list(_rows(network)), columns=list(COLUMNS))
+    return pd.DataFrame(list(_rows(network)), columns=list(COLUMNS))  # of what is not named in NAMES, the parts
 
 
 def _rows(module: nn.Module) -> Iterator[tuple[str, str, str, str]]:

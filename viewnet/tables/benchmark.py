@@ -3,21 +3,21 @@
 from collections.abc import Mapping
 from typing import Any
 
-CONTESTANTS = ("textbook", "viewnet")
+CONTESTANTS = ("textbook", "viewnet")  # in the order of the columns
 NOT_MEASURED = "not measured"
 QUICK = "quick: a check that everything works, and no measurement"
+# The two lines above `cells`.
 HEADINGS = (
     ("", "", "", "", "time", "", "", "memory", "", "", "images/s", "", "growth", "", "", "x floor", ""),
     ("work", "volume", "size", "on", "textbook", "viewnet", "ratio", "textbook", "viewnet", "ratio", "textbook",
      "viewnet", "expected", "textbook", "viewnet", "textbook", "viewnet"),
 )  # fmt: skip
-"""The two lines above `cells`."""
 
 
 def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
     """A row as text, one cell for each of HEADINGS."""
     times = [row[f"{name}_s"] for name in CONTESTANTS]
-    ends = row["speedup_low"], row["speedup_high"]
+    ends = row["speedup_low"], row["speedup_high"]  # over the turns in which both were measured
     ratios = ("memory_ratio", "textbook_images_per_s", "viewnet_images_per_s", "growth_expected")
     return (
         *(row["work"], row["volume"], "" if row["size"] is None else str(row["size"]), row["device"]),
@@ -60,7 +60,7 @@ def steps_notes(result: Mapping[str, Any]) -> list[str]:
 def machine(result: Mapping[str, Any]) -> str:
     """Hardware, PyTorch and commit of a measurement."""
     hardware, git = result["hardware"], result["git"]
-    commit = (git["commit"] or "none")[:12] + (" with changes" if git["dirty"] else "")
+    commit = (git["commit"] or "none")[:12] + (" with changes" if git["dirty"] else "")  # which no commit has
     return (
         f"{hardware['gpu'] or hardware['processor']}, CPU threads: {hardware['threads']}; "
         f"PyTorch {result['versions']['torch']}; commit {commit}"

@@ -15,8 +15,8 @@ from viewnet.tables.image_grids import image_grid
 from viewnet.tables.plots import angles
 from viewnet.tables.run_renderer import Stores, own_views, renderers
 
+# Degrees: an error of this size or more is a failure, and a cause explains an azimuth to within less than this.
 THRESHOLD = 30.0
-"""Degrees: an error of this size or more is a failure, and a cause explains an azimuth to within less than this."""
 CAUSES = ("half a turn", "front and back mirrored", "elevation", "other")
 
 
@@ -45,9 +45,9 @@ class Failures:
 def by_cause(aligned: Aligned) -> list[Failures]:
     """Failures by cause, in the order of CAUSES, without causes that do not occur."""
     why = causes(aligned.selected, aligned.predictions.truth)
-    order = np.argsort(-aligned.selected_errors, kind="stable")
+    order = np.argsort(-aligned.selected_errors, kind="stable")  # the worst first, equal ones in the order of the store
     groups = [Failures(cause, [int(i) for i in order if why[i] == cause], len(why)) for cause in CAUSES]
-    return [group for group in groups if group.rows]
+    return [group for group in groups if group.rows]  # a cause that does not occur needs no line
 
 
 def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
@@ -63,11 +63,11 @@ def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
     kinds = {"true": angles(renderer.aligned.predictions.truth), "predicted": angles(renderer.aligned.selected)}
     lines, captions, labels = [], [], []
     for group in groups:
-        rows = group.rows[:count]
+        rows = group.rows[:count]  # all are counted in the label
         pairs = zip(renderer.test_images(rows), renderer.displayed(renderer.reconstruct(rows)), strict=True)
         each = itertools.product(rows, kinds.items())
         texts = (f"{kind}\n{round(a[row]) % 360}°, {round(e[row])}°" for row, (kind, (a, e)) in each)
         lines.append(list(itertools.chain.from_iterable(pairs)))
         captions.append(list(texts))
         labels.append(f"{group.cause}\n{len(group.rows)} of {group.views}")
-    return image_grid(lines, labels, captions=captions, gaps=range(2, 2 * count, 2))
+    return image_grid(lines, labels, captions=captions, gaps=range(2, 2 * count, 2))  # between image and next image

@@ -41,8 +41,8 @@ def reconstructions(runs: Sequence[Run], stores: Stores = own_views, count: int 
     gaps: list[int] = []
     for category in dict.fromkeys(run.config.category for run in runs):
         group = [r for r in all_renderers if r.config.category == category]
-        rows = _rows(group[0], count)
-        gaps.append(len(columns))
+        rows = _rows(group[0], count)  # the same of all runs of a category, to be compared
+        gaps.append(len(columns))  # before each category
         columns.append((category, group[0].test_images(rows)))
         for renderer in group:
             if renderer.store.identity != group[0].store.identity:
@@ -65,9 +65,10 @@ def around(runs: Sequence[Run], stores: Stores = own_views) -> Figure:
     angles = torch.tensor(AZIMUTHS, dtype=torch.float32)
     lines, labels = [], []
     variants = [r.config.variant for r in all_renderers]
+    # Stable: categories keep their order.
     for renderer in sorted(all_renderers, key=lambda r: variants.index(r.config.variant)):
         first = renderer.views.first
-        row = int(first[len(first) // 2])
+        row = int(first[len(first) // 2])  # one object for all runs of a category
         frames = renderer.level(angles, torch.full_like(angles, ELEVATION))
         rendered = renderer.displayed(renderer.render(renderer.encode([row]), frames))
         lines.append([renderer.test_images([row])[0], *rendered])
@@ -82,13 +83,13 @@ def volumes(runs: Sequence[Run], stores: Stores = own_views, count: int = 2 * AC
     for renderer in renderers(runs, stores):
         rows = _rows(renderer, count)
         frames = look_at(view_vector(*(torch.tensor([angle]) for angle in VIEWPOINT))).expand(len(rows), 3, 3)
-        size = 2 * renderer.network.config.render_size
+        size = 2 * renderer.network.config.render_size  # volumes hold more detail than images of the learned size show
         images = renderer.test_images(rows)
         rendered = renderer.displayed(renderer.render(renderer.encode(rows), renderer.in_own_frame(frames), size))
         for start in range(0, len(rows), ACROSS):
             lines += [list(part[start : start + ACROSS]) for part in (images, rendered)]
             labels += ["image", "volume"]
-            gaps.append(len(lines))
+            gaps.append(len(lines))  # below an image and its volume
     return image_grid(lines, labels, row_gaps=gaps[:-1])
 
 
@@ -100,6 +101,7 @@ def candidate_figure(runs: Sequence[Run], stores: Stores = own_views, count: int
     """
     lines, captions, labels = [], [], []
     for renderer in renderers(runs, stores):
+        # Neither the first nor the last.
         rows = np.linspace(0, len(renderer) - 1, count + 2).round().astype(int)[1:-1].tolist()
         angles = renderer.aligned.errors[rows]  # (N, M) degrees
         errors, rendered = candidates(renderer, rows)
@@ -118,8 +120,8 @@ def candidates(renderer: RunRenderer, rows: list[int]) -> tuple[np.ndarray, np.n
     found = renderer.aligned.predictions.take(rows)
     vectors = torch.tensor(found.hypotheses, dtype=torch.float32, device=renderer.device)  # (N, M, 3)
     ups = None if found.ups is None else torch.tensor(found.ups, dtype=torch.float32, device=renderer.device)
-    objects = renderer.encode(renderer.next_views(rows))
-    target = resize(renderer.images(rows, config.input_size), config.render_size)
+    objects = renderer.encode(renderer.next_views(rows))  # never from the target itself, as in training
+    target = resize(renderer.images(rows, config.input_size), config.render_size)  # as training makes them
     errors = compare(renderer.network, objects, vectors[:, :, None], ups, target, renderer.config.train)[1]  # (N, M)
     images = renderer.displayed(renderer.render(objects, look_at(vectors, ups).flatten(0, 1)))  # (N M, S, S, 3)
     return errors.cpu().numpy(), images.reshape(*errors.shape, *images.shape[1:])
@@ -140,11 +142,11 @@ def image_grid(
     """
     titles = [_wrapped(title) for title in columns]
     left, under = 0.42 if rows else 0.04, 0.27 if captions else 0.03
-    top = 0.06 + 0.12 * max((title.count("\n") + 1 for title in titles), default=0)
+    top = 0.06 + 0.12 * max((title.count("\n") + 1 for title in titles), default=0)  # inches; 0.12 a line
     x = _places(max(map(len, lines)), CELL + 0.03, gaps, left)
     y = _places(len(lines), CELL + under, row_gaps, top)
     width, height = x[-1], y[-1] + 0.02
-    figure = Figure(figsize=(width, height))
+    figure = Figure(figsize=(width, height))  # placed by hand: layouts of matplotlib leave cells of unequal sizes
     for (i, j), image in {(i, j): image for i, line in enumerate(lines) for j, image in enumerate(line)}.items():
         box = (x[j] / width, 1 - (y[i] + CELL) / height, CELL / width, CELL / height)
         axes = figure.add_axes(box, label=f"{i} {j}")
@@ -164,12 +166,13 @@ def image_grid(
 def _places(count: int, step: float, gaps: Iterable[int], start: float) -> list[float]:
     """The starts of `count` cells in inches, and the end of the last one."""
     wide = set(gaps)
+    # Wide enough to see, at little cost.
     steps = (step + (0.09 if place in wide else 0) for place in range(1, count + 1))
     return list(itertools.accumulate(steps, initial=start))
 
 
 def _wrapped(label: str) -> str:
-    return "\n".join(textwrap.fill(part, 13) for part in label.split("\n"))
+    return "\n".join(textwrap.fill(part, 13) for part in label.split("\n"))  # 13 letters are as wide as an image
 
 
 def _rows(renderer: RunRenderer, count: int) -> list[int]:

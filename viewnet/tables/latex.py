@@ -8,22 +8,22 @@ import pandas as pd
 from viewnet.tables.columns import DASH, METRICS, Key, best, by_key, text
 from viewnet.tables.layouts import Layout
 
+# The paper's short names of categories.
 SHORT = {"aeroplane": "airplane", "bicycle": "bike", "diningtable": "table", "motorbike": "mbike", "tvmonitor": "tv"}
-"""The paper's short names of categories."""
 NAMED = {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}"}
+# Special characters of LaTeX -> how they are written.
 SPECIAL = str.maketrans(NAMED | {character: f"\\{character}" for character in "&%$#_{}"})
-"""Special characters of LaTeX -> how they are written."""
 WIDE = 4  # with more categories than this, a measured number stands below the reported one and not beside it
 
 
-def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ()) -> str:
+def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> str:
     """Metrics side by side, each with two columns for a category, reported and measured; `lines` of text at the end.
 
     `cells` are those of viewnet.tables.table.Table.
     """
     categories, pairs = list(dict.fromkeys(cells["category"])), _pairs(cells)
     headings = [METRICS[metric].latex for metric in layout.metrics]
-    count = len(headings) * len(categories)
+    count = len(headings) * len(categories)  # each of two columns
     body = [
         spanned(headings, [len(categories) * 2] * len(headings)),
         spanned(categories * len(headings), [2] * count),
@@ -35,14 +35,14 @@ def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ())
     return tabular(f"l{'r' * 2 * count}", body, lines)
 
 
-def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ()) -> str:
+def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> str:
     """Metrics one below the other, as Table 3 has them; `lines` of text in a box below.
 
     Up to WIDE categories have two columns each, reported and measured; more of them one, with the measured number in
     italics below the reported one, in a smaller font and with less space between columns.
     """
     categories, pairs = list(dict.fromkeys(cells["category"])), _pairs(cells)
-    measured_rows = set(cells.loc[cells["variant"] != "", "row"])
+    measured_rows = set(cells.loc[cells["variant"] != "", "row"])  # others have no line of ours
     if wide := len(categories) > WIDE:
         body = [line(["", *(SHORT.get(category, category) for category in categories)])]
     else:
@@ -58,7 +58,7 @@ def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str] = ()) -> st
             label = f"{escape(row)}, \\textit{{ours}}"
             if row not in measured_rows or any(reported != DASH for reported, _ in shown):
                 body.append(line([escape(row), *(reported for reported, _ in shown)]))
-                label = "\\quad\\textit{ours}"
+                label = "\\quad\\textit{ours}"  # the row is named above
             if row in measured_rows:
                 body.append(line([label, *(f"\\textit{{{measured}}}" for _, measured in shown)]))
     table = tabular(f"l{'r' * width}", body) + (f"\n{boxed(lines, 'footnotesize')}\n" if lines else "")
@@ -101,7 +101,7 @@ def line(cells: Iterable[str]) -> str:
 def spanned(labels: Sequence[str], spans: Sequence[int]) -> str:
     """A row of headings after an empty cell, each over several columns, with a rule below each."""
     cells = [f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label, span in zip(labels, spans, strict=True)]
-    ends = np.cumsum(spans) + 1
+    ends = np.cumsum(spans) + 1  # the first column holds the labels
     rules = [f"\\cmidrule(lr){{{end - span + 1}-{end}}}" for end, span in zip(ends, spans, strict=True)]
     return line(["", *cells]) + " ".join(rules) + "\n"
 
@@ -117,7 +117,7 @@ def _heading(latex: str, width: int) -> str:
 
 def _pairs(cells: pd.DataFrame) -> dict[Key, tuple[str, str]]:
     """(row, category, metric) -> reported and measured number, the best of each in bold."""
-    top = best(cells, lambda metric: METRICS[metric].digits)
+    top = best(cells, lambda metric: METRICS[metric].digits)  # of numbers as they are printed
     return {
         key: (
             _bold(cell["printed"] or DASH, cell["bold"]),

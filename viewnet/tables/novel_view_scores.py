@@ -36,7 +36,7 @@ from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, r
 
 COPY = "Appearance view"  # the row of the appearance view itself, in the place of a rendered view
 HIGHEST = 100.0  # dB: the PSNR of equal images
-DRAWS = 1000
+DRAWS = 1000  # of the bootstrap, as for the other tables
 
 
 def fidelity(renderer: RunRenderer, copy: bool = False) -> pd.DataFrame:
@@ -52,12 +52,12 @@ def fidelity(renderer: RunRenderer, copy: bool = False) -> pd.DataFrame:
     frames = renderer.in_own_frame(look_at(torch.from_numpy(true_vectors(ids))))
     parts = []
     for rows in map(Tensor.tolist, torch.arange(len(renderer)).split(BATCH)):
-        other = renderer.next_views(rows)
+        other = renderer.next_views(rows)  # its own view would give the answer away
         rendered = renderer.images(other) if copy else renderer.render(renderer.encode(other), frames[rows])
         parts.append(compare(rendered, renderer.images(rows)))
     scores = pd.concat([ids[["model_id", "view"]], pd.concat(parts, ignore_index=True)], axis=1)
     if not copy and renderer.config.train.target == "mask":
-        scores[["psnr", "ssim"]] = np.nan
+        scores[["psnr", "ssim"]] = np.nan  # its colours were never compared with any
     return scores
 
 
@@ -67,33 +67,35 @@ def compare(rendered: Tensor, target: Tensor) -> pd.DataFrame:
     lines = []
     for one, true in pairs:
         colours, true_colours = one[..., :3], true[..., :3]
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore"):  # equal images have an infinite one
             psnr = min(HIGHEST, float(peak_signal_noise_ratio(true_colours, colours, data_range=1.0)))
         ssim = structural_similarity(
             true_colours, colours, data_range=1.0, channel_axis=-1,
             gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
         )  # fmt: skip
-        mask, true_mask = one[..., 3] > 0.5, true[..., 3] > 0.5
+        mask, true_mask = one[..., 3] > 0.5, true[..., 3] > 0.5  # masks are soft at edges
         union = (mask | true_mask).sum()
+        # Empty both.
         lines.append({"psnr": psnr, "ssim": float(ssim), "iou": (mask & true_mask).sum() / union if union else 1.0})
     return pd.DataFrame(lines, columns=list(FIDELITY))
 
 
 @torch.no_grad()
-def consistency(renderer: RunRenderer, judge: RunRenderer | None = None, seed: int = 0) -> Floats:
+def consistency(renderer: RunRenderer, judge: RunRenderer | None = None) -> Floats:
     """Errors (N,), degrees, of the viewpoints predicted for views rendered from random viewpoints, one per test view.
 
     Predicted by the network's own viewpoint network or, if given, the judge's; see above. Each test view gives an
     appearance. Azimuths are uniform, elevations uniform in the range of the run's views. All decoders render at the
     size they were trained at, enlarged to the input size, so that none has an advantage in sharpness.
     """
-    reader, rng = judge or renderer, np.random.default_rng(seed)
+    reader = judge or renderer
     low, high = renderer.config.data.elevation_range
-    angles = torch.from_numpy(rng.uniform((0, low), (360, high), (len(renderer), 2)))
+    # One seed for all: every network is shown its objects from the same viewpoints.
+    angles = torch.from_numpy(np.random.default_rng(0).uniform((0, low), (360, high), (len(renderer), 2)))
     truth = view_vector(angles[:, 0], angles[:, 1])
     vectors, up_vectors = [], []
     for rows in map(Tensor.tolist, torch.arange(len(renderer)).split(BATCH)):
-        rendered = renderer.render(renderer.encode(rows), look_at(truth[rows]))
+        rendered = renderer.render(renderer.encode(rows), look_at(truth[rows]))  # level, as the views are
         hypotheses = reader.network.viewpoint(_as_input(rendered, renderer, reader))
         heads = hypotheses.logits.argmax(1)
         vectors.append(hypotheses.of_heads(heads).double().cpu().numpy())
@@ -101,9 +103,9 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None, seed: i
             up_vectors.append(hypotheses.ups[torch.arange(len(rows)), heads].double().cpu().numpy())
     predicted, true = np.concatenate(vectors), truth.numpy()
     ups = np.concatenate(up_vectors) if up_vectors else None
-    if judge is None:
+    if judge is None:  # its own network knows the frame
         return metrics.geodesic_error(predicted, true, ups)
-    errors, even = np.empty(len(predicted)), renderer.views.objects.numpy() % 2 == 0
+    errors, even = np.empty(len(predicted)), renderer.views.objects.numpy() % 2 == 0  # halves of objects, not of views
     # Each half is aligned by a fit on the other, so that no object decides on its own score.
     for half in (even, ~even):
         rotation = fit_rotation(predicted[~half], true[~half])
@@ -115,6 +117,7 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None, seed: i
 def _as_input(rendered: Tensor, renderer: RunRenderer, reader: RunRenderer) -> Tensor:
     """Rendered views (N, 4, S, S) as inputs (N, 3, s, s) of the reader's viewpoint network."""
     model = reader.network.config
+    # No sharper for larger ones.
     images = F.interpolate(rendered, (model.input_size, model.input_size), mode="bilinear")
     if model.crop != "none":
         images = tight_crop(images, model.input_size, model.crop == "stretched")
@@ -138,7 +141,7 @@ def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -
         here = [run for run in runs if run.config.category == category]
         groups = {variant: [run for run in here if run.config.variant == variant] for variant in LABELS}
         mine = {variant: renderers(group, stores) for variant, group in groups.items() if group}
-        judge = mine["viewnet"][0] if "viewnet" in mine else None
+        judge = mine["viewnet"][0] if "viewnet" in mine else None  # one judge, so that rows compare
         copied = fidelity(next(iter(mine.values()))[0], copy=True)
         lines += _lines({"row": COPY, "variant": "", "category": category}, "", [copied], {}, draws)
         for variant, seeds in mine.items():
@@ -166,8 +169,9 @@ def frame(cells: pd.DataFrame) -> pd.DataFrame:
 
 def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
     """`novel_views.tex`, a booktabs tabular, and `novel_views.csv`: every number, with its interval and runs."""
-    write_text(tex := folder / "novel_views.tex", latex.measured(cells, columns.of_novel_views(), note))
-    write_text(csv := folder / "novel_views.csv", cells.round(4).to_csv(index=False, lineterminator="\n"))
+    tex, csv = folder / "novel_views.tex", folder / "novel_views.csv"
+    write_text(tex, latex.measured(cells, columns.of_novel_views(), note))
+    write_text(csv, cells.round(4).to_csv(index=False, lineterminator="\n"))
     return [tex, csv]
 
 

@@ -31,13 +31,13 @@ STYLE: Any = {
 }
 INK = "#1f4e79"
 STYLES = {"none": "-", "procrustes": "-", "robust": "-.", "linear": "--", "per_angle": ":"}
+# Distinct for colour-blind readers too (Okabe and Ito 2008).
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Distinct for colour-blind readers too (Okabe and Ito 2008)."""
 DASHES: Any = ("-", "--", ":", "-.")
+# Columns of a run's log that are no term of its loss, and their titles.
 LOGGED = {"val_accuracy": "validation accuracy (%)", "val_folded": "the same, folded (%)",
     "val_reconstruction": "validation error", "val_least_used": "least used head (%)",
     "val_focal": "focal length", "loss": "training loss"}  # fmt: skip
-"""Columns of a run's log that are no term of its loss, and their titles."""
 COUNTED = ("epoch", "step", "seconds")  # columns that only say where the training is
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
 LEGEND: Any = {"loc": "outside right upper", "frameon": False, "fontsize": 7}
@@ -59,7 +59,7 @@ def azimuth_scatter(runs: Sequence[Run]) -> Figure:
     for axes, run in zip(figure.subplots(1, len(runs), sharey=True, squeeze=False)[0], runs, strict=True):
         aligned = align(run.predictions, run.alignment)
         true, predicted = aligned.predictions.ids["azimuth"], angles(aligned.selected)[0]
-        axes.plot([0, 360], [0, 360], color="0.8", linewidth=0.6, zorder=0)
+        axes.plot([0, 360], [0, 360], color="0.8", linewidth=0.6, zorder=0)  # where right predictions lie
         axes.scatter(true, predicted, s=2, linewidths=0, alpha=0.5, color=INK)
         axes.set(title=run.config.category, xlabel="true azimuth (degrees)")
         axes.set(xlim=(0, 360), ylim=(0, 360), xticks=ticks, yticks=ticks, aspect="equal")
@@ -81,7 +81,7 @@ def training_logs(runs: Sequence[Run]) -> pd.DataFrame:
             raise ViewnetError(f"{run.name}: its log is empty: wait for the first validation")
         about: dict[str, Any] = {"row": LABELS.get(config.variant, config.variant), "recipe": config.recipe}
         about |= {"category": config.category, "seed": config.seed}
-        log = log.assign(targets=log["step"] * config.train.batch_size, **about)
+        log = log.assign(targets=log["step"] * config.train.batch_size, **about)  # recipes differ in batch size
         logs.append(log[[*about, "targets", *(column for column in log if column not in {*about, "targets"})]])
     return pd.concat(logs, ignore_index=True)
 
@@ -99,18 +99,19 @@ def training_curves(logs: pd.DataFrame) -> Figure:
     names = logs["row"] + " (" + logs["recipe"] + ")" if recipes else logs["row"]
     colours = dict(zip(names.unique(), itertools.cycle(COLOURS), strict=False))
     dashes = dict(zip(logs["category"].unique(), itertools.cycle(DASHES), strict=False))
-    across = min(4, len(titles))
+    across = min(4, len(titles))  # panels in a line: more would be too narrow to read
     down = -(-len(titles) // across)
     figure = Figure(figsize=(1.75 * across + 1.4, 1.5 * down + 0.2), layout="constrained")
     grid = figure.subplots(down, across, squeeze=False).ravel()
     for axes, (column, title) in zip(grid, titles.items(), strict=False):
         for (name, category, _), log in logs.groupby([names, "category", "seed"], sort=False):
-            if log[column].notna().any():
+            if log[column].notna().any():  # not every run has every term
                 style: Any = {"color": colours[name], "linestyle": dashes[category]}
                 axes.plot(log["targets"], log[column], linewidth=1, marker="o", markersize=2, **style)
         axes.set_title(title, fontsize=8)
         axes.set_ylim(min(0, logs[column].min()), 100 if column in ("val_accuracy", "val_folded") else None)
         if recipes:
+            # They see far from equally many.
             axes.set(xscale="log", xlim=(logs["targets"].min() * 0.8, logs["targets"].max() * 1.25))
         else:
             axes.set_xlim(left=0)
@@ -119,6 +120,7 @@ def training_curves(logs: pd.DataFrame) -> Figure:
         axes.remove()
     for axes in grid[max(0, len(titles) - across) : len(titles)]:
         axes.set_xlabel("target images")
+    # A line for each style, not each run.
     handles = [Line2D([], [], color=c, linewidth=1, label=name) for name, c in colours.items()]
     if len(dashes) > 1:
         handles += [Line2D([], [], color="0.3", linestyle=d, linewidth=1, label=name) for name, d in dashes.items()]
@@ -127,7 +129,7 @@ def training_curves(logs: pd.DataFrame) -> Figure:
 
 
 @matplotlib.rc_context(STYLE)
-def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = tuple(AXES)) -> Figure:
+def calibration_curves(scores: pd.DataFrame) -> Figure:
     """Scores over the number of calibration photographs, a row a metric and a column a category.
 
     `scores` is `scores` of viewnet.experiments.alignment_study.Study: a line is the median over draws and seeds of a
@@ -137,26 +139,26 @@ def calibration_curves(scores: pd.DataFrame, metrics: Sequence[str] = tuple(AXES
     categories = list(dict.fromkeys(scores["category"]))
     fitted = set(scores.loc[scores["alignment"] == "none", "predictor"])
     colours = {predictor: f"C{i}" for i, predictor in enumerate(dict.fromkeys(scores["predictor"]))}
-    figure = Figure(figsize=(2.3 * len(categories) + 1.6, 1.7 * len(metrics)), layout="constrained")
-    grid = figure.subplots(len(metrics), len(categories), squeeze=False, sharex=True, sharey="row")
+    figure = Figure(figsize=(2.3 * len(categories) + 1.6, 1.7 * len(AXES)), layout="constrained")
+    grid = figure.subplots(len(AXES), len(categories), squeeze=False, sharex=True, sharey="row")
     for (predictor, kind), rows in scores.groupby(["predictor", "alignment"], sort=False):
-        if (predictor in fitted) != (kind == "none"):
+        if (predictor in fitted) != (kind == "none"):  # what was fitted needs no alignment, all else needs one
             continue
         colour, label = colours[predictor], predictor if kind == "none" else f"{predictor}, {kind}"
         style: Any = {"color": colour, "linestyle": STYLES[kind], "label": label}
-        for (i, metric), (j, category) in itertools.product(enumerate(metrics), enumerate(categories)):
+        for (i, metric), (j, category) in itertools.product(enumerate(AXES), enumerate(categories)):
             shown = rows[rows["category"] == category].groupby("images")[metric].agg(["median", "min", "max"])
             images, axes = shown.index.to_numpy(dtype=float), grid[i, j]
             axes.plot(images, shown["median"], linewidth=1, markersize=2, marker="o", **style)
             axes.fill_between(images, shown["min"], shown["max"], color=colour, alpha=0.1, linewidth=0)
     for j, category in enumerate(categories):
         grid[0, j].set_title(category)
-        grid[0, j].set_xscale("log", base=2)
+        grid[0, j].set_xscale("log", base=2)  # counts double
         grid[-1, j].xaxis.set_major_formatter("{x:.0f}")
         grid[-1, j].set_xlabel("calibration photographs")
-    for i, metric in enumerate(metrics):
-        grid[i, 0].set_ylabel(AXES[metric])
-        grid[i, 0].set_ylim(bottom=0)
+    for i, title in enumerate(AXES.values()):
+        grid[i, 0].set_ylabel(title)
+        grid[i, 0].set_ylim(bottom=0)  # so that small differences look small
     figure.legend(*grid[0, 0].get_legend_handles_labels(), **LEGEND)
     return figure
 
@@ -174,9 +176,9 @@ def collapse_curves(collapse: pd.DataFrame) -> Figure:
     titles = {"spread_linear": "spread left", "acc30": "accuracy added, points", "dva": "DVA added, points"}
     figure = Figure(figsize=(8.2, 2.5), layout="constrained")
     for axes, (column, title) in zip(figure.subplots(1, 3), titles.items(), strict=True):
-        axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)
+        axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)  # a constant, or nothing added
         for (category, predictor), rows in collapse.assign(**gains).groupby(["category", "predictor"], sort=False):
-            means = rows.groupby("concentration")[["side", column]].mean()
+            means = rows.groupby("concentration")[["side", column]].mean()  # over seeds
             style: Any = {"color": colours[category], "linestyle": styles[predictor]}
             label = f"{category}, {predictor}"
             axes.plot(means["side"], means[column], linewidth=1, markersize=2.5, marker="o", label=label, **style)
@@ -191,5 +193,5 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     files = [folder / f"{name}.png", folder / f"{name}.pdf"]
     for path, metadata in zip(files, ({"Software": None}, {"CreationDate": None, "ModDate": None}), strict=True):
         with replacing(path) as temporary:
-            figure.savefig(temporary, dpi=200, metadata=metadata)
+            figure.savefig(temporary, dpi=200, metadata=metadata)  # no date and no version: the same bytes each time
     return files

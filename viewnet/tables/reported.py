@@ -29,17 +29,17 @@ def load(table: str) -> pd.DataFrame:
     frame = read_csv(path, dtype=str, keep_default_na=False)
     if tuple(frame.columns) != COLUMNS:
         raise ViewnetError(f"{path}: columns are {', '.join(frame.columns)}, expected {', '.join(COLUMNS)}")
-    return frame.assign(bold=frame["bold"] == "1")
+    return frame.assign(bold=frame["bold"] == "1")  # values stay text, with the digits of the paper
 
 
 def none() -> pd.DataFrame:
     """As `load`, of a table that is not in the paper."""
-    return pd.DataFrame(columns=COLUMNS)
+    return pd.DataFrame(columns=COLUMNS)  # so that such a table is made like the others
 
 
 def architecture(part: str) -> pd.DataFrame:
     """The supplement's table of the "encoder" or the "generator", a line a layer. ViewnetError for a missing column."""
-    known(part, ("encoder", "generator"), "part")
+    known(part, ("encoder", "generator"), "part")  # the supplement has no other
     path = folder() / "architecture.csv"
     frame = read_csv(path, dtype=str, keep_default_na=False)
     if missing := [name for name in ("part", "layer", "channels", "kernel", "stride") if name not in frame.columns]:

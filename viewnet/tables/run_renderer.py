@@ -14,7 +14,7 @@ from viewnet.data import augment
 from viewnet.data.pairs import Views, model_views
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.alignment import Procrustes
+from viewnet.evaluation.alignment import Procrustes, Yaw
 from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predict import predict
 from viewnet.evaluation.predictions import Predictions
@@ -27,7 +27,7 @@ from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import read_json
 from viewnet.runtime.images import tight_crop
 
-BATCH = 64
+BATCH = 64  # images rendered at once
 
 
 @dataclass(frozen=True)
@@ -62,16 +62,6 @@ class RunRenderer(ObjectRenderer):
         return torch.tensor(self.aligned.alignment.rotation, dtype=torch.float32)
 
     @cached_property
-    def azimuth_offset(self) -> float:
-        """Annotated minus own azimuths, degrees: the best rotation about the vertical alone.
-
-        The full rotation of a network without a common frame may tilt objects; this one keeps elevations.
-        """
-        predicted, true = self.aligned.calibration.selected[:, :2], self.aligned.calibration.truth[:, :2]
-        sine = (predicted[:, 0] * true[:, 1] - predicted[:, 1] * true[:, 0]).sum()
-        return float(np.degrees(np.arctan2(sine, (predicted * true).sum())))
-
-    @cached_property
     def views(self) -> Views:
         """The test views, at the larger of the network's input and output sizes."""
         model = self.network.config
@@ -98,19 +88,22 @@ class RunRenderer(ObjectRenderer):
     @torch.no_grad()
     def encode(self, rows: Sequence[int]) -> Encoded:
         """The objects in test views; on fixed backgrounds where the run was trained with backgrounds."""
-        size, background = self.network.config.input_size, None
+        size = self.network.config.input_size
+        background = None
         if self.backgrounds is not None:
-            generator = torch.Generator().manual_seed(0)
+            generator = torch.Generator().manual_seed(0)  # the same object behind the same background each time
             background = augment.windows(self.backgrounds, len(rows), size, generator, self.device)
         return Encoded(*self.network.encode(self.images(rows, size), background=background))
 
     def level(self, azimuth: Tensor, elevation: Tensor) -> Tensor:
         """Own camera frames (..., 3, 3), held level, of annotated azimuths (...) and own elevations (...), degrees."""
-        return look_at(view_vector(azimuth - self.azimuth_offset, elevation))
+        # The full rotation of a network without a common frame may tilt objects; this one keeps elevations.
+        turn = Yaw.fit(self.aligned.calibration.selected, self.aligned.calibration.truth).rotation
+        return torch.tensor(turn.T, dtype=torch.float32) @ look_at(view_vector(azimuth, elevation))
 
     def predicted_frames(self, rows: Sequence[int]) -> Tensor:
         """Own camera frames (N, 3, 3) of the viewpoints that the network selects for test views."""
-        taken = self.aligned.predictions.take(list(rows))
+        taken = self.aligned.predictions.take(list(rows))  # those of the tables, not predicted again
         ups = None if taken.ups is None else torch.from_numpy(taken.ups[np.arange(len(taken)), taken.choice])
         return look_at(torch.from_numpy(np.array(taken.selected)), ups).float()
 

@@ -15,8 +15,8 @@ SIDE = 260  # width and height of a compass, in its own units
 RING = 84  # radius of the camera's circle, from above
 ARC, CENTRE = 104, (82.0, SIDE / 2)  # radius of the camera's arc from the side, and the object's place in it
 SECTORS = ("front", "front left", "left", "back left", "back", "back right", "right", "front right")
+# Elevations below which each name holds; beyond the last it is "from above".
 LEVELS = ((-60, "from below"), (-15, "from a little below"), (15, "level"), (60, "from a little above"))
-"""Elevations below which each name holds; beyond the last it is "from above"."""
 
 
 def words(azimuth: float, elevation: float) -> str:

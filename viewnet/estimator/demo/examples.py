@@ -12,8 +12,7 @@ from viewnet.data.synthetic.stand_in import built_in_mesh
 from viewnet.estimator import ViewpointEstimator
 from viewnet.render import render_mesh
 
-VIEWPOINTS = ((35.0, 15.0), (140.0, 10.0), (250.0, 25.0), (320.0, 5.0))
-"""Azimuth and elevation in degrees, one for each model."""
+VIEWPOINTS = ((35.0, 15.0), (140.0, 10.0), (250.0, 25.0), (320.0, 5.0))  # azimuth, elevation: one for each model
 SEED = 2000  # of the models: other ones than in training and in the stand-ins for photographs
 SIZE = 256
 BACKGROUND = (400, 300)
@@ -21,12 +20,10 @@ BACKGROUND = (400, 300)
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """An image, its object's box if it needs one, and the viewpoint it was rendered from."""
+    """An image, and its object's box if it needs one."""
 
     image: Image.Image
     box: Box | None
-    azimuth: float
-    elevation: float
 
 
 def rendered(estimator: ViewpointEstimator) -> list[Example]:
@@ -44,7 +41,7 @@ def rendered(estimator: ViewpointEstimator) -> list[Example]:
         image, box = Image.fromarray(view), None
         if not estimator.framing.cutout:
             image, box = _on_background(image, np.random.default_rng([SEED, number]))
-        examples.append(Example(image, box, azimuth, elevation))
+        examples.append(Example(image, box))
     return examples
 
 

@@ -17,12 +17,12 @@ from viewnet.tables import benchmark
 from viewnet.tables.architecture import COLUMNS, Architecture
 from viewnet.tables.columns import best, by_key, column_of
 
-FLOATS = ("measured", "sd", "low", "high")
+FLOATS = ("measured", "sd", "low", "high")  # null in JSON where there is none
+# End of a CSV file's name beside a table -> its title.
 BESIDE = {
     "definitions": "By other alignments and definitions of the error",
     "nearest": "How near test models are to those trained on: IoU of silhouettes with the most alike",
 }
-"""End of a CSV file's name beside a table -> its title."""
 Files = Mapping[str, Path]  # name -> file
 
 
@@ -80,6 +80,7 @@ def tables(files: Files) -> Content:
             lines = [{"degenerate": 0} | cell | {"runs": " ".join(cell["runs"])} for cell in table["cells"]]
             cells = pd.DataFrame(lines)
             blocks.append(metric_table(cells.astype(dict.fromkeys(FLOATS, float)), table["title"]))
+            # Shown once, however many tables.
             notes += [table["measured on"], *table.get("remarks", ()), table["error"], table["interval"]]
             origins |= table["runs"]
         if path.suffix == ".csv" and (title := BESIDE.get(path.stem.rpartition("_")[2])):
@@ -89,7 +90,10 @@ def tables(files: Files) -> Content:
 
 def metric_table(cells: pd.DataFrame, title: str) -> MetricTable:
     """The cells of a table (viewnet.tables.table.Table.cells), metric by metric."""
-    lines, top = by_key(cells), best(cells, lambda metric: column_of(metric).page_digits)
+    lines, top = (
+        by_key(cells),
+        best(cells, lambda metric: column_of(metric).page_digits),
+    )  # of numbers as they are shown
     categories, parts = tuple(dict.fromkeys(cells["category"])), []
     for metric, part in cells.groupby("metric", sort=False):
         keys = {row: [(row, category, metric) for category in categories] for row in part["row"]}
@@ -110,13 +114,14 @@ def _cell(line: dict[str, Any] | None, is_best: bool) -> Cell:
     about += "1 seed" if line["seeds"] == 1 else f"mean of {line['seeds']} seeds"
     about += "" if math.isnan(line["sd"]) else f", sd {spread}"
     about += f"; runs: {line['runs']}" if line["runs"] else ""
-    measured = f"({measured})" if line["degenerate"] else measured
+    measured = f"({measured})" if line["degenerate"] else measured  # predictions had too little spread for an alignment
     return Cell(reported, bold, measured, "" if math.isnan(line["low"]) else f"[{low}, {high}]", is_best, about)
 
 
 def novel_views(files: Files) -> Content:
     """Of the CSV file that viewnet.tables.novel_view_scores.write writes."""
     cells = read_csv(files["novel_views.csv"], keep_default_na=False, na_values=dict.fromkeys(FLOATS, ""))
+    # Page.py knows more of some.
     keys: dict[str, dict[str, Any]] = {key: {} for keys in cells["runs"] for key in keys.split()}
     note = "intervals: 95 % percentile bootstrap over seeds and objects"
     table = metric_table(cells.assign(printed="", bold=False, degenerate=0), "Scores of rendered novel views")
@@ -148,8 +153,10 @@ def audit(files: Files) -> Content:
     """Of the CSV files that viewnet.experiments.reported_constants.ConstantAudit.write writes."""
     blocks: list[Block] = []
     names = {"table2_ablation": "Table 2", "table3_pascal3d": "Table 3", "table5_dva": "DVA"}
+    # Which is no evidence.
     for stem, source in (("audit", "a list of annotations"), ("stand_in", "a stand-in for annotations")):
         if f"{stem}_constants.csv" in files:
+            # "81 / 33.7".
             constants = read_csv(files[f"{stem}_constants.csv"], dtype={"printed": str}).replace({"table": names})
             confidence = read_csv(files[f"{stem}_confidence.csv"])
             summary = ConstantAudit(constants, confidence, {}, stem == "stand_in").summary()
@@ -168,8 +175,9 @@ def architecture(files: Files) -> Content:
             if tuple(layers.columns) != COLUMNS:
                 raise ViewnetError(f"{files[name]}: columns are not {', '.join(COLUMNS)}: make it again")
             compared = Architecture(part, layers, 0).comparison()
+            # Words: a colour alone would not tell everybody.
             compared["same"] = compared["same"].map({True: "yes", False: "no"})
-            above = [*["print"] * len(COLUMNS), *["ours"] * len(COLUMNS), ""]
+            above = [*["print"] * len(COLUMNS), *["ours"] * len(COLUMNS), ""]  # a heading over each half
             compared.columns = pd.MultiIndex.from_arrays([above, [*COLUMNS, *COLUMNS, "same"]])
             blocks.append(plain_table(part.capitalize(), compared, index=False))
     return Content(tuple(blocks))
@@ -180,7 +188,7 @@ def bench(files: Files) -> Content:
     if "bench.json" not in files:
         return Content()
     result = read_json(files["bench.json"])
-    above = pd.Series(benchmark.HEADINGS[0]).replace("", None).ffill().fillna("")
+    above = pd.Series(benchmark.HEADINGS[0]).replace("", None).ffill().fillna("")  # a heading over its columns
     columns = pd.MultiIndex.from_arrays([above, benchmark.HEADINGS[1]])
     frame = pd.DataFrame([benchmark.cells(row) for row in result["rows"]], columns=columns)
     table = plain_table("Time and memory beside a textbook version", frame, index=False)
@@ -198,6 +206,7 @@ def plain_table(title: str, frame: pd.DataFrame, folded: bool = False, index: bo
     return PlainTable(title, Markup(html), folded)
 
 
+# Section -> the function that reads its files, where that is not `tables`.
 READERS: dict[str, Callable[[Files], Content]] = {
     "novel_views": novel_views,
     "alignment_study": study,
@@ -206,4 +215,3 @@ READERS: dict[str, Callable[[Files], Content]] = {
     "bench": bench,
     **dict.fromkeys(("fuzz", "faults", "crashes", "predicting"), csv_files),
 }
-"""Section -> the function that reads its files, where that is not `tables`."""

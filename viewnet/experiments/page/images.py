@@ -13,7 +13,7 @@ from PIL import Image, ImageSequence
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import opened
 
-SUFFIXES = (".png", ".gif")
+SUFFIXES = (".png", ".gif")  # figures and animations; a PDF is linked beside its PNG
 MOVING: dict[str, Any] = {"quality": 70, "method": 2, "loop": 0, "save_all": True}  # options of animations as WebP
 SHOWN = 0.55  # CSS pixels per pixel of a figure: figures are saved at twice the resolution of a screen
 TEMPLATES = Path(__file__).parent / "templates"
@@ -37,11 +37,11 @@ def embedded(path: Path, widest: int, files: Sequence[Path]) -> EmbeddedImage:
     """A PNG or GIF file, shrunk where it is wider than `widest`. ViewnetError naming a file that cannot be read."""
     try:
         with opened(path) as image:
-            duration = image.info.get("duration", 60)
+            duration = image.info.get("duration", 60)  # milliseconds
             frames = [_on_white(frame, widest) for frame in ImageSequence.Iterator(image)]
     except ViewnetError as error:
         raise ViewnetError(f"{path}: {error}: make it again") from None
-    uri, still = encode(frames[0], lossless=True, method=4), None
+    uri, still = encode(frames[0], lossless=True, method=4), None  # lines and letters stay sharp
     if moving := len(frames) > 1:
         uri, still = encode(frames[0], append_images=frames[1:], duration=duration, **MOVING), uri
     width, height = (round((1 if moving else SHOWN) * side) for side in frames[0].size)
@@ -49,7 +49,7 @@ def embedded(path: Path, widest: int, files: Sequence[Path]) -> EmbeddedImage:
 
 
 def _on_white(image: Image.Image, widest: int) -> Image.Image:
-    flat, rgba = Image.new("RGB", image.size, "white"), image.convert("RGBA")
+    flat, rgba = Image.new("RGB", image.size, "white"), image.convert("RGBA")  # figures are drawn for white paper
     flat.paste(rgba, mask=rgba)
     if flat.width > widest:
         flat = flat.resize((widest, max(1, round(flat.height * widest / flat.width))), Image.Resampling.LANCZOS)
@@ -69,4 +69,4 @@ def _captions(stem: str) -> tuple[str, str]:
         if stem.startswith(start):
             rest = stem.removeprefix(start).replace("_", " ").strip()
             return texts["caption"].format(rest), texts["alt"].format(rest)
-    return stem.replace("_", " "), f"The figure {stem}"
+    return stem.replace("_", " "), f"The figure {stem}"  # better than none, for screen readers

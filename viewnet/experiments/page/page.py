@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 NAME = "index.html"
 LIMIT = 8_000_000  # bytes; the figures of a larger page are shrunk
 WIDTHS = (1700, 1000, 500)  # maximal pixels across a figure, tried in turn until the page is within the limit
-IGNORED = ("published/*", NAME, ".*")
+IGNORED = ("published/*", NAME, ".*")  # what the paper reports is linked, not listed; hidden files are of editors
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def render(content: list[Section]) -> str:
     chapters = {name: list(group) for name, group in itertools.groupby(content, lambda section: section.chapter)}
     names = {section.name for section in content}
     missing = {k.name: heading(k)[0] for k in KINDS if k.name in DESIGNS and k.name not in names}
-    origins = {o["key"]: o for section in content for setting in section.settings for o in setting.origins}
+    origins = {o["key"]: o for section in content for setting in section.settings for o in setting.origins}  # each once
     return environment.get_template("overview.html").render(
         chapters=chapters, missing=missing, summary=_summary(origins.values()), runs=len(origins)
     )
@@ -111,12 +111,12 @@ def sections(folder: Path, widest: int = WIDTHS[0]) -> list[Section]:
     if not files:
         raise ViewnetError(f"{folder}: no tables and no figures: make some first (viewnet tables)")
     origins = _origins(itertools.chain.from_iterable(p for settings in files.values() for p in settings.values()))
-    kinds = {kind.name: kind for kind in reversed(KINDS)}
+    kinds = {kind.name: kind for kind in reversed(KINDS)}  # of several of one name the first has its title
     result = []
     with bar(True, total=sum(map(len, files.values())), desc=NAME, unit="part", leave=False) as progress:
         for name in dict.fromkeys(kind.name for kind in KINDS if kind.name in files):
             settings = []
-            for setting, paths in sorted(files[name].items()):
+            for setting, paths in sorted(files[name].items()):  # the default, "", comes first
                 settings.append(_setting(name, setting, paths, folder, origins, widest))
                 progress.update()
             result.append(Section(name, kinds[name].chapter, *heading(kinds[name]), tuple(settings)))
@@ -126,7 +126,7 @@ def sections(folder: Path, widest: int = WIDTHS[0]) -> list[Section]:
 def _place(path: Path) -> tuple[str, str]:
     """The section and the setting of a file, by its path below the folder of tables."""
     folders = path.parts[:-1]
-    for kind in sorted(KINDS, key=lambda kind: not kind.folder):
+    for kind in sorted(KINDS, key=lambda kind: not kind.folder):  # rules with a folder are the more special ones
         here = not kind.folder or folders[:1] == (kind.folder,)
         if here and any(fnmatch(path.name, pattern) for pattern in kind.patterns):
             inside = folders[1:] if kind.folder else folders
@@ -139,13 +139,14 @@ def _setting(
     name: str, setting: str, paths: list[Path], folder: Path, known: Mapping[str, dict[str, Any]], widest: int
 ) -> Setting:
     content = _content(name, {path.name: path for path in paths})
+    # One a run, not an alignment.
     by_key = {key.partition("/")[0]: origin for key, origin in (content.origins or {}).items()}
     origins = tuple({"key": key, **_origin(known.get(key, origin))} for key, origin in sorted(by_key.items()))
     figures = []
     for image in [path for path in paths if path.suffix in SUFFIXES]:
         same = [path for path in paths if path.stem == image.stem and path.suffix in (".pdf", image.suffix)]
         figures.append(embedded(image, widest, [path.relative_to(folder) for path in same]))
-    shown = {file for figure in figures for file in figure.files}
+    shown = {file for figure in figures for file in figure.files}  # linked below their figure
     files = tuple(p.as_posix() for p in (path.relative_to(folder) for path in paths) if p not in shown)
     return Setting(setting, content, origins, _summary(origins), tuple(figures), files)
 
@@ -155,7 +156,7 @@ def _content(name: str, files: Mapping[str, Path]) -> blocks.Content:
     try:
         return blocks.READERS.get(name, blocks.tables)(files)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, ViewnetError):
+        if isinstance(error, ViewnetError):  # which names its file already
             raise
         names = ", ".join(str(path) for path in files.values() if path.suffix in (".json", ".csv"))
         reason = f"not as this version writes it ({type(error).__name__}: {error})"
@@ -180,7 +181,7 @@ def _origin(origin: Mapping[str, Any]) -> dict[str, str]:
         "what": " ".join(str(origin[name]) for name in ("variant", "category") if name in origin),
         **{name: str(origin.get(name, "")) for name in ("seed", "profile", "recipe")},
         "commit": (git.get("commit") or "")[:7] + (" (changed)" if git.get("dirty") else ""),
-        "date": (training.get("finished") or "")[:10],
+        "date": (training.get("finished") or "")[:10],  # the day, of an ISO time
         "minutes": f"{training['seconds'] / 60:.1f}" if "seconds" in training else "",
         "machine": hardware.get("gpu") or hardware.get("processor") or "",
         "threads": str(hardware.get("threads", "")),
@@ -193,7 +194,7 @@ def _summary(origins: Iterable[Mapping[str, str]]) -> str:
     for name in ("profile", "recipe", "date", "machine", "commit"):
         values = sorted({origin[name] for origin in origins if origin[name]})
         if values and name == "date":
-            parts.append("trained " + " to ".join(dict.fromkeys((values[0], values[-1]))))
+            parts.append("trained " + " to ".join(dict.fromkeys((values[0], values[-1]))))  # ISO dates sort by time
         elif values:
             parts.append(f"{name}{'s' * (len(values) > 1)} {', '.join(values)}")
     return " · ".join(parts)
@@ -213,9 +214,9 @@ def _first_cell(path: Path) -> tuple[str, Markup]:
         source = str(nbformat.read(path, as_version=4).cells[0].source)
     except Exception as error:  # nbformat lets any error of a damaged file through
         raise ViewnetError(f"{path}: not a notebook that can be read ({type(error).__name__})") from None
-    title, *paragraphs = re.split(r"\n\s*\n", source.strip())
+    title, *paragraphs = re.split(r"\n\s*\n", source.strip())  # at empty lines
     return title.lstrip("# ").strip(), _html(paragraphs[0] if paragraphs else "")
 
 
 def _html(markdown: str) -> Markup:
-    return Markup(mistune.create_markdown(escape=True)(markdown))
+    return Markup(mistune.create_markdown(escape=True)(markdown))  # HTML in a notebook stays text
