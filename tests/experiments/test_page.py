@@ -235,7 +235,7 @@ def test_every_number_of_a_committed_table_is_on_the_page(committed):
         listed.sort(key=lambda c: order.index(c["metric"]))
         assert [cell.reported for cell in shown if cell.reported] == [c["printed"] for c in listed if c["printed"]]
         measured = [c["measured"] for c in listed if c["measured"] is not None]
-        assert np.allclose([float(cell.measured) for cell in shown if cell.measured], measured, atol=0.051)
+        assert np.allclose([float(cell.measured.strip("()")) for cell in shown if cell.measured], measured, atol=0.051)
 
 
 def test_the_committed_page_is_of_the_committed_files(committed):
