@@ -121,6 +121,7 @@ class ModelConfig:
     )
     appearance_size: int = 256  # channels of the appearance code [supplement] (P)
     heads: int = 3  # M, viewpoint hypotheses an image [3.1, 4.1] (V)
+    head_spread: float = 0.0  # length of a vector added to each head's, evenly around the object [ours] (R)
     elevation_limits: tuple[float, float] | None = None  # degrees of predicted elevations; None: the sphere [ours] (R)
     in_plane: bool = False  # learn the camera's up vector too [3.1, the general case] (U)
     decoder: Literal["adain", "encoder_decoder", "hologan"] = "adain"  # [3.2, Table 2] (V)

@@ -36,7 +36,11 @@ RECIPES: dict[str, Changes] = {
     # Ours: masks beside colours, known elevations and focal length, viewpoints tried beside the heads' and evenly from
     # all around, stopping without labels. See docs/recipes.md.
     "matting": {
-        "model": {"elevation_limits": (-22.0, 42.0), "focal": 0.268},  # of the camera that rendered the views
+        "model": {
+            "head_spread": 0.5,
+            "elevation_limits": (-22.0, 42.0),
+            "focal": 0.268,  # of the camera that rendered the views
+        },
         "train": {
             "perceptual": "none",
             "pixel_weight": 0.3,
@@ -86,6 +90,7 @@ ABLATIONS: dict[str, Changes] = {
     "neighbours": {"train": {"comparison": {"neighbours": 0.0}}},
     "pull": {"train": {"comparison": {"pull_weight": 0.0}}},
     "temperature": {"train": {"comparison": {"temperature": 0.0}}},
+    "head_spread": {"model": {"head_spread": 0.0}},
     "search": {"train": {"search": {"share": 0.0}}},
     "balance": {"train": {"search": {"balance": 0.0}}},
     "learning_rate": {"train": {"optimiser": {"learning_rate": 1e-4}}},

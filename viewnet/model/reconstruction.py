@@ -59,17 +59,16 @@ def reconstruct(
     viewpoint_input: Tensor,
     config: TrainConfig,
     choose: Choose | None = None,
-    background: Tensor | None = None,
 ) -> Reconstruction:
     """Reconstructs targets (N, 4, S, S), S = render_size, from appearance images (B, 4, s, s), N = B K.
 
     All heads are compared without gradients; only the best is rendered with them ("gradients will only be propagated
     through m*", section 3.1). `viewpoint_input` (N, 4, s, s) are the targets as the viewpoint network sees them: whole,
     or cropped and augmented; (N + K N, 4, s, s) where it sees each more than once, all targets in turn.
-    `background` (B, 3, s, s) as in ViewNet.encode; `choose` defaults to `best_head`.
+    `choose` defaults to `best_head`.
     """
     with autocast(appearance.device, config):
-        objects = Encoded(*model.encode(appearance, background))  # f^a and the generator
+        objects = Encoded(*model.encode(appearance))  # f^a and the generator
         predicted = model.viewpoint(model.composite(viewpoint_input))  # f^v, logits and vectors for all M
     hypotheses, repeated = predicted.rows(slice(len(target))), predicted.rows(slice(len(target), None))
     with torch.no_grad():  # equation 2 chooses; losing heads learn nothing

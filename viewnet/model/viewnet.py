@@ -48,19 +48,24 @@ class ViewpointNetwork(nn.Module):
     """
 
     shares: Tensor
+    offset: Tensor
 
     def __init__(self, config: ModelConfig):
         super().__init__()
         self.heads, self.in_plane, self.limits = config.heads, config.in_plane, config.elevation_limits
         outputs = (7 if config.in_plane else 4) * config.heads
         self.encoder = Encoder(config.encoder_channels, outputs, config.input_size)
+        azimuth = torch.arange(config.heads) * (2 * math.pi / config.heads)  # (M,), evenly around the object
+        # Heads that start in one place would all learn the same viewpoint.
+        offset = config.head_spread * torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros_like(azimuth)], dim=1)
+        self.register_buffer("offset", offset, persistent=False)  # (M, 3); follows from the settings: not saved
         self.register_buffer("shares", torch.full((12, BANDS), 1 / (12 * BANDS)))  # all alike
 
     def forward(self, images: Tensor) -> "Hypotheses":
         """The hypotheses for images (N, 3, S, S), as `ViewNet.composite` gives them."""
         out = self.encoder(images).float()  # (N, 4 M), or (N, 7 M) with ups
         logits, rest = out[:, : self.heads], out[:, self.heads :].unflatten(1, (-1, self.heads, 3))  # (N, 1 or 2, M, 3)
-        vectors = self.on_sphere(rest[:, 0])  # (N, M, 3)
+        vectors = self.on_sphere(rest[:, 0] + self.offset)  # (N, M, 3)
         # A learned up starts near the world's: the network only has to predict how far it is tilted.
         ups = F.normalize(rest[:, 1] + rest.new_tensor([0.0, 0.0, 1.0]), dim=-1) if self.in_plane else None
         return Hypotheses(vectors, logits, ups)

@@ -31,14 +31,12 @@ def step_loss(
     target = resize(target, model.config.render_size)  # (N, 4, S, S), S = render_size
     if config.augment:
         viewpoint_input = augment.crop_and_rotate(viewpoint_input, generator)  # as in the released code
-    background = None
     if backgrounds is not None:
         times = config.photo.views_per_target
         viewpoint_input = viewpoint_input.repeat(times, 1, 1, 1)  # (K N, 4, S, S)
         viewpoint_input = augment.photograph(viewpoint_input, backgrounds, config.photo, repeated(generator, times))
-        background = augment.windows(
-            backgrounds, len(appearance), appearance.shape[-1], generator, appearance.device
-        )  # (B, 3, S, S)
+        background = augment.windows(backgrounds, len(appearance), appearance.shape[-1], generator, appearance.device)
+        appearance = augment.over(appearance, background)  # (B, 4, S, S)
     choose = matting.pose_search(config, progress, generator)  # without a search: the best head, as in the paper
-    result = reconstruct(model, appearance, target, viewpoint_input, config, choose, background)
+    result = reconstruct(model, appearance, target, viewpoint_input, config, choose)
     return paper.terms(model, result, config, perceptual, generator, backgrounds) | matting.terms(result, config)

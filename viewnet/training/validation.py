@@ -41,12 +41,12 @@ def validate(
     size, small = model.config.input_size, model.config.render_size
     for part in rows.split(64):  # in parts: less memory
         appearance, target = (views.images(each, size, device) for each in (appearance_rows[part], rows[part]))
-        viewpoint_input, background = views.viewpoint_input(rows[part], size, device), None
+        viewpoint_input = views.viewpoint_input(rows[part], size, device)
         if backgrounds is not None:
             viewpoint_input = augment.photograph(viewpoint_input, backgrounds, config.photo, generator)
-            background = augment.windows(backgrounds, len(part), size, generator, device)
+            appearance = augment.over(appearance, augment.windows(backgrounds, len(part), size, generator, device))
         target = resize(target, small)
-        result = reconstruct(model, appearance, target, viewpoint_input, config, background=background)
+        result = reconstruct(model, appearance, target, viewpoint_input, config)
         least, best = result.choice.errors.min(1)  # the best of M, as training chooses
         error += least.sum().item()
         used += torch.bincount(best.cpu(), minlength=len(used))  # (M,)
