@@ -104,7 +104,7 @@ def test_evaluation_data_are_all_models_of_the_other_collection(tmp_path):
         ({"recipe": "secret"}, "unknown recipe 'secret'"),
         ({"variant": "vgg"}, "unknown variant 'vgg'"),
         ({"data_root": "nowhere"}, "data_root nowhere: no such folder"),
-        ({"splits": 3}, "splits 3: expected a folder"),
+        ({"splits": 3}, "splits 3: expected text"),
         ({"workers": -1}, "workers -1"),
     ],
 )

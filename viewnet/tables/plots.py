@@ -41,6 +41,8 @@ LOGGED = {"val_accuracy": "validation accuracy (%)", "val_folded": "the same, fo
 COUNTED = ("epoch", "step", "seconds")
 """Columns that only say where the training is."""
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
+NOTE = "Description"
+"""The name of the text in a PNG file that says of what runs the figure is."""
 LEGEND: Any = {"loc": "outside right upper", "frameon": False, "fontsize": 7}
 
 
@@ -187,10 +189,11 @@ def collapse_curves(collapse: pd.DataFrame) -> Figure:
 
 
 @matplotlib.rc_context(STYLE)
-def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """`<name>.png` and `<name>.pdf`, the same bytes each time."""
+def save(figure: Figure, folder: Path, name: str, note: str = "") -> list[Path]:
+    """`<name>.png` and `<name>.pdf`, the same bytes each time; the first says of what runs it is, in `note`."""
     files = [folder / f"{name}.png", folder / f"{name}.pdf"]
-    for path, metadata in zip(files, ({"Software": None}, {"CreationDate": None, "ModDate": None}), strict=True):
+    written = {"Software": None, **({NOTE: note} if note else {})}
+    for path, metadata in zip(files, (written, {"CreationDate": None, "ModDate": None}), strict=True):
         with replacing(path) as temporary:
             figure.savefig(temporary, dpi=200, metadata=metadata)
     return files
