@@ -17,12 +17,12 @@ from viewnet.commands.options import CLUSTER, THREADS, Options, argument, choose
 from viewnet.errors import ViewnetError
 
 ARGUMENTS = (
-    argument("name", "for example table2_ablation", metavar="NOTEBOOK"),
+    argument("name", "for example table2_ablation; all, for --refresh and --check", metavar="NOTEBOOK"),
     argument("-p", "a parameter", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), dest="values"),
     argument("-o --output", "the executed copy (default: runs/notebooks/NOTEBOOK.ipynb)", type=Path, metavar="FILE"),
     argument("--parameters", "list the parameters and stop", action="store_true"),
-    argument("--refresh", "store what is committed anew in the notebook, or in all; trains nothing", action="store_true"),
-    argument("--check", "are its parameters, or those of all, as in the package?", action="store_true"),
+    argument("--refresh", "store what is committed anew in the notebook; trains nothing", action="store_true"),
+    argument("--check", "are its parameters those of the package?", action="store_true"),
     THREADS,
     CLUSTER,
 )

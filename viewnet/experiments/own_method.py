@@ -145,7 +145,9 @@ class OwnMethodExperiment(Experiment):
     def tables(self) -> dict[str, Experiment]:
         """Table -> the experiment that makes it."""
         # As plain values: "" and 0 for None.
-        own = {name: getattr(self, name) or PARAMETERS[name].default for name in accepted(self.name) if name != "output"}
+        own = {
+            name: getattr(self, name) or PARAMETERS[name].default for name in accepted(self.name) if name != "output"
+        }
         tables: dict[str, Experiment] = {}
         for table in DESIGNS[self.name].tables:
             if DESIGNS[table].kind == "photos":

@@ -51,7 +51,9 @@ class Parameter:
         Papermill's -p takes digits, None and true for what they look like, not for text.
         """
         if self.plain and not isinstance(value, str):
-            raise ViewnetError(f"{name} {_short(value)}: expected text ({self.help}); papermill -r takes values for text")
+            raise ViewnetError(
+                f"{name} {_short(value)}: expected text ({self.help}); papermill -r takes values for text"
+            )
         return self.check(value, name)
 
 
@@ -85,11 +87,11 @@ def _whole(value: Any, what: str, expected: str = "", least: int = 0) -> int:
     """A whole number from `least`, or 0, also as text."""
     try:
         number = int(value) if isinstance(value, str) else value
+        if _is_whole(number) and not 0 < number < least:
+            return int(number)
     except ValueError:
-        number = None
-    if not _is_whole(number) or 0 < number < least:
-        raise ViewnetError(f"{what} {_short(value)}: expected a whole number{expected}")
-    return number
+        pass  # no digits
+    raise ViewnetError(f"{what} {_short(value)}: expected a whole number{expected}")
 
 
 def _categories(value: Any, what: str) -> tuple[str, ...]:
@@ -194,10 +196,12 @@ PARAMETERS: dict[str, Parameter] = {
                              "backgrounds"),
     "subset": _one_of("imagenet", SUBSETS, "of PASCAL3D+: imagenet, pascal or both"),
     "keep": _one_of("all", ("all", "easy", "first"), "all, easy (not truncated or occluded), first (of an image)"),
-    "margin": _number(0.0, lambda x: 0 <= x <= 2, "0 to 2 sides of the box", "seen beyond a box, in sides of it", "margin{:g}"),
+    "margin": _number(0.0, lambda x: 0 <= x <= 2, "0 to 2 sides of the box", "seen beyond a box, in sides of it",
+                      "margin{:g}"),
     "backbone": Parameter("auto", lambda name, what: name if name == "auto" else features.choose(name),
                           "of the view regression: vgg16, pixels ...; or auto", "{}"),
-    "ridge": _number(baselines.RIDGE, lambda x: 0 < x < math.inf, "more than 0", "strength of the view regression's ridge", "ridge{:g}"),
+    "ridge": _number(baselines.RIDGE, lambda x: 0 < x < math.inf, "more than 0", "ridge of the view regression",
+                     "ridge{:g}"),
     "calibration": _count(4, " from 4, or 0 for all", "photographs to align and fit on; 0: all there are",
                           "calibration{}"),
     "output": Parameter("", lambda value, what: _path(value, what) if value else paths.tables(),

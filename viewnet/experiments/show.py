@@ -24,7 +24,7 @@ UNKNOWN = "drawn by an earlier version: the files do not say from which runs"
 
 @dataclass(frozen=True)
 class Shown:
-    """A part of what a notebook shows: `content` is lines of text, HTML, or a PNG file in base64, by its MIME `kind`."""
+    """A part of what a notebook shows: lines of text, HTML, or a PNG file in base64, by its MIME `kind`."""
 
     kind: str
     content: str
