@@ -64,13 +64,13 @@ test: lint ## style, types, all tests and every notebook
 test-fast: setup ## the tests that take seconds, without notebooks
 	OMP_NUM_THREADS=1 $(RUN) pytest tests -m "not slow" -q -n auto --maxprocesses 4 --dist loadfile
 
-lint: setup ## style, types, imports between rooms, numbers in the documents, parameters of notebooks
+lint: setup ## style, types, imports between rooms, numbers in the documents, form of notebooks
 	$(RUN) ruff check
 	$(RUN) ruff format --check
 	$(RUN) mypy
 	$(VENV)/bin/lint-imports
 	$(COG) --check --check-fail-msg="not as in paper_tables/: run make numbers" $(PAGES)
-	$(NOTEBOOK) all --check
+	$(RUN) pytest -q tests/experiments/test_notebooks.py -k TestForm
 
 format: setup ## mend the style where that can be done by a tool
 	$(RUN) ruff check --fix

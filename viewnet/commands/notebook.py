@@ -17,30 +17,26 @@ from viewnet.commands.options import CLUSTER, THREADS, Options, argument, choose
 from viewnet.errors import ViewnetError
 
 ARGUMENTS = (
-    argument("name", "for example table2_ablation; all, for --refresh and --check", metavar="NOTEBOOK"),
+    argument("name", "for example table2_ablation; all, with --refresh", metavar="NOTEBOOK"),
     argument("-p", "a parameter", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), dest="values"),
     argument("-o --output", "the executed copy (default: runs/notebooks/NOTEBOOK.ipynb)", type=Path, metavar="FILE"),
     argument("--parameters", "list the parameters and stop", action="store_true"),
     argument("--refresh", "store what is committed anew in the notebook; trains nothing", action="store_true"),
-    argument("--check", "are its parameters those of the package?", action="store_true"),
     THREADS,
     CLUSTER,
 )
 
 
 def run(options: Options) -> None:
-    """Run the notebook and print the path of its copy. ViewnetError for --refresh or --check with values."""
+    """Run the notebook and print the path of its copy. ViewnetError for --refresh with values."""
     choose_cluster(options)
     choose_threads(options)
     from viewnet.experiments import notebooks
 
-    if options.refresh or options.check:
+    if options.refresh:
         if options.values or options.output:
-            raise ViewnetError("--refresh and --check take neither -p nor --output")
-        names = notebooks.ORDER if options.name == "all" else [options.name]
-        if options.refresh:
-            print(*notebooks.refresh(names), sep="\n")
-        notebooks.require_fresh(names)
+            raise ViewnetError("--refresh takes neither -p nor --output")
+        print(*notebooks.refresh(notebooks.ORDER if options.name == "all" else [options.name]), sep="\n")
     elif options.parameters:
         print(*notebooks.parameters(notebooks.find(options.name).stem), sep="\n")
     else:

@@ -147,22 +147,6 @@ def refresh(names: Sequence[str] = ORDER) -> list[Path]:
     return list(books)
 
 
-def require_fresh(names: Sequence[str] = ORDER) -> None:
-    """ViewnetError naming a notebook whose cell of parameters is not that of the table, or whose live cell has outputs.
-
-    Tables and figures are compared with their files by the tests, which takes longer.
-    """
-    for path in map(find, names):
-        declared = False
-        for cell in (cell for cell in read(path).cells if cell.cell_type == "code"):
-            tags = cell.metadata.get("tags", [])
-            declared |= "parameters" in tags and cell.source.splitlines() == parameters(path.stem)
-            if LIVE in tags and cell.outputs:
-                raise ViewnetError(f"{path}: the live cell has outputs: run make notebooks")
-        if not declared:
-            raise ViewnetError(f"{path}: the parameters are not those of the package: run make notebooks")
-
-
 def _raise_in_one_line(error: Exception, path: Path) -> NoReturn:
     """Raise a ViewnetError for an error in the notebook `path`, or on the way to run it."""
     # Errors of cells, papermill's and nbclient's, have the name and message of the exception in the kernel.

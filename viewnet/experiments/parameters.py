@@ -51,15 +51,8 @@ class Parameter:
         Papermill's -p takes digits, None and true for what they look like, not for text.
         """
         if self.plain and not isinstance(value, str):
-            raise ViewnetError(
-                f"{name} {_short(value)}: expected text ({self.help}); papermill -r takes values for text"
-            )
+            raise ViewnetError(f"{name} {value!r}: expected text ({self.help}); papermill -r takes values for text")
         return self.check(value, name)
-
-
-def _short(value: Any) -> str:
-    """A value in a message."""
-    return f"{value!r:.100}"
 
 
 def folder_named(value: str, what: str) -> str | None:
@@ -91,18 +84,18 @@ def _whole(value: Any, what: str, expected: str = "", least: int = 0) -> int:
             return int(number)
     except ValueError:
         pass  # no digits
-    raise ViewnetError(f"{what} {_short(value)}: expected a whole number{expected}")
+    raise ViewnetError(f"{what} {value!r}: expected a whole number{expected}")
 
 
 def _categories(value: Any, what: str) -> tuple[str, ...]:
     names = value.split(",") if isinstance(value, str) else value
     if not isinstance(names, (list, tuple)) or not all(isinstance(n, str) and n.strip() for n in names) or not names:
-        raise ViewnetError(f"{what} {_short(value)}: expected names such as car or car,chair")
+        raise ViewnetError(f"{what} {value!r}: expected names such as car or car,chair")
     if value == "everything":
         return CATEGORIES
     names = tuple(known(name.strip(), CATEGORIES, "category") for name in names)
     if len(set(names)) < len(names):
-        raise ViewnetError(f"{what} {_short(value)}: a name is there twice")
+        raise ViewnetError(f"{what} {value!r}: a name is there twice")
     return names
 
 
@@ -112,7 +105,7 @@ def _recipes(value: str, what: str) -> tuple[str, ...]:
 
 def _seeds(value: Any, what: str) -> tuple[int, ...]:
     """Seeds from a count, a list, or text of either."""
-    problem = ViewnetError(f"{what} {_short(value)}: expected how many (3) or which (0,2), whole numbers of 0 or more")
+    problem = ViewnetError(f"{what} {value!r}: expected how many (3) or which (0,2), whole numbers of 0 or more")
     if isinstance(value, str):
         try:
             numbers = [int(part) for part in value.split(",")]
@@ -136,7 +129,7 @@ def _number(default: float, accepts: Callable[[float], bool], expected: str, hel
         try:
             number = math.nan if isinstance(value, bool) else float(value)
         except (TypeError, ValueError, OverflowError):
-            raise ViewnetError(f"{what} {_short(value)}: expected a number") from None
+            raise ViewnetError(f"{what} {value!r}: expected a number") from None
         if not accepts(number):
             raise ViewnetError(f"{what} {value}: expected {expected}")
         return number
