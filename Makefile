@@ -17,7 +17,7 @@ RUN := $(VENV)/bin/python -m
 PAGES := README.md $(wildcard docs/*.md)
 COG := $(RUN) cogapp -P -I docs -p "from measured import *" --verbosity=1
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 replication test test-fast lint format numbers docs lock clean
+.PHONY: help setup table2 replication test test-fast lint format numbers notebooks docs lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z0-9-]*\):.*## /\1\t/p' Makefile | expand -t 12
@@ -64,12 +64,13 @@ test: lint ## style, types, all tests and every notebook
 test-fast: setup ## the tests that take seconds, without notebooks
 	OMP_NUM_THREADS=1 $(RUN) pytest tests -m "not slow" -q -n auto --maxprocesses 4 --dist loadfile
 
-lint: setup ## style, types, imports between rooms, and numbers in the documents
+lint: setup ## style, types, imports between rooms, numbers in the documents, form of notebooks
 	$(RUN) ruff check
 	$(RUN) ruff format --check
 	$(RUN) mypy
 	$(VENV)/bin/lint-imports
 	$(COG) --check --check-fail-msg="not as in paper_tables/: run make numbers" $(PAGES)
+	$(RUN) pytest -q tests/experiments/test_notebooks.py -k TestForm
 
 format: setup ## mend the style where that can be done by a tool
 	$(RUN) ruff check --fix
@@ -77,6 +78,9 @@ format: setup ## mend the style where that can be done by a tool
 
 numbers: setup ## render the numbers in the documents anew from paper_tables/
 	$(COG) -r $(PAGES)
+
+notebooks: setup ## parameters of the notebooks, and what they show of paper_tables/, stored anew; trains nothing
+	$(NOTEBOOK) all --refresh
 
 docs: setup ## the pages and the reference of every module as HTML: build/docs/index.html
 	$(VENV)/bin/python docs/build.py build/docs

@@ -160,7 +160,7 @@ def test_torchrun_commands_run(words, world, monkeypatch):
 def test_papermill_parameters_exist(words, world):
     source, _, *rest = words[1:]
     assert rest[::3] == ["-p"] * (len(rest) // 3)
-    notebooks.check(ROOT / source, list(zip(rest[1::3], rest[2::3], strict=True)))
+    notebooks.check((ROOT / source).stem, list(zip(rest[1::3], rest[2::3], strict=True)))
 
 
 @pytest.mark.parametrize("words", given("python"))

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from viewnet.config import SHAPENET_CATEGORIES
 from viewnet.errors import ViewnetError
 from viewnet.experiments import experiment
-from viewnet.experiments.request import DESIGNS
+from viewnet.experiments.parameters import PARAMETERS
+from viewnet.experiments.request import DESIGNS, accepted
 
 
 @pytest.fixture(autouse=True)
@@ -104,13 +107,31 @@ def test_evaluation_data_are_all_models_of_the_other_collection(tmp_path):
         ({"recipe": "secret"}, "unknown recipe 'secret'"),
         ({"variant": "vgg"}, "unknown variant 'vgg'"),
         ({"data_root": "nowhere"}, "data_root nowhere: no such folder"),
-        ({"splits": 3}, "splits 3: expected a folder"),
+        ({"splits": 3}, "splits 3: expected text"),
         ({"workers": -1}, "workers -1"),
     ],
 )
 def test_bad_parameters_are_named(option, message):
     with pytest.raises(ViewnetError, match=message):
         experiment("table2_ablation", **option)
+
+
+TAKEN_BY = {name: next(design for design in DESIGNS if name in accepted(design)) for name in PARAMETERS}
+ODD = (12345678901, 1.5, -1, True, None, [], [1], {}, {"car": 1}, math.nan, math.inf, object(), ("a", None))
+NUMBERS = {"workers": (12345678901,), "calibration": (12345678901,), "seed": (12345678901,)}
+NUMBERS |= {"seeds": ([1],), "margin": (1.5,), "ridge": (12345678901, 1.5)}
+"""Parameter -> which of ODD are values of it."""
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize("value", ODD, ids=lambda value: repr(value)[:8])
+def test_values_of_any_type_are_taken_or_named(name, value):
+    if value in NUMBERS.get(name, ()):
+        assert experiment(TAKEN_BY[name], {name: value})
+        return
+    with pytest.raises(ViewnetError, match=rf"^(unknown )?{name} ") as raised:
+        experiment(TAKEN_BY[name], {name: value})
+    assert "expected" in str(raised.value) and "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from viewnet.tables import kept_predictions, reported
 from viewnet.tables.columns import DASH
 from viewnet.tables.latex import escape
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.table import Entry, Table, entries, scores_by_definition
+from viewnet.tables.table import Entry, Table, entries
 
 
 @pytest.fixture(scope="module")
@@ -206,16 +206,13 @@ def test_checks_tell_what_is_missing(table, runs):
     assert cycle.frame().loc["MVC", ("acc30", "car", "ours")] == DASH
 
 
-def test_differences_to_viewnet(table):
-    differences = table.differences()
-    assert "ViewNet (matting)" not in differences.index
-    assert differences.loc["Single-head (matting)", ("car", "print")] == -38
-    measured = (
-        cell(table, "Single-head (matting)", "car", "acc30")["measured"]
-        - cell(table, "ViewNet (matting)", "car", "acc30")["measured"]
-    )
-    assert differences.loc["Single-head (matting)", ("car", "ours")] == pytest.approx(measured, abs=0.06)
-    assert np.isnan(differences.loc["No Shape Prior", ("chair", "ours")])
+def test_the_verdict_compares_each_measured_row(table):
+    sentences = table.verdict()
+    assert [sentence.partition(" beside ")[0] for sentence in sentences] == ["Single-head (matting)", "Constant"]
+    for sentence in sentences:
+        row, reference = sentence.partition(",")[0].split(" beside ")
+        assert reference == "ViewNet (matting)"
+        assert f"car {table.comparison(row, reference, 'car')}" in sentence
 
 
 def test_measurements_list_every_measured_row_once(table):
@@ -224,14 +221,6 @@ def test_measurements_list_every_measured_row_once(table):
     assert len(lines) == 3 + 1 + 2
     assert lines.loc[("ViewNet (matting)", "car"), "seeds"] == 2
     assert re.fullmatch(r"\d+\.\d \[\d+\.\d, \d+\.\d\]", lines.loc[("ViewNet (matting)", "car"), "acc@30, % [95 %]"])
-
-
-def test_the_audit_sets_every_definition_beside_the_print(runs):
-    constant = [run for run in runs if run.config.variant == "constant"]
-    audit = scores_by_definition(constant, "table2_ablation", "Constant")
-    assert list(audit.loc["chair"].index) == ["geodesic", "vector", "folded", "scaled", "printed"]
-    assert audit.loc[("chair", "printed"), "acc30"] == "19"
-    assert audit.loc[("chair", "geodesic"), "acc30"] == "0"
 
 
 def test_what_has_no_place_is_said(runs):

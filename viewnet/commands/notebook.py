@@ -8,6 +8,7 @@ Examples:
     viewnet notebook table2_ablation -p profile smoke -p categories car -p seeds 3
     viewnet notebook table3_pascal3d -p data_root /data/PASCAL3D+_release1.1 -p cad_root /data/ShapeNetCore.v1
     viewnet notebook table2_ablation --parameters                   what can be set
+    viewnet notebook all --refresh                                  what is stored in the notebooks, from paper_tables/
 """
 
 from pathlib import Path
@@ -16,28 +17,26 @@ from viewnet.commands.options import CLUSTER, THREADS, Options, argument, choose
 from viewnet.errors import ViewnetError
 
 ARGUMENTS = (
-    argument("name", "for example table2_ablation", metavar="NOTEBOOK"),
+    argument("name", "for example table2_ablation; all, with --refresh", metavar="NOTEBOOK"),
     argument("-p", "a parameter", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), dest="values"),
     argument("-o --output", "the executed copy (default: runs/notebooks/NOTEBOOK.ipynb)", type=Path, metavar="FILE"),
     argument("--parameters", "list the parameters and stop", action="store_true"),
-    argument("--refresh", "run with the defaults and keep the outputs in place", action="store_true"),
+    argument("--refresh", "store what is committed anew in the notebook; trains nothing", action="store_true"),
     THREADS,
     CLUSTER,
 )
 
 
 def run(options: Options) -> None:
-    """Run the notebook and print the path of its copy. ViewnetError for --refresh with other values."""
+    """Run the notebook and print the path of its copy. ViewnetError for --refresh with values."""
     choose_resources(options)
     from viewnet.experiments import notebooks
 
-    if options.parameters:
-        for name, known in notebooks.parameters(notebooks.find(options.name)).items():
-            print(f"{name} = {known['default']}  ({known['inferred_type_name']}) {known['help']}")
-        return
     if options.refresh:
         if options.values or options.output:
-            raise ViewnetError("--refresh takes neither -p nor --output: set VIEWNET_PROFILE for another profile")
-        print(notebooks.refresh(options.name))
-        return
-    print(notebooks.run(options.name, [(name, value) for name, value in options.values], options.output))
+            raise ViewnetError("--refresh takes neither -p nor --output")
+        print(*notebooks.refresh(notebooks.ORDER if options.name == "all" else [options.name]), sep="\n")
+    elif options.parameters:
+        print(*notebooks.parameters(notebooks.find(options.name).stem), sep="\n")
+    else:
+        print(notebooks.run(options.name, [(name, value) for name, value in options.values], options.output))

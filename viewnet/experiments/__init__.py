@@ -3,6 +3,7 @@
 experiment("table2_ablation", profile="smoke", categories="car").run()
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 from viewnet.config import known
@@ -11,20 +12,22 @@ from viewnet.experiments.objectron import ObjectronExperiment
 from viewnet.experiments.other_sets import OtherSetsExperiment
 from viewnet.experiments.own_method import OwnMethodExperiment
 from viewnet.experiments.photos import PhotoExperiment
-from viewnet.experiments.request import DESIGNS
+from viewnet.experiments.request import DESIGNS, accepted
 from viewnet.experiments.videos import VideoExperiment
 
 _KINDS: dict[str, type[Experiment]] = {"cad": Experiment, "photos": PhotoExperiment, "videos": VideoExperiment}
 _KINDS |= {"objectron": ObjectronExperiment, "own_method": OwnMethodExperiment, "test_sets": OtherSetsExperiment}
 
 
-def experiment(name: str, **parameters: Any) -> Any:
+def experiment(name: str, cell: Mapping[str, Any] | None = None, /, **parameters: Any) -> Any:
     """The experiment of the notebook `name`, of the class for its kind (viewnet.experiments.request.DESIGNS).
 
-    Raises ViewnetError naming the parameter (viewnet.experiments.parameters.PARAMETERS) and its valid values.
+    A notebook gives its `globals()` as `cell`, of which those it takes are read. Raises ViewnetError naming the
+    parameter (viewnet.experiments.parameters.PARAMETERS) and its valid values.
 
     >>> request = experiment("table2_ablation", profile="smoke", categories="car", seeds="0,2")
     >>> request.label, request.seeds, len(request.configs)  # six trained rows with two seeds, three others
     ('smoke-car', (0, 2), 15)
     """
-    return _KINDS[DESIGNS[known(name, DESIGNS, "notebook")].kind].check(name, **parameters)
+    given = {key: cell[key] for key in accepted(name) if key in cell} if cell else {}
+    return _KINDS[DESIGNS[known(name, DESIGNS, "notebook")].kind].check(name, **given, **parameters)

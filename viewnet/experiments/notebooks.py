@@ -1,5 +1,10 @@
-"""Running the project's notebooks, one or all: parameters are checked before a kernel starts."""
+"""The project's notebooks: running them, one or all, and keeping what is stored in them true to code and files.
 
+Parameters are checked before a kernel starts. A notebook's cell of parameters is written from their table, and all of
+its outputs are stored but those of the cell that runs what is missing, which nothing committed would hold to account.
+"""
+
+import json
 import os
 import sys
 import time
@@ -12,6 +17,7 @@ from viewnet import paths
 from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.experiments import experiment
+from viewnet.experiments.parameters import PARAMETERS
 from viewnet.experiments.request import DESIGNS, Request, accepted
 from viewnet.runtime.files import replacing
 
@@ -28,6 +34,9 @@ ORDER = (
 )
 """Notebooks that share runs follow each other: the first trains them, the others take no time."""
 
+LIVE = "nbval-ignore-output"
+"""The tag of the cell that runs what is missing, whose outputs nbval ignores and no committed notebook has."""
+
 Values = Sequence[tuple[str, str]]
 """Parameters as text: name and value."""
 
@@ -43,44 +52,37 @@ def find(name: str) -> Path:
     return files[known(name.removesuffix(".ipynb"), files, "notebook")]
 
 
-def parameters(path: Path) -> dict[str, dict[str, str]]:
-    """The declared parameters of a notebook: name -> inferred_type_name, default and help, as text.
-
-    Nothing in it is executed. Raises ViewnetError for a file that is no notebook.
-    """
-    import papermill
+def read(path: Path) -> Any:
+    """A notebook. Raises ViewnetError for a file that is none."""
+    import nbformat
 
     try:
-        return {name: dict(declared) for name, declared in papermill.inspect_notebook(str(path)).items()}
-    except Exception as error:  # papermill and nbformat raise anything at a damaged file
+        return nbformat.read(path, as_version=4)
+    except Exception as error:  # nbformat lets any error of a damaged file through
         raise ViewnetError(f"{path}: not a notebook that can be read ({type(error).__name__})") from None
 
 
-def check(path: Path, values: Values) -> tuple[dict[str, Any], Request]:
-    """Values in the types that the notebook declares, and its request for them.
+def parameters(name: str) -> list[str]:
+    """The lines of a notebook's cell of parameters, as papermill reads them: `name: type = default  # meaning`.
 
-    Nothing is guessed: ids keep their zeros, and words like "false" stay words. Raises ViewnetError for unknown and
-    repeated names, and for values that the notebook would refuse.
+    >>> parameters("architecture")[1]
+    'output: str = ""  # for tables; empty: paper_tables'
     """
-    declared = parameters(path)
-    typed: dict[str, Any] = {}
-    for name, text in values:
-        known(name, declared, f"parameter of {path.stem}")
-        if name in typed:
-            raise ViewnetError(f"parameter {name} is given twice")
-        typed[name] = _typed(name, text, declared[name]["inferred_type_name"])
-    taken = accepted(path.stem)
-    return typed, experiment(path.stem, **{name: value for name, value in typed.items() if name in taken})
+    declared = {key: PARAMETERS[key] for key in accepted(name)}
+    return [f"{k}: {type(p.default).__name__} = {json.dumps(p.default)}  # {p.help}" for k, p in declared.items()]
 
 
-def _typed(name: str, text: str, kind: str) -> Any:
-    if "int" in (kinds := {part.strip() for part in kind.split("|")}):
-        try:
-            return int(text)
-        except ValueError:
-            if "str" not in kinds:
-                raise ViewnetError(f"parameter {name} {text!r}: expected a whole number") from None
-    return text
+def check(name: str, values: Values) -> Request:
+    """The request of a notebook for values given as text, of which nothing is guessed: ids keep their zeros.
+
+    Raises ViewnetError for unknown and repeated names, and for values that the notebook would refuse.
+    """
+    given: dict[str, str] = {}
+    for key, text in values:
+        if known(key, accepted(name), f"parameter of {name}") in given:
+            raise ViewnetError(f"parameter {key} is given twice")
+        given[key] = text
+    return experiment(name, **given)
 
 
 def run(name: str, values: Values = (), output: Path | None = None) -> Path:
@@ -92,8 +94,8 @@ def run(name: str, values: Values = (), output: Path | None = None) -> Path:
     """
     import papermill
 
-    source = find(name)
-    typed, request = check(source, values)
+    read(source := find(name))
+    request = check(source.stem, values)
     stem = f"{source.stem}-{request.label}" if request.label else source.stem
     output = output or paths.runs() / "notebooks" / f"{stem}.ipynb"
     if output.resolve() == source.resolve():
@@ -102,33 +104,47 @@ def run(name: str, values: Values = (), output: Path | None = None) -> Path:
     # Progress bars are on the kernel's stderr; here they reach the terminal as well as the copy.
     options: dict[str, Any] = {"kernel_name": "python3", "start_timeout": START_TIMEOUT, "stderr_file": sys.stderr}
     try:
-        papermill.execute_notebook(str(source), str(output), typed, progress_bar=False, **options)
+        papermill.execute_notebook(str(source), str(output), dict(values), progress_bar=False, **options)
     except Exception as error:
         _raise_in_one_line(error, output)
     return output
 
 
-def refresh(name: str) -> Path:
-    """Execute a notebook with its own defaults and store the outputs in it, without timings and machine names."""
+def refresh(names: Sequence[str] = ORDER) -> list[Path]:
+    """Write the cell of parameters of notebooks, and run their other cells but the live one; their paths.
+
+    Nothing is trained: what runs shows committed files. All share a kernel, which takes its time to start. Raises
+    ViewnetError where a cell fails.
+    """
     import nbformat
     from nbclient import NotebookClient
 
-    source = find(name)
-    check(source, [])
-    notebook = nbformat.read(source, as_version=4)
-    options: dict[str, Any] = {"kernel_name": "python3", "timeout": None, "startup_timeout": START_TIMEOUT}
+    books = {(path := find(name)): read(path) for name in names}
+    run_cells = []
+    for path, book in books.items():
+        code = [cell for cell in book.cells if cell.cell_type == "code"]
+        for count, cell in enumerate(code, 1):
+            tags = cell.metadata.get("tags", [])
+            if "parameters" in tags:
+                cell.source = "\n".join(parameters(path.stem))
+            cell.outputs, cell.execution_count = [], None if LIVE in tags else count
+        run_cells += [cell for cell in code if cell.execution_count]
+    together = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell.source) for cell in run_cells])
     try:
-        client = NotebookClient(notebook, record_timing=False, **options)
+        client = NotebookClient(together, kernel_name="python3", startup_timeout=START_TIMEOUT, record_timing=False)
         client.execute(env=dict(os.environ, TQDM_DISABLE="1"))
     except Exception as error:
-        _raise_in_one_line(error, source)
-    notebook.metadata.pop("language_info", None)
-    for cell in notebook.cells:
-        if "outputs" in cell:  # progress is on stderr
-            cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
-    with replacing(source) as temporary:
-        nbformat.write(notebook, temporary)
-    return source
+        _raise_in_one_line(error, folder())
+    for cell, ran in zip(run_cells, together.cells, strict=True):
+        cell.outputs = [output for output in ran.outputs if output.get("name") != "stderr"]
+        for output in cell.outputs:
+            if "execution_count" in output:
+                output.execution_count = cell.execution_count
+    for path, book in books.items():
+        book.metadata.pop("language_info", None)
+        with replacing(path) as temporary:
+            nbformat.write(book, temporary)
+    return list(books)
 
 
 def _raise_in_one_line(error: Exception, path: Path) -> NoReturn:
@@ -169,10 +185,9 @@ def plan(only: Sequence[str] | None = None, profile: str | None = None, seeds: s
     names = {known(name.removesuffix(".ipynb"), ORDER, "notebook") for name in only or ORDER}
     planned: dict[str, Values] = {}
     for name in sorted(names, key=ORDER.index):
-        declared = parameters(path := find(name))
         given = {"profile": profile if DESIGNS[name].variants else None, "seeds": seeds}
-        planned[name] = [(key, value) for key, value in given.items() if value is not None and key in declared]
-        check(path, planned[name])
+        planned[name] = [(key, value) for key, value in given.items() if value is not None and key in accepted(name)]
+        check(name, planned[name])
     return planned
 
 

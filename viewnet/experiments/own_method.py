@@ -138,14 +138,17 @@ class OwnMethodExperiment(Experiment):
     def tables(self) -> dict[str, Experiment]:
         """Table -> the experiment that makes it."""
         # As plain values: "" and 0 for None.
-        own = {name: getattr(self, name) or PARAMETERS[name].default for name in accepted(self.name) - {"output"}}
-        on_cad = {name: own[name] for name in ("profile", "categories", "seeds", "workers")}
-        return {
-            table: PhotoExperiment.check(table, **own)
-            if DESIGNS[table].kind == "photos"
-            else Experiment.check(table, data_root=own["cad_root"], **on_cad)
-            for table in DESIGNS[self.name].tables
+        own = {
+            name: getattr(self, name) or PARAMETERS[name].default for name in accepted(self.name) if name != "output"
         }
+        tables: dict[str, Experiment] = {}
+        for table in DESIGNS[self.name].tables:
+            if DESIGNS[table].kind == "photos":
+                tables[table] = PhotoExperiment.check(table, **own)
+            else:
+                names = ("profile", "categories", "seeds", "workers")
+                tables[table] = Experiment.check(table, data_root=own["cad_root"], **{n: own[n] for n in names})
+        return tables
 
     @property
     def configs(self) -> list[RunConfig]:

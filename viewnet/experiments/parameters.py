@@ -28,12 +28,13 @@ MOST_SEEDS = 1000
 class Parameter:
     """One parameter.
 
-    default  the plain value where none is given
+    default  the plain value where none is given; its type is the one that a notebook declares
     check    (plain value, name) -> the value that a Request holds; ViewnetError naming the parameter and valid values
     help     its meaning, in a line
     label    format of its part of the output folder's name, where the value is not the notebook's usual one; "": none
     text     what `label` formats, of a checked value
     field    the field of Request that it fills, where that is named differently
+    plain    whether it is text and nothing else; the check of another one is given values of any type
     """
 
     default: Any
@@ -42,12 +43,20 @@ class Parameter:
     label: str = ""
     text: Callable[[Any], Any] = lambda value: value
     field: str = ""
+    plain: bool = True
+
+    def of(self, value: Any, name: str) -> Any:
+        """The checked value of the parameter `name`. ViewnetError naming it and what is expected.
+
+        Papermill's -p takes digits, None and true for what they look like, not for text.
+        """
+        if self.plain and not isinstance(value, str):
+            raise ViewnetError(f"{name} {value!r}: expected text ({self.help}); papermill -r takes values for text")
+        return self.check(value, name)
 
 
 def folder_named(value: str, what: str) -> str | None:
     """The full path of a folder, None for "". Raises ViewnetError where there is none."""
-    if not isinstance(value, str):
-        raise ViewnetError(f"{what} {value!r}: expected a folder")
     if value and not (folder := _path(value, what).resolve()).is_dir():
         raise ViewnetError(f"{what} {value}: no such folder")
     return str(folder) if value else None
@@ -67,6 +76,17 @@ def _is_whole(value: Any, least: int = 0) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= least
 
 
+def _whole(value: Any, what: str, expected: str = "", least: int = 0) -> int:
+    """A whole number from `least`, or 0, also as text."""
+    try:
+        number = int(value) if isinstance(value, str) else value
+        if _is_whole(number) and not 0 < number < least:
+            return int(number)
+    except ValueError:
+        pass  # no digits
+    raise ViewnetError(f"{what} {value!r}: expected a whole number{expected}")
+
+
 def _categories(value: Any, what: str) -> tuple[str, ...]:
     names = value.split(",") if isinstance(value, str) else value
     if not isinstance(names, (list, tuple)) or not all(isinstance(n, str) and n.strip() for n in names) or not names:
@@ -79,9 +99,7 @@ def _categories(value: Any, what: str) -> tuple[str, ...]:
     return names
 
 
-def _recipes(value: Any, what: str) -> tuple[str, ...]:
-    if not isinstance(value, str):
-        raise ViewnetError(f"{what} {value!r}: expected a name such as paper, or several: paper,matting")
+def _recipes(value: str, what: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(known(name.strip(), RECIPES, what) for name in value.split(",")))
 
 
@@ -103,26 +121,20 @@ def _seeds(value: Any, what: str) -> tuple[int, ...]:
 
 def _count(least: int, expected: str, help: str, label: str = "") -> Parameter:
     """0, checked to None, or a whole number from `least`."""
-
-    def check(value: Any, what: str) -> int | None:
-        if not _is_whole(value) or 0 < value < least:
-            raise ViewnetError(f"{what} {value!r}: expected a whole number{expected}")
-        return value or None
-
-    return Parameter(0, check, help, label)
+    return Parameter(0, lambda value, what: _whole(value, what, expected, least) or None, help, label, plain=False)
 
 
 def _number(default: float, accepts: Callable[[float], bool], expected: str, help: str, label: str) -> Parameter:
     def check(value: Any, what: str) -> float:
         try:
-            number = float(value)
-        except (TypeError, ValueError):
+            number = math.nan if isinstance(value, bool) else float(value)
+        except (TypeError, ValueError, OverflowError):
             raise ViewnetError(f"{what} {value!r}: expected a number") from None
         if not accepts(number):
             raise ViewnetError(f"{what} {value}: expected {expected}")
         return number
 
-    return Parameter(default, check, help, label)
+    return Parameter(default, check, help, label, plain=False)
 
 
 def _one_of(default: str, choices: Collection[str], help: str, label: str = "{}") -> Parameter:
@@ -148,9 +160,12 @@ PARAMETERS: dict[str, Parameter] = {
                          "variants", "{0[0]}"),
     "categories": Parameter("all", _categories,
                             "car, or car,chair, or a list; all: the notebook's; everything: all twelve of PASCAL3D+",
-                            "{}", lambda names: "everything" if set(names) == set(CATEGORIES) else "-".join(names)),
+                            "{}", lambda names: "everything" if set(names) == set(CATEGORIES) else "-".join(names),
+                            plain=False),
     "category": _one_name("chair", objectron.CLASSES, "of Objectron: chair, bicycle or bottle", "categories"),
-    "seeds": Parameter(1, _seeds, "how many (3: seeds 0, 1, 2), or which (0,2 or a list)"),
+    "seeds": Parameter("1", _seeds, "how many (3: seeds 0, 1, 2), or which (0,2 or a list)", plain=False),
+    "seed": Parameter(0, lambda value, what: (_whole(value, what),), "which training to show", field="seeds",
+                      plain=False),
     "video_root": _folder("video_root", "the videos to train on; empty: a stand-in is made"),
     # Within video_root or anywhere, so that it is looked for with the videos.
     "weak_masks": Parameter("", lambda value, what: value, "weak masks, laid out as masks/; empty: the stand-in's",
@@ -174,11 +189,12 @@ PARAMETERS: dict[str, Parameter] = {
                              "backgrounds"),
     "subset": _one_of("imagenet", SUBSETS, "of PASCAL3D+: imagenet, pascal or both"),
     "keep": _one_of("all", ("all", "easy", "first"), "all, easy (not truncated or occluded), first (of an image)"),
-    "margin": _number(0.0, lambda x: 0 <= x <= 2, "0 to 2 sides of the box", "cropped beyond a box's longer side",
+    "margin": _number(0.0, lambda x: 0 <= x <= 2, "0 to 2 sides of the box", "seen beyond a box, in sides of it",
                       "margin{:g}"),
     "features": Parameter("auto", lambda name, what: name if name == "auto" else features.choose(name),
                           "of the view regression: vgg16, pixels ...; or auto", "{}"),
-    "ridge": _number(baselines.RIDGE, lambda x: 0 < x < math.inf, "more than 0", "of the view regression", "ridge{:g}"),
+    "ridge": _number(baselines.RIDGE, lambda x: 0 < x < math.inf, "more than 0", "ridge of the view regression",
+                     "ridge{:g}"),
     "calibration": _count(4, " from 4, or 0 for all", "photographs to align and fit on; 0: all there are",
                           "calibration{}"),
     "output": Parameter("", lambda value, what: _path(value, what) if value else paths.tables(),

@@ -84,11 +84,6 @@ class ConstantAudit:
         verdicts = cells.loc[cells["definition"] == "geodesic", "verdict"]
         return {"Table 2's constants are excluded for geodesic errors": bool((verdicts == "excluded").all())}
 
-    def verdict_counts(self) -> pd.DataFrame:
-        """How often each verdict was given, by table and definition."""
-        cells = self.constants.groupby(["table", "definition"], sort=False)
-        return cells["verdict"].value_counts().unstack(fill_value=0)
-
     def write(self, folder: Path) -> list[Path]:
         """`audit_constants.csv` and `audit_confidence.csv` (`stand_in_...` for a stand-in): all numbers compared."""
         stem = "stand_in" if self.stand_in else "audit"

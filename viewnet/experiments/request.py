@@ -15,16 +15,27 @@ PHOTO_RECIPE = {"smoke": "photos", "tiny": "photos", "pocket": "photos", "small"
 """The recipe of a profile where photographs are scored: backgrounds in training, ten views a model."""
 
 _ALL = ("profile", "seeds", "data_root", "output", "workers")
-_PHOTOS = ("categories", "recipe", "cad_root", "splits", "extra_cad", "backgrounds", "subset", "keep", "margin")
+_CAD = (*_ALL, "categories", "recipe", "splits")
+_FIGURE = (*(name for name in _CAD if name != "seeds"), "seed", "variant")
+_TRAINED_ON = ("categories", "recipe", "cad_root", "extra_cad", "backgrounds")
+_PHOTOS = (*_ALL, *_TRAINED_ON, "splits", "subset", "keep", "margin", "features", "ridge", "calibration")
+_VIDEOS = (*_ALL, "recipe", "video_root", "masks", "cad_root", "backgrounds")
 TAKES = {
-    "cad": (*_ALL, "categories", "recipe", "variant", "splits", "eval_root", "viewpoints"),
-    "test_sets": (*_ALL, "categories", "recipe", "eval_root"),
-    "photos": (*_ALL, *_PHOTOS, "features", "ridge", "calibration"),
-    "videos": (*_ALL, "recipe", "video_root", "split_rule", "masks", "start", "cad_root", "backgrounds", "features"),
-    "objectron": (*_ALL, "category", "recipe", "video_root", "masks", "weak_masks", "cad_root", "backgrounds"),
-    "own_method": (*_ALL, "categories", "cad_root", "backgrounds", "calibration"),
+    **dict.fromkeys(("table1_shapenet", "table2_ablation"), (*_CAD, "variant", "eval_root")),
+    "recipe_ablation": tuple(name for name in _CAD if name != "recipe"),
+    "training_curves": (*_CAD, "variant"),
+    **dict.fromkeys(("figure3_azimuth", "failures", "learned_volumes"), _FIGURE),
+    "novel_views": _FIGURE[:-1],
+    "test_sets": ("profile", "categories", "seeds", "recipe", "eval_root", "output", "workers"),
+    **dict.fromkeys(("table3_pascal3d", "table5_dva", "alignment_study"), _PHOTOS),
+    "reconstructions": ("profile", "seed", "data_root", "output", "workers", *_TRAINED_ON),
+    "table4_freiburg": (*_VIDEOS, "split_rule", "start", "features"),
+    "objectron": (*_VIDEOS, "category", "weak_masks"),
+    "your_method": (*_ALL, "categories", "cad_root", "backgrounds", "calibration"),
+    "architecture": ("profile", "output"),
+    "audit_metrics": ("viewpoints", "output"),
 }
-"""Kind of notebook -> the parameters that it takes."""
+"""Notebook -> the parameters that it takes."""
 ON_CAD = ("cad", "test_sets")
 """The kinds that are scored on CAD models."""
 
@@ -48,7 +59,7 @@ class Design:
 
     def usual(self, profile: str) -> dict[str, Any]:
         """Field of Request -> its value where no parameter says otherwise: no part of a folder's name."""
-        values = {p.field or name: p.check(p.default, name) for name, p in PARAMETERS.items() if name not in _DESIGNED}
+        values = {p.field or name: p.of(p.default, name) for name, p in PARAMETERS.items() if name not in _DESIGNED}
         recipe = (PROFILE_RECIPE if self.kind in ON_CAD else PHOTO_RECIPE)[profile]
         variants = self.variants[: self.smoke] if profile == "smoke" else self.variants
         designed = {"profile": self.profile, "recipes": (recipe,), "categories": self.categories, "variants": variants}
@@ -132,18 +143,18 @@ class Request:
 
         Raises ViewnetError naming the parameter and its valid values.
         """
-        design, taken = DESIGNS[known(name, DESIGNS, "notebook")], TAKES[DESIGNS[name].kind]
+        design, taken = DESIGNS[known(name, DESIGNS, "notebook")], accepted(name)
         for key in [key for key in given if key not in taken]:
             if key not in PARAMETERS or given.pop(key) not in ("", PARAMETERS[key].default):
                 known(key, taken, f"parameter of {name}")
         profile = given.pop("profile", "default")
         profile = os.environ.get("VIEWNET_PROFILE", design.profile) if profile == "default" else profile
-        values: dict[str, Any] = {"profile": PARAMETERS["profile"].check(profile, "profile")}
+        values: dict[str, Any] = {"profile": PARAMETERS["profile"].of(profile, "profile")}
         for key, parameter in PARAMETERS.items():
             plain = given.get(key, parameter.default)
             # Only text is compared with the default: True == 1.
             if key in given and not (isinstance(plain, str) and plain == parameter.default):
-                values[parameter.field or key] = parameter.check(plain, key)
+                values[parameter.field or key] = parameter.of(plain, key)
         usual = design.usual(values["profile"])
         parts = [
             parameter.label.format(parameter.text(values[at]))
@@ -179,6 +190,7 @@ class Request:
         return self.output / "figures" / self.label
 
 
-def accepted(name: str) -> set[str]:
-    """The parameters that a notebook takes."""
-    return set(TAKES[DESIGNS[known(name, DESIGNS, "notebook")].kind])
+def accepted(name: str) -> tuple[str, ...]:
+    """The parameters that a notebook takes, in the order of PARAMETERS. Raises ViewnetError for an unknown notebook."""
+    taken = TAKES[known(name, DESIGNS, "notebook")]
+    return tuple(key for key in PARAMETERS if key in taken)

@@ -5,7 +5,7 @@ table2_ablation.parquet         a row for each run and image: the run's key, the
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +23,34 @@ TOLERANCE = 1e-3
 """Of these, in per cent or degrees: predictions are kept in single precision, cells with four digits."""
 
 
-def remade(path: Path) -> Table:
-    """The table of `<name>.json` from the predictions beside it.
+def read(path: Path) -> Table:
+    """The table of `<name>.json`, its cells as they are there; with entries where predictions are kept beside it.
 
-    Raises ViewnetError, naming the file, where either is missing or damaged, or a run of the table has no predictions.
+    Raises ViewnetError, naming the file, where one is damaged, or a run of the table has no predictions.
     """
-    frame = read_parquet(path.with_suffix(".parquet"))
+    about = read_json(path)
+    kept = path.with_suffix(".parquet")
+    runs = _runs(kept) if kept.is_file() else None
     try:
-        runs = {}
-        for key, rows in frame.groupby("run", observed=True):
-            heads = rows.dropna(axis=1, how="all")  # columns of heads that only other runs have are empty
-            runs[str(key)] = Predictions.from_frame(heads.astype(dict.fromkeys(("category", "split", "model_id"), str)))
-        return _table(read_json(path), runs)
-    except (KeyError, TypeError, ViewnetError) as error:
+        # Files of earlier versions have neither recipes nor degenerate alignments.
+        lines = [{"recipe": "", "degenerate": 0} | cell | {"runs": " ".join(cell["runs"])} for cell in about["cells"]]
+        cells = pd.DataFrame(lines).astype(dict.fromkeys(NUMBERS, float))
+        renamed, remarks = about.get("renamed", {}), tuple(about.get("remarks", ()))
+        entries = () if runs is None else tuple(_entries(cells, renamed, about["runs"], runs))
+        return Table(about["table"], about["measured on"], cells, entries, remarks, renamed)
+    except (KeyError, TypeError, ValueError) as error:
         raise ViewnetError(f"{path}: not a table with its predictions ({error}): make it again") from error
+
+
+def remade(path: Path) -> Table:
+    """As `read`, its cells measured again from the predictions, or ViewnetError where these are not kept."""
+    if not path.with_suffix(".parquet").is_file():
+        raise ViewnetError(f"{path.with_suffix('.parquet')}: no such file: make the table again")
+    table = read(path)
+    labels = {row.label for row in LAYOUTS[table.name].rows}
+    own, added = ([e for e in table.entries if (e.row in labels) == ours] for ours in (True, False))
+    about = (table.categories, table.note, table.remarks, table.renamed)
+    return Table.of(table.name, own, *about, added=added)
 
 
 def differences(path: Path) -> pd.DataFrame:
@@ -57,21 +71,27 @@ def differences(path: Path) -> pd.DataFrame:
     return pd.DataFrame(found, columns=[*keys, "what", "printed", "remade"])
 
 
-def _table(about: dict[str, Any], runs: Mapping[str, Predictions]) -> Table:
-    """The table of a table's JSON from predictions by run."""
-    cells = pd.DataFrame(about["cells"])
-    renamed, layout = about.get("renamed", {}), LAYOUTS[about["table"]]
+def _runs(path: Path) -> dict[str, Predictions]:
+    """Key of a run -> its predictions. Raises ViewnetError naming the file where it is damaged."""
+    frame = read_parquet(path)
+    runs = {}
+    try:
+        for key, rows in frame.groupby("run", observed=True):
+            heads = rows.dropna(axis=1, how="all")  # columns of heads that only other runs have are empty
+            runs[str(key)] = Predictions.from_frame(heads.astype(dict.fromkeys(("category", "split", "model_id"), str)))
+    except (KeyError, TypeError, ViewnetError) as error:
+        raise ViewnetError(f"{path}: not the predictions of a table ({error}): make it again") from error
+    return runs
+
+
+def _entries(
+    cells: pd.DataFrame, renamed: dict[str, str], origins: dict[str, Any], runs: Mapping[str, Predictions]
+) -> Iterator[Entry]:
+    """The entries of a table's cells."""
     former = {new: old for old, new in renamed.items()}
-    own: list[Entry] = []
-    added: list[Entry] = []
     for (row, recipe, category), group in cells.groupby(["row", "recipe", "category"], sort=False):
         label = former.get(unnamed(row, recipe), unnamed(row, recipe))
-        for key in group["runs"].iloc[0]:
-            origin = about["runs"][key]
-            entry = Entry(label, category, origin["seed"], origin["alignment"], key, runs[run_of(key)], origin,
-                          origin["calibration"])  # fmt: skip
-            (own if label in {each.label for each in layout.rows} else added).append(entry)
-    return Table.of(
-        about["table"], own, list(dict.fromkeys(cells["category"])), about["measured on"], about.get("remarks", ()),
-        renamed, added=added,
-    )  # fmt: skip
+        for key in group["runs"].iloc[0].split():
+            origin = origins[key]
+            how = (origin["seed"], origin["alignment"], key, runs[run_of(key)], origin, origin["calibration"])
+            yield Entry(label, category, *how)

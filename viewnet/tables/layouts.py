@@ -47,6 +47,11 @@ class Layout:
         """The variants that fill its rows."""
         return tuple(dict.fromkeys(row.variant for row in self.rows if row.variant))
 
+    @property
+    def reference(self) -> str:
+        """The label of the row that others are compared with: the first one of ViewNet by a rotation."""
+        return next((row.label for row in self.rows if row.variant == "viewnet" and row.alignment is None), "")
+
     def rows_of(self, variant: str) -> list[Row]:
         """The rows that a variant fills."""
         return [row for row in self.rows if row.variant == variant]

@@ -30,7 +30,7 @@ from viewnet.geometry import look_at, view_vector
 from viewnet.runtime.files import write_text
 from viewnet.runtime.images import tight_crop
 from viewnet.tables import columns, latex
-from viewnet.tables.columns import DASH, FIDELITY, HEADLINE, METRICS
+from viewnet.tables.columns import FIDELITY, HEADLINE
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, renderers
 
@@ -152,19 +152,6 @@ def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -
             about = {"row": LABELS[variant], "variant": variant, "category": category}
             lines += _lines(about, keys, [fidelity(renderer) for renderer in seeds], errors, draws)
     return pd.DataFrame(lines)
-
-
-def frame(cells: pd.DataFrame) -> pd.DataFrame:
-    """`cells` for reading: a line per row, columns (category, metric), numbers with intervals as text, -- for none."""
-    digits = [METRICS[metric].digits for metric in cells["metric"]]
-    texts = [
-        DASH if np.isnan(m) else f"{m:.{d}f} [{low:.{d}f}, {high:.{d}f}]"
-        for m, low, high, d in zip(cells["measured"], cells["low"], cells["high"], digits, strict=True)
-    ]
-    wide = cells.assign(text=texts).pivot(index="row", columns=["category", "metric"], values="text")
-    order = pd.MultiIndex.from_product([cells["category"].unique(), columns.of_novel_views()])
-    wide = wide.reindex(index=cells["row"].unique(), columns=order).fillna(DASH)
-    return wide.rename(columns=lambda metric: METRICS[metric].name, level=1).rename_axis(index=None)
 
 
 def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:

@@ -40,6 +40,8 @@ LOGGED = {"val_accuracy": "validation accuracy (%)", "val_folded": "the same, fo
     "val_focal": "focal length", "loss": "training loss"}  # fmt: skip
 COUNTED = ("epoch", "step", "seconds")  # columns that only say where the training is
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
+NOTE = "Description"
+"""The name of the text in a PNG file that says of what runs the figure is."""
 LEGEND: Any = {"loc": "outside right upper", "frameon": False, "fontsize": 7}
 
 
@@ -188,10 +190,11 @@ def collapse_curves(collapse: pd.DataFrame) -> Figure:
 
 
 @matplotlib.rc_context(STYLE)
-def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """`<name>.png` and `<name>.pdf`, the same bytes each time."""
+def save(figure: Figure, folder: Path, name: str, note: str = "") -> list[Path]:
+    """`<name>.png` and `<name>.pdf`, the same bytes each time; the first says of what runs it is, in `note`."""
     files = [folder / f"{name}.png", folder / f"{name}.pdf"]
-    for path, metadata in zip(files, ({"Software": None}, {"CreationDate": None, "ModDate": None}), strict=True):
+    written = {"Software": None, **({NOTE: note} if note else {})}
+    for path, metadata in zip(files, (written, {"CreationDate": None, "ModDate": None}), strict=True):
         with replacing(path) as temporary:
             figure.savefig(temporary, dpi=200, metadata=metadata)  # no date and no version: the same bytes each time
     return files

@@ -237,9 +237,13 @@ class Table:
 
         "no difference measured" where the interval includes 0. ViewnetError where one of them was not measured.
         """
-        interval = self.interval(row, reference, category)
-        if interval is None:
+        if (words := self._compared(row, reference, category)) is None:
             raise ViewnetError(f"{self.name}: {row} and {reference}, {category}: one of them is not measured")
+        return words
+
+    def _compared(self, row: str, reference: str, category: str) -> str | None:
+        if (interval := self.interval(row, reference, category)) is None:
+            return None
         cells = self.cells[(self.cells["category"] == category) & (self.cells["metric"] == "acc30")].set_index("row")
         points = cells.at[row, "measured"] - cells.at[reference, "measured"]
         low, high = interval
@@ -248,28 +252,20 @@ class Table:
             what = f"{abs(points):.1f} points {'higher' if points > 0 else 'lower'}"
         return f"{what} [{low:.1f}, {high:.1f}]"
 
-    def differences(self, reference: str = "ViewNet") -> pd.DataFrame:
-        """Accuracy of each row minus that of a reference, in points: "print", "ours" and its interval by category.
+    def verdict(self) -> list[str]:
+        """`comparison` of each measured row with the layout's reference of its recipe, a sentence a row.
 
-        The reference of a row is the row `reference` of its recipe; of rows without one, of the first recipe. An
-        interval that includes 0 is no difference measured.
+        None for tables without Acc@30, and for rows and references whose predictions are not here.
         """
-        cells = self.cells[self.cells["metric"] == self.layout.metrics[0]]
-        values = cells.assign(print=pd.to_numeric(cells["printed"]), ours=cells["measured"].astype(float))
-        wide = values.pivot(index="row", columns="category", values=["print", "ours"]).swaplevel(axis=1)
-        recipes = cells.drop_duplicates("row").set_index("row")["recipe"]
-        of_recipe = {recipe: named(self.renamed.get(reference, reference), recipe) for recipe in recipes}
-        of_recipe = {recipe: row for recipe, row in of_recipe.items() if row in recipes.index}
-        references = {row: of_recipe.get(recipe, next(iter(of_recipe.values()))) for row, recipe in recipes.items()}
-        rows = [row for row in recipes.index if references[row] != row]
-        wide = wide[list(itertools.product(self.categories, ("print", "ours")))]
-        found = wide.loc[rows] - wide.loc[[references[row] for row in rows]].to_numpy()
-        found = found.round(1).rename_axis(index=None, columns=[None] * 2)
-        for number, category in enumerate(self.categories, 1):
-            bounds = [self.interval(row, references[row], category) for row in rows]
-            texts = [DASH if bound is None else f"[{bound[0]:.1f}, {bound[1]:.1f}]" for bound in bounds]
-            found.insert(3 * number - 1, (category, "95 %"), texts)
-        return found
+        sentences = []
+        first = next((entry.recipe for entry in self.entries if entry.recipe), "")
+        rows = self.cells.drop_duplicates("row") if HEADLINE[0] in self.layout.metrics else self.cells[:0]
+        for row, recipe in zip(rows["row"], rows["recipe"], strict=True):
+            reference = named(self.layout.reference, recipe or first)
+            pairs = ((category, self._compared(row, reference, category)) for category in self.categories)
+            if row != reference and (found := [f"{category} {words}" for category, words in pairs if words]):
+                sentences.append(f"{row} beside {reference}, Acc@30: {'; '.join(found)}")
+        return sentences
 
     def measurements(self) -> pd.DataFrame:
         """The measured numbers in full: a line per measured (row, category), with intervals, seeds and counts."""
@@ -348,23 +344,6 @@ class Table:
 def run_of(key: str) -> str:
     """The run of an entry's key, which may name an alignment, too."""
     return key.partition("/")[0]
-
-
-def scores_by_definition(runs: Sequence[Run], table: str, row: str) -> pd.DataFrame:
-    """acc30 and median of the runs of one row by each definition of the error, beside the reported numbers.
-
-    Only the geodesic angle is an error of rotation; see viewnet.evaluation.metrics for the others.
-    """
-    paper = reported.load(table)
-    paper = paper[paper["row"] == row].set_index(["category", "metric"])["value"]
-    lines: dict[tuple[str, str], dict[str, str]] = {}
-    for run in runs:
-        scores = run.result["metrics"][run.alignment]
-        for name, values in {"geodesic": scores, **scores["audit"]}.items():
-            lines[run.config.category, name] = {m: text(values[m], m) for m in HEADLINE}
-        lines[run.config.category, "printed"] = {m: paper.get((run.config.category, m), DASH) for m in HEADLINE}
-    index = pd.MultiIndex.from_tuples(list(lines), names=["category", "definition"])
-    return pd.DataFrame(list(lines.values()), index, columns=list(HEADLINE))
 
 
 def _measure(seeds: Sequence[Entry], row_metrics: Sequence[str]) -> dict[str, dict[str, Any]]:

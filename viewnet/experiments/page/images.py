@@ -45,7 +45,7 @@ def embedded(path: Path, widest: int, files: Sequence[Path]) -> EmbeddedImage:
     if moving := len(frames) > 1:
         uri, still = encode(frames[0], append_images=frames[1:], duration=duration, **MOVING), uri
     width, height = (round((1 if moving else SHOWN) * side) for side in frames[0].size)
-    return EmbeddedImage(*_captions(path.stem), width, height, uri, still, files)
+    return EmbeddedImage(*captions(path.stem), width, height, uri, still, files)
 
 
 def _on_white(image: Image.Image, widest: int) -> Image.Image:
@@ -63,7 +63,7 @@ def encode(frame: Image.Image, **options: Any) -> str:
     return "data:image/webp;base64," + base64.b64encode(data.getvalue()).decode()
 
 
-def _captions(stem: str) -> tuple[str, str]:
+def captions(stem: str) -> tuple[str, str]:
     """Caption and alternative text."""
     for start, texts in CAPTIONS.items():
         if stem.startswith(start):

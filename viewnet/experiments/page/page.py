@@ -17,7 +17,6 @@ from typing import Any
 
 import jinja2
 import mistune
-import nbformat
 from markupsafe import Markup
 
 from viewnet.errors import ViewnetError
@@ -31,9 +30,13 @@ from viewnet.runtime.progress import bar
 log = logging.getLogger(__name__)
 
 NAME = "index.html"
-LIMIT = 8_000_000  # bytes; the figures of a larger page are shrunk
-WIDTHS = (1700, 1000, 500)  # maximal pixels across a figure, tried in turn until the page is within the limit
-IGNORED = ("published/*", NAME, ".*")  # what the paper reports is linked, not listed; hidden files are of editors
+LIMIT = 8_000_000
+"""Bytes; the figures of a larger page are shrunk."""
+WIDTHS = (1700, 1000, 500)
+"""Maximal pixels across a figure, tried in turn until the page is within the limit."""
+IGNORED = ("published/*", NAME, ".*")
+_OPTIONS: Any = {"autoescape": True, "undefined": jinja2.StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
+ENVIRONMENT = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), **_OPTIONS)
 
 
 @dataclass(frozen=True)
@@ -89,25 +92,18 @@ def write(folder: Path) -> Path:
 
 def render(content: list[Section]) -> str:
     """The page as HTML."""
-    options: Any = {"autoescape": True, "undefined": jinja2.StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
-    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), **options)
     chapters = {name: list(group) for name, group in itertools.groupby(content, lambda section: section.chapter)}
     names = {section.name for section in content}
     missing = {k.name: heading(k)[0] for k in KINDS if k.name in DESIGNS and k.name not in names}
-    origins = {o["key"]: o for section in content for setting in section.settings for o in setting.origins}  # each once
-    return environment.get_template("overview.html").render(
-        chapters=chapters, missing=missing, summary=_summary(origins.values()), runs=len(origins)
+    origins = {o["key"]: o for section in content for setting in section.settings for o in setting.origins}
+    return ENVIRONMENT.get_template("overview.html").render(
+        chapters=chapters, missing=missing, summary=summary(origins.values()), runs=len(origins)
     )
 
 
 def sections(folder: Path, widest: int = WIDTHS[0]) -> list[Section]:
     """The sections of a folder of tables and figures, in the order of KINDS. ViewnetError for an empty folder."""
-    files: dict[str, dict[str, list[Path]]] = {}
-    for path in sorted(folder.rglob("*")):
-        place = path.relative_to(folder)
-        if path.is_file() and not any(fnmatch(str(place), pattern) for pattern in IGNORED):
-            name, setting = _place(place)
-            files.setdefault(name, {}).setdefault(setting, []).append(path)
+    files = found(folder)
     if not files:
         raise ViewnetError(f"{folder}: no tables and no figures: make some first (viewnet tables)")
     origins = _origins(itertools.chain.from_iterable(p for settings in files.values() for p in settings.values()))
@@ -121,6 +117,17 @@ def sections(folder: Path, widest: int = WIDTHS[0]) -> list[Section]:
                 progress.update()
             result.append(Section(name, kinds[name].chapter, *heading(kinds[name]), tuple(settings)))
     return result
+
+
+def found(folder: Path) -> dict[str, dict[str, list[Path]]]:
+    """The files of a folder of tables and figures: section -> setting -> paths."""
+    files: dict[str, dict[str, list[Path]]] = {}
+    for path in sorted(folder.rglob("*")):
+        place = path.relative_to(folder)
+        if path.is_file() and not any(fnmatch(str(place), pattern) for pattern in IGNORED):
+            name, setting = _place(place)
+            files.setdefault(name, {}).setdefault(setting, []).append(path)
+    return files
 
 
 def _place(path: Path) -> tuple[str, str]:
@@ -138,23 +145,29 @@ def _place(path: Path) -> tuple[str, str]:
 def _setting(
     name: str, setting: str, paths: list[Path], folder: Path, known: Mapping[str, dict[str, Any]], widest: int
 ) -> Setting:
-    content = _content(name, {path.name: path for path in paths})
-    # One a run, not an alignment.
-    by_key = {key.partition("/")[0]: origin for key, origin in (content.origins or {}).items()}
-    origins = tuple({"key": key, **_origin(known.get(key, origin))} for key, origin in sorted(by_key.items()))
+    content, origins = read(name, paths, known)
     figures = []
     for image in [path for path in paths if path.suffix in SUFFIXES]:
         same = [path for path in paths if path.stem == image.stem and path.suffix in (".pdf", image.suffix)]
         figures.append(embedded(image, widest, [path.relative_to(folder) for path in same]))
     shown = {file for figure in figures for file in figure.files}  # linked below their figure
     files = tuple(p.as_posix() for p in (path.relative_to(folder) for path in paths) if p not in shown)
-    return Setting(setting, content, origins, _summary(origins), tuple(figures), files)
+    return Setting(setting, content, origins, summary(origins), tuple(figures), files)
 
 
-def _content(name: str, files: Mapping[str, Path]) -> blocks.Content:
-    """The content of a section's files. ViewnetError for files that this version does not write."""
+def read(
+    name: str, paths: Iterable[Path], known: Mapping[str, dict[str, Any]] | None = None
+) -> tuple[blocks.Content, tuple[dict[str, str], ...]]:
+    """The content of a section's files and its runs, whose origins may be `known` elsewhere.
+
+    ViewnetError for files that this version does not write.
+    """
+    files = {path.name: path for path in paths}
     try:
-        return blocks.READERS.get(name, blocks.tables)(files)
+        content = blocks.READERS.get(name, blocks.tables)(files)
+        by_key = {key.partition("/")[0]: origin for key, origin in (content.origins or {}).items()}
+        origins = sorted(by_key.items())
+        return content, tuple({"key": key, **_origin((known or {}).get(key, origin))} for key, origin in origins)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, ViewnetError):  # which names its file already
             raise
@@ -188,7 +201,7 @@ def _origin(origin: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _summary(origins: Iterable[Mapping[str, str]]) -> str:
+def summary(origins: Iterable[Mapping[str, str]]) -> str:
     """Profiles, recipes, dates, machines and commits of runs, in a line."""
     origins, parts = list(origins), []
     for name in ("profile", "recipe", "date", "machine", "commit"):
@@ -210,11 +223,8 @@ def heading(kind: Kind) -> tuple[str, Markup, str]:
 @functools.cache
 def _first_cell(path: Path) -> tuple[str, Markup]:
     """The title and the first paragraph of a notebook."""
-    try:
-        source = str(nbformat.read(path, as_version=4).cells[0].source)
-    except Exception as error:  # nbformat lets any error of a damaged file through
-        raise ViewnetError(f"{path}: not a notebook that can be read ({type(error).__name__})") from None
-    title, *paragraphs = re.split(r"\n\s*\n", source.strip())  # at empty lines
+    source = str(notebooks.read(path).cells[0].source)
+    title, *paragraphs = re.split(r"\n\s*\n", source.strip())
     return title.lstrip("# ").strip(), _html(paragraphs[0] if paragraphs else "")
 
 
