@@ -53,7 +53,7 @@ class FreiburgStandIn(StandIn):
         return super().describe() | {"sequences": sorted(set(self.sequences))}
 
     def prepare(self, root: Path) -> list[Callable[[], None]]:
-        """See StandIn.prepare."""
+        """See StandIn.prepare. ViewnetError for numbers of sequences out of range."""
         numbers = sorted(set(self.sequences))
         if not numbers or numbers[0] < 1 or numbers[-1] > 999:
             raise ViewnetError(f"stand-in: sequences {numbers}: expected numbers from 1 to 999")
