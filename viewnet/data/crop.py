@@ -41,10 +41,7 @@ def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None
     and for more than MOST_PIXELS.
     """
     width, height = image.size
-    x0, y0, x1, y1 = box or (0.0, 0.0, float(width), float(height))
-    x0, y0, x1, y1 = max(x0, 0.0), max(y0, 0.0), min(x1, float(width)), min(y1, float(height))
-    if x1 - x0 < 1 or y1 - y0 < 1:
-        raise ViewnetError(f"box has no part in the image ({width} x {height})")
+    x0, y0, x1, y1 = clipped(box or (0.0, 0.0, float(width), float(height)), image.size)
     half_x, half_y = (x1 - x0) / 2, (y1 - y0) / 2
     beyond = 2 * crop.margin * max(half_x, half_y)
     half_x, half_y = half_x + beyond, half_y + beyond
@@ -73,6 +70,15 @@ def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None
     # Averages over the pixels that become one, without the ringing of sharper filters at the image's edge.
     small = canvas.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact, reducing_gap=4.0)
     return np.array(small.convert("RGBA"))
+
+
+def clipped(box: Box, size: tuple[int, int]) -> Box:
+    """The part of a box that lies in an image of this width and height. ViewnetError for less than a pixel of it."""
+    x0, y0, x1, y1 = box
+    x0, y0, x1, y1 = max(x0, 0.0), max(y0, 0.0), min(x1, float(size[0])), min(y1, float(size[1]))
+    if x1 - x0 < 1 or y1 - y0 < 1:
+        raise ViewnetError(f"box has no part in the image ({size[0]} x {size[1]})")
+    return x0, y0, x1, y1
 
 
 def shrunk(view: np.ndarray, share: float) -> np.ndarray:

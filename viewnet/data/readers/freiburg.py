@@ -16,7 +16,7 @@ from pathlib import Path
 
 from viewnet.config import VideoConfig, known
 from viewnet.data.clips import Clip, Frame, images_in, pick_frames
-from viewnet.data.crop import Box
+from viewnet.data.crop import Box, clipped
 from viewnet.data.readers.reader import Contents, DataSet, Reader, VideoReader, no_usable, within
 from viewnet.data.store import Rejected
 from viewnet.errors import ViewnetError
@@ -101,7 +101,7 @@ def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> l
             if number in annotated:
                 raise ViewnetError(f"frame annotated twice ({stem})")
             annotated.add(number)
-            frames[number] = Frame(number, azimuth(angle), 0.0, _cut(box, files[number]))
+            frames[number] = Frame(number, azimuth(angle), 0.0, clipped(box, size(files[number])))
         except ViewnetError as error:
             rejected.append((f"{folder.name}:{row}", where, str(error)))
     for number, path in enumerate(files):
@@ -120,15 +120,6 @@ def _parsed(line: str) -> tuple[str, Box, float]:
     except ValueError:
         raise ViewnetError(f"annotation is malformed ({line.strip()[:60]!r})") from None
     return Path(name.replace("\\", "/")).stem, (x0, y0, x1, y1), angle
-
-
-def _cut(box: Box, image: Path) -> Box:
-    """The part of a box that lies in its image."""
-    width, height = size(image)
-    x0, y0, x1, y1 = max(box[0], 0.0), max(box[1], 0.0), min(box[2], float(width)), min(box[3], float(height))
-    if x1 - x0 < 1 or y1 - y0 < 1:
-        raise ViewnetError(f"box has no part in the image ({width} x {height})")
-    return x0, y0, x1, y1
 
 
 def _read_videos(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]:

@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from viewnet.config import CATEGORIES, PhotoConfig, known
-from viewnet.data.crop import Box
+from viewnet.data.crop import Box, clipped
 from viewnet.data.photo_store import Photograph, Photographs
 from viewnet.data.readers import matlab
 from viewnet.data.readers.reader import Contents, DataSet, PhotoReader, Reader, no_usable, read_text, within
@@ -200,13 +200,11 @@ def _box(item: Any, size: tuple[int, int], annotated: tuple[float, float] | None
         if abs(scale[0] / scale[1] - 1) < 0.02:
             edges = edges * scale
             corrections.append(OTHER_SCALE)
-    within = edges.clip(0, limits)
-    if (within[2:] - within[:2] < 1).any():
-        raise ViewnetError(f"box has no part in the image ({size[0]} x {size[1]})")
-    if np.abs(within - edges).max() > 1:  # less is rounding
+    left, upper, right, lower = edges.tolist()
+    box = clipped((left, upper, right, lower), size)
+    if np.abs(box - edges).max() > 1:  # less is rounding
         corrections.append(BEYOND_EDGES)
-    left, upper, right, lower = within.tolist()
-    return left, upper, right, lower
+    return box
 
 
 def _viewpoint(item: Any) -> tuple[float, float]:

@@ -13,9 +13,10 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
+from viewnet.data.crop import bounds
 from viewnet.data.readers.freiburg import ANNOTATIONS, AZIMUTH, CATEGORY, MASKS
 from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.stand_in import StandIn, add_shadow, as_image, built_in_mesh, visible_box
+from viewnet.data.synthetic.stand_in import StandIn, add_shadow, as_image, built_in_mesh
 from viewnet.errors import ViewnetError
 from viewnet.render import render_cameras
 from viewnet.render.camera import look_from
@@ -52,7 +53,7 @@ class FreiburgStandIn(StandIn):
         return super().describe() | {"sequences": sorted(set(self.sequences))}
 
     def prepare(self, root: Path) -> list[Callable[[], None]]:
-        """See StandIn.prepare."""
+        """See StandIn.prepare. ViewnetError for numbers of sequences out of range."""
         numbers = sorted(set(self.sequences))
         if not numbers or numbers[0] < 1 or numbers[-1] > 999:
             raise ViewnetError(f"stand-in: sequences {numbers}: expected numbers from 1 to 999")
@@ -81,9 +82,8 @@ def _write_sequence(root: Path, number: int, count: int, seed: int) -> None:
     for k in range(count):
         glossy = _with_reflection(renderings[k], gloss, azimuths[k] - np.rad2deg(np.arctan2(sun[1], sun[0])))
         image, alpha = _frame(glossy, panorama, azimuths[k] / 360, scale, shake[k], rng)
-        box = visible_box(alpha)
         theirs = round(AZIMUTH[0] * (azimuths[k] - AZIMUTH[1]) % 360) % 360
-        lines.append(f"{name}/{k + 1:04d}.png\t{' '.join(map(str, box))}\t{theirs}\n")
+        lines.append(f"{name}/{k + 1:04d}.png\t{' '.join(f'{edge:.0f}' for edge in bounds(alpha))}\t{theirs}\n")
         pixels = np.asarray(image, dtype=np.float64) / 255 * exposure[k]
         _save(as_image(pixels + rng.normal(0, 0.015, pixels.shape)), root / name / f"{k + 1:04d}.png")
         mask = _imperfect(alpha, rng)

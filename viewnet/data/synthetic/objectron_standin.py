@@ -63,7 +63,7 @@ class ObjectronStandIn(StandIn):
     size: tuple[int, int] = SIZE
 
     def prepare(self, root: Path) -> list[Callable[[], None]]:
-        """See StandIn.prepare."""
+        """See StandIn.prepare. ViewnetError for categories that Objectron does not have, and small sizes."""
         if self.category not in CLASSES:
             choice = ", ".join(CLASSES)
             raise ViewnetError(f"stand-in: no category {self.category!r} in Objectron: choose one of {choice}")

@@ -17,10 +17,11 @@ from PIL import Image, ImageDraw, ImageFilter
 
 from viewnet.config import CATEGORIES, known
 from viewnet.data.annotated_viewpoints import histogram_file, sample
+from viewnet.data.crop import bounds
 from viewnet.data.readers.image_folder import list_images
 from viewnet.data.readers.pascal3d import EXTENSIONS, LISTS, SPLITS, VOC, annotation_file, image_file, parts
 from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.stand_in import StandIn, add_shadow, as_image, built_in_mesh, visible_box
+from viewnet.data.synthetic.stand_in import StandIn, add_shadow, as_image, built_in_mesh
 from viewnet.errors import ViewnetError
 from viewnet.render import render_cameras
 from viewnet.render.camera import look_from
@@ -132,7 +133,7 @@ def _photograph(
     rendering: np.ndarray, photograph: Photograph, backgrounds: Sequence[Path], rng: np.random.Generator
 ) -> tuple[Image.Image, dict[str, Any]]:
     """An image, and its object as in a record's `objects` (but for its class)."""
-    thing = Image.fromarray(rendering).crop(visible_box(rendering[..., 3]))
+    thing = Image.fromarray(rendering).crop(bounds(rendering[..., 3]))
     width, height = SIZE
     scale = min(0.95 * width / thing.width, 0.95 * height / thing.height) * rng.uniform(0.45, 1)
     size = (max(8, round(thing.width * scale)), max(8, round(thing.height * scale)))

@@ -62,13 +62,6 @@ class StandIn(abc.ABC):
         """Write what there is once, and return what writes each object's images. Checks the other values."""
 
 
-def visible_box(alpha: np.ndarray) -> tuple[int, int, int, int]:
-    """The bounding box of an object's alpha (H, W) uint8; ViewnetError where nothing of it is visible."""
-    if box := Image.fromarray((alpha > 127).astype(np.uint8)).getbbox():
-        return box
-    raise ViewnetError("a model of the stand-in cannot be seen")
-
-
 def add_shadow(image: Image.Image, box: tuple[float, float, float, float], strength: int, blur: float) -> None:
     """A soft shadow on the ground, an ellipse in `box`, of a strength from 0 to 255."""
     mask = Image.new("L", image.size, 0)
