@@ -118,11 +118,13 @@ class Step:
     """
 
     def __init__(self, config: RunConfig, device: torch.device):
-        self.perceptual, self.told = None, config.train.perceptual
-        if self.told != "none" and torchvision_weights.available(self.told):
-            self.perceptual = PerceptualLoss(self.told).to(device)
-        elif self.told != "none":
-            self.told = f"pixels, as there are no weights of {self.told}"
+        network = config.train.perceptual
+        self.perceptual: PerceptualLoss | None = None
+        self.told: str = network
+        if network != "none" and torchvision_weights.available(network):
+            self.perceptual = PerceptualLoss(network).to(device)
+        elif network != "none":
+            self.told = f"pixels, as there are no weights of {network}"
             config = replace(config, train=replace(config.train, perceptual="none", pixel_weight=1.0))
         self.config, self.device, self.number = config, device, 0
         side = max(config.model.input_size, config.model.render_size)
