@@ -9,9 +9,11 @@ from types import SimpleNamespace
 import pytest
 import torch
 from torch.autograd import DeviceType
+from torch.profiler import ProfilerActivity, profile
 
 from viewnet import cli
 from viewnet.bench import measure, steps
+from viewnet.recipes import make_config
 from viewnet.training import matting
 
 
@@ -39,7 +41,8 @@ def test_parts_add_up(data, tmp_path, capsys):
     assert {row["phase"] for row in result["rows"]} == set(steps.PHASES)
     for phase in steps.PHASES:
         rows = {row["part"]: row for row in result["rows"] if row["phase"] == phase}
-        assert list(rows) == [steps.WHOLE, *steps.PARTS, steps.BETWEEN, steps.PROFILED]
+        parts = [part for part in steps.PARTS if part != steps.PERCEPTUAL]  # the recipe has none
+        assert list(rows) == [steps.WHOLE, *parts, steps.BETWEEN, steps.PROFILED]
         assert all(tuple(row) == steps.COLUMNS and row["ms"] > 0 for row in rows.values())
         ends = rows[steps.WHOLE], rows[steps.PROFILED]
         inner = [row for row in rows.values() if row not in ends]
@@ -71,6 +74,47 @@ def test_time_goes_to_the_first_part_that_a_path_names():
         steps.LAYERS: 64,
     }
     assert calls[steps.COMPARING] == 2 and calls[steps.BACKWARD] == 1
+
+
+def random_weights(folder):
+    """A file of random weights for the perceptual term, in SqueezeNet's shapes."""
+    from torchvision import models
+
+    torch.manual_seed(0)
+    torch.save(models.squeezenet1_1(weights=None).state_dict(), folder / "squeezenet.pth")
+    return str(folder / "squeezenet.pth")
+
+
+def test_the_perceptual_term_is_a_part_with_its_backward_pass(data, tmp_path, monkeypatch, one_thread):
+    monkeypatch.setenv("VIEWNET_SQUEEZENET_WEIGHTS", random_weights(tmp_path))
+    config = make_config(profile="smoke", recipe="paper", models=8, batch_size=4, perceptual="squeezenet")
+    step = steps.Step(config, torch.device("cpu"))
+    assert step.told == "squeezenet"
+    with steps.named_choice(), steps.named_perceptual(), profile(activities=[ProfilerActivity.CPU]) as profiler:
+        step(0.5)
+    spent, calls = steps.attribute(profiler.events())
+    assert spent[steps.PERCEPTUAL] > 0
+    events = [event for event in profiler.events() if "evaluate_function" in event.name]
+    begin, end = (
+        next(event.time_range.start for event in profiler.events() if event.name == name)
+        for name in (steps.BEGINS, steps.ENDS)
+    )
+    within = [event.name for event in events if begin <= event.time_range.start < end]
+    assert sum("MaxPool" in name for name in within) == sum("MaxPool" in event.name for event in events) == 2
+    assert calls[steps.BACKWARD] == 1 and not any("_Render" in name for name in within)
+    assert calls[steps.PERCEPTUAL] >= 1 + len(within)  # once forward
+    need = steps.needs(step, 0.5)[steps.PERCEPTUAL]
+    assert need.products > 4 * 64 * 27 * 7 * 7 and need.layer_values > 0  # more than its first layer's
+
+
+def test_without_weights_pixels_take_the_perceptual_term_s_place(data, tmp_path, monkeypatch):
+    monkeypatch.delenv("VIEWNET_SQUEEZENET_WEIGHTS", raising=False)
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    config = make_config(profile="smoke", recipe="paper", models=8, batch_size=4, perceptual="squeezenet")
+    step = steps.Step(config, torch.device("cpu"))
+    assert step.perceptual is None and step.config.train.pixel_weight == 1
+    assert "squeezenet" in step.told and "pixels" in step.told
+    assert steps.PERCEPTUAL not in steps.needs(step, 0.5)
 
 
 @pytest.mark.parametrize("profile", ["smoke", "tiny"])  # at 16 pixels nothing is halved

@@ -35,9 +35,11 @@ from viewnet.data.build import view_store
 from viewnet.data.pairs import model_views, sample_pairs, step_generator
 from viewnet.estimator import pretrained
 from viewnet.model.kernels import volume_cpu
+from viewnet.model.losses import PerceptualLoss
 from viewnet.model.viewnet import ViewNet
 from viewnet.model.volume import halved
 from viewnet.recipes import make_config
+from viewnet.runtime import memory, torchvision_weights
 from viewnet.runtime.progress import bar
 from viewnet.training.matting import SECTORS, PoseSearch
 from viewnet.training.optimisers import make_optimisers
@@ -45,12 +47,14 @@ from viewnet.training.step import step_loss
 
 IMAGES, CHOICE = "reading images", "choice of viewpoints"
 """Names that this module records around its own code, and around that of training."""
+PERCEPTUAL, BEGINS, ENDS = "perceptual term", "backward of the perceptual term begins", "and ends"
 COMPARING, FORWARD, BACKWARD = "comparing viewpoints, no gradient", "rendering, forward", "rendering, backward"
 OPTIMISERS, SQUASH, NORMS, LAYERS = "optimisers", "squash", "normalisation, ReLU", "convolutions, products"
 PARTS: dict[str, str] = {
     COMPARING: rf"^{CHOICE} > .*(_Render|_Rotate|[Cc]ompare)",
     "the rest of the choice": rf"^{CHOICE}",
     IMAGES: rf"^{IMAGES}",
+    PERCEPTUAL: rf"^{PERCEPTUAL}",
     OPTIMISERS: r"^Optimizer\.",
     BACKWARD: r"_(Render|Rotate)Backward",
     FORWARD: r"_(Render|Rotate)\b",
@@ -76,11 +80,8 @@ PHASES = {"search": 0.5, "after": 2.0}
 
 
 def configuration(profile: str, recipe: str | None, variant: str, batch: int | None) -> RunConfig:
-    """A configuration to measure: without the perceptual term, whose weights are not everywhere."""
+    """A configuration to measure."""
     changes: dict[str, Any] = {"models": MODELS} | ({"batch_size": batch} if batch else {})
-    config = make_config(variant, "car", profile, recipe, **changes)
-    if config.train.perceptual != "none":
-        changes |= {"perceptual": "none", "pixel_weight": 1.0}
     return make_config(variant, "car", profile, recipe, **changes)
 
 
@@ -90,13 +91,15 @@ def measure(configs: list[RunConfig], settings: Settings, progress: bool = True)
     before, started = torch.get_num_threads(), datetime.datetime.now(datetime.UTC)
     torch.set_num_threads(settings.threads)
     os.environ.setdefault("KINETO_LOG_LEVEL", "99")  # the profiler tells of GPUs that are not there
-    shown, rows = bar(progress, total=len(configs), unit="profile"), []
+    shown, rows, perceptual = bar(progress, total=len(configs), unit="profile"), [], {}
     try:
         volume_cpu.warm_up()
+        memory.keep_freed()  # as training does
         rates = Rates.measure(device, settings.quick)
         for config in configs:
             shown.set_description(config.profile)
             step = Step(config, device)
+            perceptual[config.profile] = step.told
             share = config.train.search.share
             for phase, units in PHASES.items() if share else [("all", 0.0)]:
                 rows += _rows(step, phase, units * share or 0.5, settings, rates)
@@ -104,14 +107,25 @@ def measure(configs: list[RunConfig], settings: Settings, progress: bool = True)
     finally:
         shown.close()
         torch.set_num_threads(before)
-    told = {"repeat": settings.repeat, "quick": settings.quick, "models": MODELS, "perceptual": "none"}
+    told = {"repeat": settings.repeat, "quick": settings.quick, "models": MODELS, "perceptual": perceptual}
     return about(told | {"device": device.type}, settings.threads, rates, started) | {"rows": rows}
 
 
 class Step:
-    """The training step of a configuration, ready to be called at any progress of training."""
+    """The training step of a configuration, ready to be called at any progress of training.
+
+    Without the weights of its perceptual term, pixels take the term's place; `told` says so.
+    """
 
     def __init__(self, config: RunConfig, device: torch.device):
+        network = config.train.perceptual
+        self.perceptual: PerceptualLoss | None = None
+        self.told: str = network
+        if network != "none" and torchvision_weights.available(network):
+            self.perceptual = PerceptualLoss(network).to(device)
+        elif network != "none":
+            self.told = f"pixels, as there are no weights of {network}"
+            config = replace(config, train=replace(config.train, perceptual="none", pixel_weight=1.0))
         self.config, self.device, self.number = config, device, 0
         side = max(config.model.input_size, config.model.render_size)
         self.views = model_views(view_store(config.data, progress=False), "train", side, config.model)
@@ -144,7 +158,7 @@ class Step:
             rows = sample_pairs(self.views, settings.objects, settings.targets_per_object, config.seed, self.number)
             batch = self.views.batch(*rows, size, self.device)
         generator = step_generator(config.seed, self.number)
-        terms = step_loss(self.model, batch, settings, None, progress, generator, self.backgrounds)
+        terms = step_loss(self.model, batch, settings, self.perceptual, progress, generator, self.backgrounds)
         values = torch.stack(list(terms.values()))
         values.tolist()  # for the log
         self.model.zero_grad(set_to_none=True)
@@ -164,7 +178,7 @@ def _rows(step: Step, phase: str, progress: float, settings: Settings, rates: Ra
     calls: Counter[str] = Counter()
     for _ in range(settings.repeat):
         found[WHOLE].append(seconds(call, device, times))
-        with named_choice(), profile(activities=activities, acc_events=True) as profiler:
+        with named_choice(), named_perceptual(), profile(activities=activities, acc_events=True) as profiler:
             found[PROFILED].append(seconds(call, device, times))
         spent, counted = attribute(profiler.events(), device.type == "cuda")
         calls += counted
@@ -205,6 +219,30 @@ def named_choice() -> Iterator[None]:
         setattr(PoseSearch, "__call__", call)  # noqa: B010
 
 
+@contextmanager
+def named_perceptual() -> Iterator[None]:
+    """Records the perceptual term as PERCEPTUAL, and when its backward pass begins and ends."""
+    call = PerceptualLoss.forward
+
+    def recorded(self: PerceptualLoss, image: Tensor, target: Tensor) -> Tensor:
+        with record_function(PERCEPTUAL):
+            loss = call(self, image, target)
+        loss.register_hook(lambda _: _mark(BEGINS))
+        image.register_hook(lambda _: _mark(ENDS))
+        return loss
+
+    setattr(PerceptualLoss, "forward", recorded)  # noqa: B010 (mypy: methods are not assigned to)
+    try:
+        yield
+    finally:
+        setattr(PerceptualLoss, "forward", call)  # noqa: B010
+
+
+def _mark(name: str) -> None:
+    with record_function(name):
+        pass
+
+
 def attribute(events: Any, on_gpu: bool = False) -> tuple[dict[str, float], "Counter[str]"]:
     """Seconds of each of PARTS by the profiler's events, and its calls: events of a part in none of the same part.
 
@@ -212,13 +250,17 @@ def attribute(events: Any, on_gpu: bool = False) -> tuple[dict[str, float], "Cou
     """
     spent, calls = dict.fromkeys(PARTS, 0.0), Counter[str]()
     known: dict[int, tuple[str, str]] = {}
+    begun, ended = ([event.time_range.start for event in events if event.name == name] for name in (BEGINS, ENDS))
 
     def place(event: Any) -> tuple[str, str]:
-        """Path and part."""
+        """Path and part. Backward, nothing else is between the perceptual term's beginning and its end."""
         if event is None:
             return "", ""
         if id(event) not in known:
-            path = f"{above} > {event.name}" if (above := place(event.cpu_parent)[0]) else str(event.name)
+            above = place(event.cpu_parent)[0]
+            if not above and any(a <= event.time_range.start < b for a, b in zip(begun, ended, strict=True)):
+                above = PERCEPTUAL
+            path = f"{above} > {event.name}" if above else str(event.name)
             known[id(event)] = path, next(part for part, pattern in PARTS.items() if re.search(pattern, path))
         return known[id(event)]
 
@@ -254,6 +296,8 @@ def needs(step: Step, progress: float) -> dict[str, Need]:
     cycle = settings.cycle.on
     seen = targets * (settings.photo.views_per_target if step.backgrounds is not None else 1) + objects * cycle
     result = _networks(step, seen, objects) | {OPTIMISERS: _optimisers(step)}
+    if step.perceptual is not None:
+        result[PERCEPTUAL] = _perceptual(step.perceptual, targets, model.render_size, step.device)
     if model.decoder == "hologan":
         return result
     voxels, pixels = objects * model.volume_size**3, targets * size**2
@@ -295,6 +339,13 @@ def _networks(step: Step, seen: int, objects: int) -> dict[str, Need]:
     weights = sum(weight.numel() for weight in model.parameters())  # read twice, and their gradients written
     # Normalising reads and writes; backward it reads two and writes one.
     return {LAYERS: layers + Need(layer_values=3.0 * weights), NORMS: Need(layer_values=5.0 * normalised)}
+
+
+def _perceptual(network: PerceptualLoss, targets: int, size: int, device: torch.device) -> Need:
+    """Features of as many images as targets, and the images' gradients."""
+    images = torch.zeros(targets, 3, size, size, device=device)
+    need = network_need(network, lambda: network(images.clone().requires_grad_(), images), 0, 1.0)
+    return replace(need, layer_values=need.layer_values * 2 / 3)  # three passes for an image, one for its target
 
 
 def _optimisers(step: Step) -> Need:

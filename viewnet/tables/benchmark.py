@@ -47,10 +47,12 @@ def notes(result: Mapping[str, Any]) -> list[str]:
 def steps_notes(result: Mapping[str, Any]) -> list[str]:
     """The lines below the table of `viewnet bench --steps`."""
     settings = result["settings"]
+    perceptual = "; ".join(f"{profile}: {network}" for profile, network in settings["perceptual"].items())
     lines = [
         machine(result),
         f"medians of {settings['repeat']} windows, of steps without the profiler and with it in turn; built-in models, "
-        "volumes as full as a trained car's, no perceptual term",
+        "volumes as full as a trained car's",
+        f"perceptual term: {perceptual}",
         "parts and what is between operations (Python) add up to the profiled step; floors add up to the whole step's",
         f"floor: multiply-adds or bytes, whichever takes longer, at this machine's rates: {rates(result)}",
     ]

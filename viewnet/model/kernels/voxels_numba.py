@@ -77,6 +77,15 @@ def _copy(source, at, target, to, count):
         target[to : to + count] = source[at : at + count]
 
 
+@njit(inline="always", **FLAGS)
+def _any(numbers, at, count):
+    """Whether one of `count` numbers is not zero, as a sum: unlike a search it vectorises."""
+    total = ZERO
+    for t in range(at, at + count):
+        total += abs(numbers[t])
+    return total != ZERO  # NaN is not zero
+
+
 def _squash(blocks, offset, scale, voxels):
     """Fills `voxels` (B, P, 4) from logits `blocks` (B, z, y, x, s, s, s, 4): sigmoid times `scale` plus `offset`.
 
@@ -116,16 +125,21 @@ def _squash_backward(blocks, offset, scale, grad_voxels, grad):
         volume = grad_voxels[b].reshape(-1)
         values, change = np.empty(run, np.float32), np.empty(run, np.float32)
         for z, y in np.ndindex(blocks.shape[1], blocks.shape[2]):
+            result = grad[b, z, y].reshape(run)
+            changed = False
+            for dz, dy in np.ndindex(side, side):
+                w, v = z * side + dz + 1, y * side + dy + 1
+                changed |= _any(volume, 4 * ((w * (ny + 2) + v) * (nx + 2) + 1), 4 * nx)
+            if not changed:  # far from the object: most rows
+                for t in range(run):
+                    result[t] = 0  # of both types
+                continue
             t = 0
             for x in range(pieces):
                 for dz, dy in np.ndindex(side, side):
                     w, v = z * side + dz + 1, y * side + dy + 1
                     _copy(volume, 4 * ((w * (ny + 2) + v) * (nx + 2) + x * side + 1), change, t, count)
                     t += count
-            result = grad[b, z, y].reshape(run)
-            if not change.any():  # far from the object: most rows
-                result[:] = 0  # of both types
-                continue
             _sigmoids(blocks[b, z, y].reshape(run), values)
             for t in range(run):  # vectorised again
                 value = values[t] * scales[t] + offset[z, y, t]
