@@ -1,9 +1,8 @@
 """How alignment affects scores on photographs: which kind, fitted on how many, and whether the linear kind collapses.
 
 The paper finds the linear regression of the starred rows ahead of the rigid rotation where photographs are taken from
-few sides, and argues that its weights go to zero and leave the commonest viewpoint (section 4.3). Both are measured
-here, the accuracy that linear alignment adds and the spread of the predictions that it leaves, for ViewNet and for
-random predictions, on all photographs and on increasingly one-sided subsets of them.
+few sides, and argues that its weights go to zero and leave the commonest viewpoint (section 4.3). The accuracy that it
+adds and the spread that it leaves are measured here, on all photographs and on increasingly one-sided subsets.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -42,17 +41,13 @@ FITTED = ("constant", "constant_rotation", "view_regression")  # predictors fitt
 
 @dataclass(frozen=True)
 class Predictor:
-    """A row of Table 3 for one category.
-
-    `predict` takes the number of calibration photographs (None: all) and the seed they are sampled from. Those that are
-    `fitted` on them predict in the annotated frame and are scored unaligned, too.
-    """
+    """A row of Table 3 for one category."""
 
     label: str
     category: str
     seed: int
-    predict: Callable[[int | None, int], Predictions]
-    fitted: bool
+    predict: Callable[[int | None, int], Predictions]  # of so many calibration photographs (None: all), from a seed
+    fitted: bool  # on these: it predicts in the annotated frame and is scored unaligned, too
 
     @property
     def row(self) -> dict[str, Any]:

@@ -64,16 +64,12 @@ class Method(Protocol):
 class Submission:
     """A method, the label of its row and its alignment.
 
-    method     a Method; a mapping from category to Method; or a file (viewnet.evaluation.submitted_predictions)
-    alignment  none, procrustes, robust, linear or per_angle (viewnet.evaluation.alignment), fitted on calibration
-               images; "none" is for methods that predict in the annotated frame, as those do that are fitted in it
-
     Raises ViewnetError for a label that cannot stand in a table, a class in place of a method, and unknown alignments.
     """
 
     label: str
-    method: Method | Mapping[str, Method] | Path | str
-    alignment: str = "procrustes"
+    method: Method | Mapping[str, Method] | Path | str  # for every category, by category, or a file of predictions
+    alignment: str = "procrustes"  # a kind of viewnet.evaluation.alignment; "none" for what is fitted to annotations
 
     def __post_init__(self) -> None:
         if not isinstance(self.label, str) or not self.label.strip() or not self.label.isprintable():
@@ -128,11 +124,7 @@ class HeldOut:
 
 
 class OwnMethodExperiment(Experiment):
-    """The tables that methods are added to, with their runs.
-
-    Photographs are in `data_root`; `cad_root` has the CAD models to train on, which Table 1 is scored on, too.
-    `calibration` is of photographs only.
-    """
+    """The tables that methods are added to. CAD models to train on, and to score Table 1 on, are in `cad_root`."""
 
     @functools.cached_property
     def tables(self) -> dict[str, Experiment]:
@@ -185,8 +177,8 @@ def with_methods(table: Experiment, runs: Sequence[Run], submissions: Sequence[S
 def entries(table: Experiment, submissions: Sequence[Submission]) -> list[Entry]:
     """The entries of the methods in a table, for each of its categories.
 
-    Raises ViewnetError before any method is called: for an experiment that makes no table, and for a label that is
-    given twice or is a row already. Then for invalid predictions.
+    ViewnetError, before any method is called, for an experiment without a table and for a label that is given twice or
+    is a row already; then for invalid predictions.
     """
     layout = LAYOUTS[known(table.name, LAYOUTS, "table")].extended(table.renamed_rows.values())
     for submission in submissions:

@@ -1,8 +1,7 @@
 """Which definition of the error, and which test set, can explain the reported scores of constant predictors.
 
-A constant predicts one viewpoint for every image, so its scores depend on nothing but the viewpoints of the test set.
-Given those, a reported score is compared under each definition (viewnet.evaluation.metrics) and for each test set with
-the constants that the paper may have meant, and with bounds that hold for all constants.
+A constant's scores depend on nothing but the viewpoints of the test set. Given those, a reported score is compared,
+under each definition and for each test set, with the constants that the paper may have meant and with bounds for all.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,7 @@
 """Scores of a finished run or a saved model, on its own test views or on other data, by each alignment.
 
-A saved model (viewnet.estimator.pretrained) is laid out as the run it was saved from, in a temporary folder, so that
-both are scored by the same functions. Its own views are rendered again where they are missing.
+A saved model is laid out as the run it was saved from, in a temporary folder, so that both are scored by the same
+functions. Its own views are rendered again where they are missing.
 """
 
 import json
@@ -39,18 +39,12 @@ HEADER = ("aligned", "within 30, %", "median, degrees", "DVA, %", "flips, %", "b
 
 @dataclass(frozen=True)
 class ScoredData:
-    """What to score on, and where the model's own data is.
+    """What to score on, and where the model's own data is."""
 
-    data_root  photographs (PASCAL3D+, or images/ and viewpoints.csv) or a ShapeNetCore folder; None: own test views
-    stand_in   the stand-in for photographs instead
-    subset     of PASCAL3D+: imagenet, pascal or both
-    cad_root   the collection that the model was trained on, if it has moved
-    """
-
-    data_root: str | None = None
-    stand_in: bool = False
-    subset: str = "imagenet"
-    cad_root: str | None = None
+    data_root: str | None = None  # photographs or a ShapeNetCore folder; None: the model's own test views
+    stand_in: bool = False  # the stand-in for photographs instead
+    subset: str = "imagenet"  # of PASCAL3D+: imagenet, pascal or both
+    cad_root: str | None = None  # the collection that the model was trained on, if it has moved
 
 
 def scores(
