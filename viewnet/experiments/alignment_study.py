@@ -25,7 +25,7 @@ from viewnet.experiments.reported_constants import write_frames
 from viewnet.tables.columns import HEADLINE
 from viewnet.tables.layouts import LAYOUTS
 
-TABLE = "table3_pascal3d"
+TABLE = "table3_pascal3d"  # whose rows are studied
 KINDS = ("procrustes", "robust", "linear", "per_angle")  # rigid ones first
 METRICS = (*HEADLINE, "dva")
 COUNTS = (16, 32, 64, 128, 256, 512)  # calibration photographs, as far as there are so many; all of them as well
@@ -75,6 +75,7 @@ class Study:
         """Median over draws and seeds, with the lowest and the highest, by number of calibration photographs."""
         groups = self.scores.groupby(["category", "predictor", "alignment", "images"], sort=False)[metric]
         wide = groups.agg(lambda g: f"{g.median():.1f} [{g.min():.1f}, {g.max():.1f}]").unstack("images")
+        # Of the table, not of the alphabet.
         order = self.scores[["category", "predictor", "alignment"]].drop_duplicates()
         return wide.loc[pd.MultiIndex.from_frame(order), sorted(wide.columns)].fillna("")
 
@@ -106,7 +107,7 @@ class Study:
         # NaN where there are fewer than three subsets, or one side does not change.
         ranks = groups[["side", *EXPECTED]].corr(method="spearman", min_periods=3)
         correlations = ranks.xs("side", level=-1)[list(EXPECTED)].round(2)
-        correlations.insert(0, "parts", groups.size())
+        correlations.insert(0, "parts", groups.size())  # a correlation over three subsets says little
         return correlations
 
     def checks(self) -> dict[str, bool]:
@@ -217,7 +218,7 @@ def one_sided(predictions: Predictions, concentration: float) -> Predictions | N
         raise ViewnetError(f"concentration {concentration}: expected 0 or more")
     azimuths = predictions.ids["azimuth"].to_numpy()
     calibrating = (predictions.ids["split"] == "val").to_numpy()
-    width = 360 / metrics.AZIMUTH_BINS
+    width = 360 / metrics.AZIMUTH_BINS  # degrees
     # Of the calibration photographs alone: the choice of the subset must not depend on what is scored.
     middle = (np.bincount(metrics.azimuth_bins(azimuths[calibrating])).argmax() + 0.5) * width
     probability = np.exp(concentration * (np.cos(np.deg2rad(azimuths - middle)) - 1))
