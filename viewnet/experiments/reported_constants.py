@@ -39,17 +39,14 @@ TABLES = {"table2_ablation": ("acc30", "median"), "table3_pascal3d": ("acc30", "
 class ConstantAudit:
     """The result.
 
-    constants   a row for each reported cell (table, category), test set and definition: the reported scores, the bounds
-                that no constant passes, the closest of the constants that the paper may have meant, and a verdict
-    confidence  a row for each category and test set: the reported confidence index and that of the list
-    left_out    rows of the list that could not be used: reason -> how many
-    stand_in    whether the list was sampled, so that verdicts on PASCAL3D+ are no evidence
+    `constants` has a row for each reported cell (table, category), test set and definition: the reported scores, the
+    bounds that no constant passes, the closest of the constants that the paper may have meant, and a verdict.
     """
 
     constants: pd.DataFrame
-    confidence: pd.DataFrame
-    left_out: dict[str, int]
-    stand_in: bool = False
+    confidence: pd.DataFrame  # a row for each category and test set: the reported confidence index and the list's
+    left_out: dict[str, int]  # rows of the list that could not be used: reason -> how many
+    stand_in: bool = False  # whether the list was sampled, so that verdicts on PASCAL3D+ are no evidence
 
     @property
     def note(self) -> str:

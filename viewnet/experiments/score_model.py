@@ -147,9 +147,7 @@ def _own(run: Run, steps: Steps) -> Run:
     if run.scored and not (run.folder / "predictions.parquet").is_file():
         views = steps.views(run.config.data)
         if views.identity != run.result.get("views"):  # a model trained on some of them would be scored on these
-            raise ViewnetError(
-                f"{run.name}: the views of its configuration are not those it was trained with: name the "
-                "collection it was trained on (cad_root), or other data (data_root)"
-            )
+            remedy = "name the collection it was trained on (cad_root), or other data (data_root)"
+            raise ViewnetError(f"{run.name}: its configuration's views are not those it was trained with: {remedy}")
         steps.predict(run.folder, views, splits=("val", "test")).to_parquet(run.folder / "predictions.parquet")
     return run
