@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
@@ -16,8 +17,8 @@ from PIL import Image
 from viewnet import cli
 from viewnet.errors import ViewnetError
 from viewnet.experiments.page import page
-from viewnet.experiments.page.blocks import Cell
 from viewnet.runtime.files import write_json
+from viewnet.tables.columns import METRICS
 
 COMMITTED = Path(__file__).resolve().parents[2] / "paper_tables"
 VOID = {"meta", "img", "source", "br", "hr"}
@@ -103,6 +104,12 @@ def test_printed_and_measured_numbers_stand_with_intervals_and_runs(folder):
     assert '<span class="best">89.7</span>' in text and '<span class="best">50.0</span>' not in text
     assert "1 run · profile tiny" in page.text
     assert "trained 2026-01-02" in page.text and "commit ccccccc" in page.text and "made-up models" in page.text
+
+
+def test_a_degenerate_number_stands_in_brackets_and_is_no_best(folder):
+    table(folder, cells=[cell("ViewNet", "car", 50.0, degenerate=1), cell("Single-head", "car", 40.0)])
+    text = (page.write(folder)).read_text(encoding="utf-8")
+    assert "<span>(50.0)</span>" in text and 'class="best"' not in text.split("</style>")[1].split("<table")[1]
 
 
 def test_what_files_say_is_text_and_never_markup(folder):
@@ -226,16 +233,23 @@ def test_every_number_of_a_committed_table_is_on_the_page(committed):
         place, blocks = f"your_method/{setting.name}", setting.content.blocks
         names = sorted(path.stem for path in (COMMITTED / place).glob("*.json"))
         tables |= {(name, place): block for name, block in zip(names, blocks, strict=True)}
+    needed: Counter[str] = Counter()
     for path in COMMITTED.rglob("table*.json"):
         setting = path.parent.relative_to(COMMITTED).as_posix()
         block = tables[path.stem, "" if setting == "." else setting]
-        shown = [cell for _, rows in block.parts for _, cells in rows for cell in cells if cell != Cell()]
+        shown = [cell for _, rows in block.parts for cells in rows.values() for cell in cells if cell]
+        shown = [cell for cell in shown if cell["printed"] or not np.isnan(cell["measured"])]
         listed = [c for c in json.loads(path.read_text())["cells"] if c["printed"] or c["measured"] is not None]
         order = list(dict.fromkeys(c["metric"] for c in listed))
         listed.sort(key=lambda c: order.index(c["metric"]))
-        assert [cell.reported for cell in shown if cell.reported] == [c["printed"] for c in listed if c["printed"]]
-        measured = [c["measured"] for c in listed if c["measured"] is not None]
-        assert np.allclose([float(cell.measured.strip("()")) for cell in shown if cell.measured], measured, atol=0.051)
+        assert [cell["printed"] for cell in shown] == [c["printed"] for c in listed]
+        assert [cell["measured"] for cell in shown if not np.isnan(cell["measured"])] == [
+            c["measured"] for c in listed if c["measured"] is not None
+        ]
+        measured = [c for c in listed if c["measured"] is not None]
+        needed.update(f"{c['measured']:.{METRICS[c['metric']].page_digits}f}" for c in measured)
+    numbers = re.findall(r'<span(?: class="best")?>\(?(-?[\d.]+)\)?</span><small>', page.render(committed))
+    assert not needed - Counter(numbers)
 
 
 def test_the_committed_page_is_of_the_committed_files(committed):

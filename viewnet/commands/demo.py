@@ -59,10 +59,8 @@ def start(options: Options) -> Any:
         page.launch(**address, inbrowser=options.open, theme=app.theme(), css_paths=app.STYLE, **LAUNCH)
     except ValueError:  # gradio could not reach its own page
         page.close()
-        raise ViewnetError(
-            f"{options.host}:{options.port}: the page does not answer: start it again, and if a proxy is set "
-            "(http_proxy), except this address from it (no_proxy)"
-        ) from None
+        remedy = "start it again, and if a proxy is set (http_proxy), except this address from it (no_proxy)"
+        raise ViewnetError(f"{options.host}:{options.port}: the page does not answer: {remedy}") from None
     return page
 
 
@@ -72,6 +70,5 @@ def _check_free(host: str, port: int) -> None:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         socket.create_server(address[:2], family=family).close()
     except OSError as error:
-        raise ViewnetError(
-            f"{host}:{port}: cannot listen there ({error.strerror}): choose another --port or --host"
-        ) from None
+        reason = f"cannot listen there ({error.strerror}): choose another --port or --host"
+        raise ViewnetError(f"{host}:{port}: {reason}") from None

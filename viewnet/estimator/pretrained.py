@@ -4,8 +4,7 @@
     config.json          format, version of the package, RunConfig, alignment, and where the weights come from
     README.md            a model card (viewnet.estimator.model_card)
 
-Files and methods are named as in huggingface_hub's ModelHubMixin, but folders need nothing of that library, and no
-pickled file is ever read. Three such folders come with the package (`SHIPPED`), named by their category.
+Files and methods are named as in huggingface_hub's ModelHubMixin, which folders do not need. No pickled file is read.
 """
 
 import contextlib
@@ -142,8 +141,8 @@ def _rotation(alignment: dict[str, Any] | None, path: Path) -> np.ndarray | None
 def save(model: Pretrained, folder: Path, license: str | None, half: bool, scores: Sequence[dict[str, Any]]) -> None:
     """Write the three files of a model, see ViewpointEstimator.save_pretrained.
 
-    Of the folders of this machine that the configuration names only the last part is written. ViewnetError where the
-    folder cannot be written, for scores of another run, and for weights that half precision cannot hold.
+    ViewnetError where the folder cannot be written, for scores of another run, and for weights that half precision
+    cannot hold.
     """
     if folder.is_file():
         raise ViewnetError(f"{folder}: is a file: name a folder")
@@ -170,7 +169,7 @@ def save(model: Pretrained, folder: Path, license: str | None, half: bool, score
 
 
 def _without_places(config: RunConfig) -> RunConfig:
-    """A configuration that keeps only the last part of each path."""
+    """A configuration that keeps only the last part of each path: folders of this machine are nobody else's."""
 
     def last(place: str | None) -> str | None:
         return None if place is None else Path(place).name or place

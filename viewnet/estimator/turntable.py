@@ -33,10 +33,9 @@ def animate(
 ) -> list[np.ndarray]:
     """Frames (H, W, 3) uint8: an `image` (S, S, 3) uint8 on the left, its reconstructed object turning on the right.
 
-    The first `hold` frames stay at the predicted viewpoint, framed and labelled; `steps` frames then go once round at
-    its elevation. `pose` (3, 3) is the predicted camera frame in the network's own frame; labels and dial are in that
-    of the predictions. The dial is seen from above, the object's front pointing down. `size` is the side of an image in
-    pixels. ViewnetError unless it is even and 64 or more, and for no steps.
+    The first `hold` frames stay at the predicted viewpoint; `steps` frames then go once round at its elevation. `pose`
+    (3, 3) is the predicted camera frame in the network's own frame; labels and dial are in that of the predictions.
+    `size` is the side of an image in pixels. ViewnetError unless it is even and 64 or more, and for no steps.
     """
     if size < 64 or size % 2:
         raise ViewnetError(f"turntable: size {size}: expected an even number of 64 or more pixels")

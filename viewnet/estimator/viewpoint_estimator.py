@@ -86,10 +86,9 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         """Load a model.
 
         `where` is a category whose model comes with the package ("car", see viewnet.estimator.pretrained.shipped), a
-        folder of `save_pretrained`, a finished run's folder or key (its folder's name, which `viewnet train` prints),
-        or a model on the Hugging Face hub ("name/model"). The default device is a GPU if there is one. The other
-        options are for the hub, which needs `pip install "viewnet[hub]"`. Nothing is unpickled. ViewnetError for a
-        model that is missing, of another version or damaged, and for a hub that cannot be reached.
+        folder of `save_pretrained`, a finished run's folder or key, or a model on the Hugging Face hub ("name/model").
+        The default device is a GPU if there is one. The other options are for the hub. ViewnetError for a model that is
+        missing, of another version or damaged, and for a hub that cannot be reached.
         """
         options = {"revision": revision, "cache_dir": cache_dir, "token": token, "force_download": force_download}
         model = pretrained.load(where, **options, local_files_only=local_files_only)
@@ -111,8 +110,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
     def predict(self, images: Images, masks: Any = None, boxes: Any = None, batch_size: int = BATCH) -> Viewpoints:
         """The viewpoints of one or several images, in their order.
 
-        `masks` and `boxes` are one, or one for each image, None for images without. ViewnetError names the image that
-        cannot be read, or whose mask or box does not fit.
+        `masks` and `boxes`: one for each image, or None. ViewnetError names an image that cannot be read or used.
         """
 
         def found(prepared: Prepared) -> Hypotheses:
@@ -146,9 +144,9 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         return self.encode(self._one(image, mask, box)).volume[0].cpu()
 
     def mesh(self, image: OneImage, mask: Any = None, box: Any = None, level: float = 0.5) -> "trimesh.Trimesh":
-        """The surface of `volume` where occupancy passes `level`, in the frame of the predictions.
+        """The surface of `volume` where occupancy passes `level`, in the frame of the predictions; see volume_mesh.
 
-        viewnet.estimator.volume_mesh.write saves it. ViewnetError as `volume` does, and for an empty volume.
+        ViewnetError as `volume` does, and for an empty volume.
         """
         from viewnet.estimator import volume_mesh  # loads heavy libraries
 
@@ -157,7 +155,7 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
     def reconstruct(self, images: Images, masks: Any = None, boxes: Any = None, size: int | None = None) -> np.ndarray:
         """Images (N, S, S, 3) uint8 of the objects on white, rendered from their predicted viewpoints.
 
-        Images that were cut to their object are rendered cut as well. `size` is S in pixels (default: as trained).
+        Images that were cut to their object are rendered cut as well. `size` is S (default: as trained).
         """
         rendered = []
         for prepared in self._prepared(images, masks, boxes):

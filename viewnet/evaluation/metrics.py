@@ -168,7 +168,7 @@ def mean_interval(
     if minus:
         others = np.stack([share for _, share in _resamples(1, len(minus), rng, draws)])  # (draws, R')
         means -= _means(minus, owners[len(values) :], times, others)
-    low, high = np.percentile(means, [2.5, 97.5])
+    low, high = np.percentile(means, [2.5, 97.5])  # of 95 %
     return float(low), float(high)
 
 

@@ -13,7 +13,7 @@ from viewnet.evaluation.predictions import ID_COLUMNS, Predictions
 from viewnet.model.checkpoint import load_model
 from viewnet.model.viewnet import ViewNet
 
-BATCH = 256
+BATCH = 256  # images at once
 
 
 @torch.no_grad()
@@ -31,7 +31,7 @@ def predict(model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = (
     for split in splits:
         views = model_views(store, split, size, network.config)
         rows.append(store.index[store.index["split"] == split])
-        generator = torch.Generator().manual_seed(0)
+        generator = torch.Generator().manual_seed(0)  # the same backgrounds each time
         for part in torch.arange(len(views.objects)).split(BATCH):
             images = views.viewpoint_input(part, size, device)  # (n, 4, S, S)
             if config and backgrounds is not None and not views.opaque:

@@ -53,7 +53,7 @@ class Predictions:
             if abs(lengths[worst] - 1) > UNIT_TOLERANCE:
                 raise ViewnetError(f"predictions: {name} of row {worst[0]} have length {lengths[worst]:g}, expected 1")
         for name, value in {"ids": ids, **arrays}.items():
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, value)  # the only way into a frozen dataclass
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -87,7 +87,7 @@ class Predictions:
         """The rows of one split. ViewnetError, naming the splits there are, where it has none."""
         rows = (self.ids["split"] == split).to_numpy()
         if not rows.any():
-            splits = ", ".join(sorted(self.ids["split"].unique()))
+            splits = ", ".join(sorted(self.ids["split"].unique()))  # so that a mistaken name is seen
             raise ViewnetError(f"predictions: no rows of split {split!r}, only of {splits}: predict that split too")
         return self.take(rows)
 
@@ -109,6 +109,7 @@ class Predictions:
     @classmethod
     def from_frame(cls, frame: pd.DataFrame) -> "Predictions":
         """The inverse of `to_frame`. ViewnetError where a column is missing, or values are no predictions."""
+        # Of none, the missing column is named below.
         heads = max(1, sum(name.startswith("logit_") for name in frame.columns))
         vectors, ups = ([f"{part}{m}_{axis}" for m in range(heads) for axis in "xyz"] for part in ("h", "up"))
         logits = [f"logit_{m}" for m in range(heads)]
@@ -207,5 +208,5 @@ def _floats(values: ArrayLike, name: str) -> Floats:
     if not np.isfinite(array).all():
         rows = np.nonzero(~np.isfinite(array))[0]
         raise ViewnetError(f"predictions: {name} of row {rows[0]} are not finite ({len(set(rows.tolist()))} such rows)")
-    array.flags.writeable = False
+    array.flags.writeable = False  # frozen as well
     return array

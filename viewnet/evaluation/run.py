@@ -38,7 +38,7 @@ class Run:
     @property
     def trained(self) -> bool:
         """Whether there is a checkpoint."""
-        return self.config.variant not in UNTRAINED
+        return self.config.variant not in UNTRAINED  # constants and random predictions are runs as well
 
     @property
     def alignments(self) -> tuple[str, ...]:
@@ -48,7 +48,7 @@ class Run:
     @property
     def alignment(self) -> str:
         """The alignment of its row in the tables."""
-        return self.alignments[0]
+        return self.alignments[0]  # the paper reports the rotation, and the affine map beside it
 
     @property
     def result(self) -> dict[str, Any]:

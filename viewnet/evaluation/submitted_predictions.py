@@ -46,7 +46,7 @@ def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
         if (row := _first(frame, ~is_text(frame[name]))) is not None:
             raise ViewnetError(f"{path}: row {row}: {name} {frame.at[row, name]} is no text: write ids as text")
     category = ids["category"].iloc[0]
-    frame = frame[frame["category"] == category]
+    frame = frame[frame["category"] == category]  # one file may be for several tables
     if frame.empty:
         raise ViewnetError(f"{path}: no row of category {category}")
     rows = _matched(path, frame, ids)  # (N,)
@@ -74,7 +74,7 @@ def _frame(path: Path) -> pd.DataFrame:
         raise ViewnetError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:  # the readers' own errors are ValueErrors
         raise ViewnetError(f"{path}: not a readable {path.suffix[1:]} file ({type(error).__name__})") from error
-    return frame.set_axis(pd.RangeIndex(1, len(frame) + 1))
+    return frame.set_axis(pd.RangeIndex(1, len(frame) + 1))  # as a reader of the file counts them
 
 
 def _first(frame: pd.DataFrame, mask: NDArray[np.bool_]) -> int | None:
@@ -86,7 +86,7 @@ def _numbers(path: Path, frame: pd.DataFrame, name: str) -> Floats:
     """A column (N,) of finite numbers."""
     if name not in frame.columns:
         raise ViewnetError(f"{path}: column {name!r} is missing")
-    values = np.array(pd.to_numeric(frame[name], errors="coerce"), dtype=np.float64)
+    values = np.array(pd.to_numeric(frame[name], errors="coerce"), dtype=np.float64)  # what is no number becomes NaN
     if (row := _first(frame, ~np.isfinite(values))) is not None:
         raise ViewnetError(f"{path}: row {row}: {name} is {str(frame.at[row, name])!r}: expected a finite number")
     return values

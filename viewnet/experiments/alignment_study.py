@@ -1,9 +1,8 @@
 """How alignment affects scores on photographs: which kind, fitted on how many, and whether the linear kind collapses.
 
 The paper finds the linear regression of the starred rows ahead of the rigid rotation where photographs are taken from
-few sides, and argues that its weights go to zero and leave the commonest viewpoint (section 4.3). Both are measured
-here, the accuracy that linear alignment adds and the spread of the predictions that it leaves, for ViewNet and for
-random predictions, on all photographs and on increasingly one-sided subsets of them.
+few sides, and argues that its weights go to zero and leave the commonest viewpoint (section 4.3). The accuracy that it
+adds and the spread that it leaves are measured here, on all photographs and on increasingly one-sided subsets.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +25,7 @@ from viewnet.experiments.reported_constants import write_frames
 from viewnet.tables.columns import HEADLINE
 from viewnet.tables.layouts import LAYOUTS
 
-TABLE = "table3_pascal3d"
+TABLE = "table3_pascal3d"  # whose rows are studied
 KINDS = ("procrustes", "robust", "linear", "per_angle")  # rigid ones first
 METRICS = (*HEADLINE, "dva")
 COUNTS = (16, 32, 64, 128, 256, 512)  # calibration photographs, as far as there are so many; all of them as well
@@ -42,17 +41,13 @@ FITTED = ("constant", "constant_rotation", "view_regression")  # predictors fitt
 
 @dataclass(frozen=True)
 class Predictor:
-    """A row of Table 3 for one category.
-
-    `predict` takes the number of calibration photographs (None: all) and the seed they are sampled from. Those that are
-    `fitted` on them predict in the annotated frame and are scored unaligned, too.
-    """
+    """A row of Table 3 for one category."""
 
     label: str
     category: str
     seed: int
-    predict: Callable[[int | None, int], Predictions]
-    fitted: bool
+    predict: Callable[[int | None, int], Predictions]  # of so many calibration photographs (None: all), from a seed
+    fitted: bool  # on these: it predicts in the annotated frame and is scored unaligned, too
 
     @property
     def row(self) -> dict[str, Any]:
@@ -80,6 +75,7 @@ class Study:
         """Median over draws and seeds, with the lowest and the highest, by number of calibration photographs."""
         groups = self.scores.groupby(["category", "predictor", "alignment", "images"], sort=False)[metric]
         wide = groups.agg(lambda g: f"{g.median():.1f} [{g.min():.1f}, {g.max():.1f}]").unstack("images")
+        # Of the table, not of the alphabet.
         order = self.scores[["category", "predictor", "alignment"]].drop_duplicates()
         return wide.loc[pd.MultiIndex.from_frame(order), sorted(wide.columns)].fillna("")
 
@@ -111,7 +107,7 @@ class Study:
         # NaN where there are fewer than three subsets, or one side does not change.
         ranks = groups[["side", *EXPECTED]].corr(method="spearman", min_periods=3)
         correlations = ranks.xs("side", level=-1)[list(EXPECTED)].round(2)
-        correlations.insert(0, "parts", groups.size())
+        correlations.insert(0, "parts", groups.size())  # a correlation over three subsets says little
         return correlations
 
     def checks(self) -> dict[str, bool]:
@@ -222,7 +218,7 @@ def one_sided(predictions: Predictions, concentration: float) -> Predictions | N
         raise ViewnetError(f"concentration {concentration}: expected 0 or more")
     azimuths = predictions.ids["azimuth"].to_numpy()
     calibrating = (predictions.ids["split"] == "val").to_numpy()
-    width = 360 / metrics.AZIMUTH_BINS
+    width = 360 / metrics.AZIMUTH_BINS  # degrees
     # Of the calibration photographs alone: the choice of the subset must not depend on what is scored.
     middle = (np.bincount(metrics.azimuth_bins(azimuths[calibrating])).argmax() + 0.5) * width
     probability = np.exp(concentration * (np.cos(np.deg2rad(azimuths - middle)) - 1))

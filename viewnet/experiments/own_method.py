@@ -39,7 +39,7 @@ from viewnet.tables.table import Entry, Table
 
 BATCH = 256  # images in one call of `predict`, at most
 
-Images = NDArray[np.uint8]
+Images = NDArray[np.uint8]  # (N, S, S, 3)
 
 
 class Method(Protocol):
@@ -64,23 +64,20 @@ class Method(Protocol):
 class Submission:
     """A method, the label of its row and its alignment.
 
-    method     a Method; a mapping from category to Method; or a file (viewnet.evaluation.submitted_predictions)
-    alignment  none, procrustes, robust, linear or per_angle (viewnet.evaluation.alignment), fitted on calibration
-               images; "none" is for methods that predict in the annotated frame, as those do that are fitted in it
-
     Raises ViewnetError for a label that cannot stand in a table, a class in place of a method, and unknown alignments.
     """
 
     label: str
-    method: Method | Mapping[str, Method] | Path | str
-    alignment: str = "procrustes"
+    method: Method | Mapping[str, Method] | Path | str  # for every category, by category, or a file of predictions
+    alignment: str = "procrustes"  # a kind of viewnet.evaluation.alignment; "none" for what is fitted to annotations
 
     def __post_init__(self) -> None:
+        # LaTeX ends a row at a new line.
         if not isinstance(self.label, str) or not self.label.strip() or not self.label.isprintable():
             raise ViewnetError(f"method {self.label!r}: expected a label in a line of text")
         known(self.alignment, ALIGNMENTS, f"alignment of {self.label}")
         for method in self._methods:
-            if isinstance(method, type):
+            if isinstance(method, type):  # a mistake that would show itself late, after the training
                 raise ViewnetError(f"method {self.label!r}: {method.__name__} is a class: give {method.__name__}()")
             if not isinstance(method, (str, Path)) and not callable(getattr(method, "predict", None)):
                 raise ViewnetError(f"method {self.label!r}: has no predict(images): see {__name__}.Method")
@@ -118,7 +115,7 @@ class HeldOut:
     @property
     def identity(self) -> str:
         """Identifies the content of both view stores."""
-        return "-".join(dict.fromkeys(store.identity for store, _ in self.stores.values()))
+        return "-".join(dict.fromkeys(store.identity for store, _ in self.stores.values()))  # both are often the same
 
     def images(self, split: str, rows: NDArray[np.intp]) -> Images:
         """Some images (n, S, S, 3) of a split, over black: new arrays without a reference to their store."""
@@ -128,11 +125,7 @@ class HeldOut:
 
 
 class OwnMethodExperiment(Experiment):
-    """The tables that methods are added to, with their runs.
-
-    Photographs are in `data_root`; `cad_root` has the CAD models to train on, which Table 1 is scored on, too.
-    `calibration` is of photographs only.
-    """
+    """The tables that methods are added to. CAD models to train on, and to score Table 1 on, are in `cad_root`."""
 
     @functools.cached_property
     def tables(self) -> dict[str, Experiment]:
@@ -158,7 +151,7 @@ class OwnMethodExperiment(Experiment):
     @property
     def folder(self) -> Path:
         """Where the tables go: apart from the paper's."""
-        return self.output / self.name / self.label
+        return self.output / self.name / self.label  # the tables of the paper have no such rows
 
     def score(self, runs: Sequence[Run], submissions: Sequence[Submission]) -> dict[str, Table]:
         """Every table with a row for each method. Raises ViewnetError as `entries` does."""
@@ -176,6 +169,7 @@ def held_out(table: Experiment, category: str) -> HeldOut:
     stores = table.scored_views(category)
     for store, rows in stores.values():
         store.require_viewpoints(store.index["split"].iloc[rows].unique(), "nothing can be scored on it")
+    # A store may have other splits.
     ids = [store.index.iloc[rows].assign(split=split) for split, (store, rows) in stores.items()]
     return HeldOut(pd.concat(ids, ignore_index=True)[list(ID_COLUMNS)], stores)
 
@@ -188,12 +182,12 @@ def with_methods(table: Experiment, runs: Sequence[Run], submissions: Sequence[S
 def entries(table: Experiment, submissions: Sequence[Submission]) -> list[Entry]:
     """The entries of the methods in a table, for each of its categories.
 
-    Raises ViewnetError before any method is called: for an experiment that makes no table, and for a label that is
-    given twice or is a row already. Then for invalid predictions.
+    ViewnetError, before any method is called, for an experiment without a table and for a label that is given twice or
+    is a row already; then for invalid predictions.
     """
     layout = LAYOUTS[known(table.name, LAYOUTS, "table")].extended(table.renamed_rows.values())
     for submission in submissions:
-        layout = layout.extended([submission.label])
+        layout = layout.extended([submission.label])  # one by one: two of them may be alike
     found = []
     for category in table.categories:
         images = held_out(table, category)  # once for all methods
@@ -228,7 +222,7 @@ def _predict(submission: Submission, images: HeldOut, category: str, calibration
         rows = np.flatnonzero(baselines.calibrating(images.ids, calibration)[: len(images.stores["val"][1])])
         method.fit(images.images("val", rows), true_vectors(images.ids.iloc[rows]))
     # Neighbours in a store show the same object: its order may tell more than an image does.
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(0)  # so that a method sees the same order each time
     parts = []
     for split, (_, mine) in images.stores.items():
         vectors = np.empty((len(mine), 3))
@@ -269,5 +263,5 @@ def _entry(submission: Submission, images: HeldOut, category: str, calibration: 
 
 def digest(predictions: Predictions) -> str:
     """16 hex digits that identify predictions: which images, and every number."""
-    rows = pd.util.hash_pandas_object(predictions.to_frame(), index=False).to_numpy()
+    rows = pd.util.hash_pandas_object(predictions.to_frame(), index=False).to_numpy()  # in their order
     return hashlib.sha256(rows.tobytes()).hexdigest()[:16]

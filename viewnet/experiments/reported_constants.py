@@ -1,8 +1,7 @@
 """Which definition of the error, and which test set, can explain the reported scores of constant predictors.
 
-A constant predicts one viewpoint for every image, so its scores depend on nothing but the viewpoints of the test set.
-Given those, a reported score is compared under each definition (viewnet.evaluation.metrics) and for each test set with
-the constants that the paper may have meant, and with bounds that hold for all constants.
+A constant's scores depend on nothing but the viewpoints of the test set. Given those, a reported score is compared,
+under each definition and for each test set, with the constants that the paper may have meant and with bounds for all.
 """
 
 from collections.abc import Iterator, Sequence
@@ -40,22 +39,19 @@ TABLES = {"table2_ablation": ("acc30", "median"), "table3_pascal3d": ("acc30", "
 class ConstantAudit:
     """The result.
 
-    constants   a row for each reported cell (table, category), test set and definition: the reported scores, the bounds
-                that no constant passes, the closest of the constants that the paper may have meant, and a verdict
-    confidence  a row for each category and test set: the reported confidence index and that of the list
-    left_out    rows of the list that could not be used: reason -> how many
-    stand_in    whether the list was sampled, so that verdicts on PASCAL3D+ are no evidence
+    `constants` has a row for each reported cell (table, category), test set and definition: the reported scores, the
+    bounds that no constant passes, the closest of the constants that the paper may have meant, and a verdict.
     """
 
     constants: pd.DataFrame
-    confidence: pd.DataFrame
-    left_out: dict[str, int]
-    stand_in: bool = False
+    confidence: pd.DataFrame  # a row for each category and test set: the reported confidence index and the list's
+    left_out: dict[str, int]  # rows of the list that could not be used: reason -> how many
+    stand_in: bool = False  # whether the list was sampled, so that verdicts on PASCAL3D+ are no evidence
 
     @property
     def note(self) -> str:
         """How many viewpoints were used, and how many left out and why, in one line."""
-        images = self.confidence.groupby("category")["images"].max()
+        images = self.confidence.groupby("category")["images"].max()  # test sets of a category overlap
         left = "".join(f"; {count} left out: {reason}" for reason, count in self.left_out.items())
         source = ", drawn as a stand-in" if self.stand_in else ""
         return f"{images.sum()} test viewpoints of {len(images)} categories{source}{left}"
@@ -120,7 +116,7 @@ def audit_viewpoints(viewpoints: pd.DataFrame, left_out: dict[str, int] | None =
         mine = viewpoints[viewpoints["category"] == category]
         for test_set, rows in test_sets(mine):
             cells += examine(test_set, category, rows, _sources(mine), ("table3_pascal3d", "table5_dva"))
-    cells.sort(key=lambda cell: list(TABLES).index(cell["table"]))
+    cells.sort(key=lambda cell: list(TABLES).index(cell["table"]))  # stable: within a table by category and test set
     return ConstantAudit(pd.DataFrame(cells), confidence_indices(viewpoints), left_out or {})
 
 
@@ -184,7 +180,7 @@ def examine(
         f"{mean} of {source}": angles(frame(true_vectors(viewpoints))[None], truth)[0]
         for (source, viewpoints), (mean, frame) in product(sources.items(), MEANS.items())
     }
-    grid = angles(grid_frames(around=bool(category)), truth)
+    grid = angles(grid_frames(around=bool(category)), truth)  # (K, N), the same for every definition
     reports = [(table, *report) for table in tables for report in reported_scores(table).items()]
     cells = []
     for definition, defined in metrics.DEFINITIONS.items():
@@ -240,6 +236,7 @@ def _some_constant(errors: Floats, report: dict[str, float]) -> bool:
 def _sources(viewpoints: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """What a constant may be the mean of: main text and supplement differ (validation or training data)."""
     sources = {f"{subset} {split}": rows for (subset, split), rows in viewpoints.groupby(["subset", "split"])}
+    # Of one subset it would be the same again.
     both = viewpoints.groupby("split") if viewpoints["subset"].nunique() > 1 else ()
     return sources | {f"both {split}": rows for split, rows in both}
 
@@ -261,7 +258,7 @@ def confidence_indices(viewpoints: pd.DataFrame) -> pd.DataFrame:
 
 def reported_scores(table: str, row: str = "Constant", names: Sequence[str] = ()) -> dict[str, dict[str, float]]:
     """Category -> metric -> the score reported in `row`."""
-    frame = reported.load(table)
+    frame = reported.load(table)  # as text, "" where there is a dash
     frame = frame[(frame["row"] == row) & (frame["value"] != "") & frame["metric"].isin(names or TABLES[table])]
     return {
         category: dict(zip(cells["metric"], cells["value"].astype(float), strict=True))
@@ -272,7 +269,7 @@ def reported_scores(table: str, row: str = "Constant", names: Sequence[str] = ()
 def grid_frames(around: bool) -> Floats:
     """Camera frames (K, 3, 3) of all constants; without `around` at one azimuth, enough for evenly spread ones."""
     azimuth = np.arange(0, 360 if around else STEP, STEP)  # evenly spread viewpoints are alike from every azimuth
-    elevation = np.arange(-90 + STEP / 2, 90, STEP)
+    elevation = np.arange(-90 + STEP / 2, 90, STEP)  # no poles, where azimuths do not matter
     a, e = (torch.from_numpy(part.ravel()) for part in np.meshgrid(azimuth, elevation, indexing="ij"))
     return geometry.look_at(geometry.view_vector(a, e)).numpy()
 

@@ -1,7 +1,7 @@
 """Scores of a finished run or a saved model, on its own test views or on other data, by each alignment.
 
-A saved model (viewnet.estimator.pretrained) is laid out as the run it was saved from, in a temporary folder, so that
-both are scored by the same functions. Its own views are rendered again where they are missing.
+A saved model is laid out as the run it was saved from, in a temporary folder, so that both are scored by the same
+functions. Its own views are rendered again where they are missing.
 """
 
 import json
@@ -39,18 +39,12 @@ HEADER = ("aligned", "within 30, %", "median, degrees", "DVA, %", "flips, %", "b
 
 @dataclass(frozen=True)
 class ScoredData:
-    """What to score on, and where the model's own data is.
+    """What to score on, and where the model's own data is."""
 
-    data_root  photographs (PASCAL3D+, or images/ and viewpoints.csv) or a ShapeNetCore folder; None: own test views
-    stand_in   the stand-in for photographs instead
-    subset     of PASCAL3D+: imagenet, pascal or both
-    cad_root   the collection that the model was trained on, if it has moved
-    """
-
-    data_root: str | None = None
-    stand_in: bool = False
-    subset: str = "imagenet"
-    cad_root: str | None = None
+    data_root: str | None = None  # photographs or a ShapeNetCore folder; None: the model's own test views
+    stand_in: bool = False  # the stand-in for photographs instead
+    subset: str = "imagenet"  # of PASCAL3D+: imagenet, pascal or both
+    cad_root: str | None = None  # the collection that the model was trained on, if it has moved
 
 
 def scores(
@@ -67,11 +61,11 @@ def scores(
     not those that the model was trained with, and as `evaluate` does.
     """
     data, steps = data or ScoredData(), steps or make_run.default_steps()
-    known(data.subset, SUBSETS, "subset")
+    known(data.subset, SUBSETS, "subset")  # before anything is rendered
     with tempfile.TemporaryDirectory(prefix="viewnet-") as folder:
         run = _run(where, data.cad_root, Path(folder))
         description, predictions, is_photographs = _predictions(run, data, steps)
-        result = run.result
+        result = run.result  # the folder is gone after the block
     kinds = LEARNED if run.trained else run.alignments  # an untrained predictor is in the annotated frame already
     alignments = {kind: evaluate(predictions, kind, calibration) for kind in kinds}
     if is_photographs and result["metrics"] is not None:
@@ -86,7 +80,7 @@ def scores(
 
 def as_text(scores: dict[str, Any]) -> str:
     """The result of `scores` as a table, one line an alignment."""
-    first = next(iter(scores["alignments"].values()))
+    first = next(iter(scores["alignments"].values()))  # all are of the same images
     fitted = first["alignment"]
     rows = [
         (kind, *(with_interval(s, name) for name in METRICS), f"{s['flips']:.1f}", f"{s['oracle']['acc30']:.1f}")
@@ -108,8 +102,9 @@ def _run(where: str, cad_root: str | None, folder: Path) -> Run:
     for place in (Path(where).expanduser(), *keyed):
         if (place / "result.json").is_file():
             return Run(_moved(RunConfig.from_dict(read_json(place / "config.json")), cad_root), place)
-    model = pretrained.load(where)
+    model = pretrained.load(where)  # no finished run, so a saved model
     config = _moved(model.config, cad_root)
+    # As safetensors wants them.
     weights = {name: value.contiguous() for name, value in model.network.state_dict().items()}
     save_file(weights, folder / checkpoint.CHECKPOINT, metadata={"config": json.dumps(config.to_dict())})
     write_json(folder / "config.json", config.to_dict())
@@ -131,7 +126,7 @@ def _predictions(run: Run, data: ScoredData, steps: Steps) -> tuple[str, Predict
     if data.data_root is not None:
         root, name = folder_named(data.data_root, "data_root"), Path(data.data_root).name
         description = f"photographs of {name}"
-        kind = catalogue.recognise(Path(data.data_root))
+        kind = catalogue.recognise(Path(data.data_root))  # by what is in it, whatever its name
         if kind == "shapenet":
             other = make_config("viewnet", config.category, config.profile, config.recipe, data_root=root).data
             views = steps.views(other)  # rendered as the model's own, so that only the objects differ
@@ -152,9 +147,7 @@ def _own(run: Run, steps: Steps) -> Run:
     if run.scored and not (run.folder / "predictions.parquet").is_file():
         views = steps.views(run.config.data)
         if views.identity != run.result.get("views"):  # a model trained on some of them would be scored on these
-            raise ViewnetError(
-                f"{run.name}: the views of its configuration are not those it was trained with: name the "
-                "collection it was trained on (cad_root), or other data (data_root)"
-            )
+            remedy = "name the collection it was trained on (cad_root), or other data (data_root)"
+            raise ViewnetError(f"{run.name}: its configuration's views are not those it was trained with: {remedy}")
         steps.predict(run.folder, views, splits=("val", "test")).to_parquet(run.folder / "predictions.parquet")
     return run

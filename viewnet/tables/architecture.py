@@ -20,7 +20,7 @@ NAMES = {
     nn.Conv2d: "Conv2D",
     nn.ConvTranspose2d: "ConvTranspose2D",
     nn.ConvTranspose3d: "ConvTranspose3D",
-    FixedCodeDeconv: "ConvTranspose3D",  # the first one, of a single voxel, computed as a product
+    FixedCodeDeconv: "ConvTranspose3D",  # the same for a single code
     nn.BatchNorm2d: "BatchNorm",
     nn.BatchNorm3d: "BatchNorm",
     nn.ReLU: "ReLU",

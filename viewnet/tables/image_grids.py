@@ -1,8 +1,7 @@
 """Image grids of finished runs: figure 3 (d); the supplement's reconstructions, views around an object and volumes.
 
-Every function takes runs and `stores`, which gives the views of a run (by default its own). Photographs will do for all
-but novel views of their objects, whose true appearance is unknown. Rendered images are on white, but those of the
-HoloGAN decoder on its own black.
+Every function takes runs and `stores`, which gives the views of a run (by default its own), or photographs. Rendered
+images are on white, but those of the HoloGAN decoder on its own black.
 """
 
 import itertools
@@ -33,8 +32,8 @@ ACROSS = 7  # volumes in a line
 def reconstructions(runs: Sequence[Run], stores: Stores = own_views, count: int = 3) -> Figure:
     """`count` test images of each category, and their reconstruction by each run at the viewpoint that it selects.
 
-    Objects are evenly spaced over the test split. Runs of one category stand side by side (ViewNet and ViewNet + cycle
-    in the paper) and must have the same views, or ViewnetError is raised.
+    Objects are evenly spaced over the test split. Runs of one category stand side by side; ViewnetError unless they
+    have the same views.
     """
     all_renderers = renderers(runs, stores)
     columns: list[tuple[str, np.ndarray]] = []  # title and images

@@ -17,10 +17,7 @@ WIDE = 4  # with more categories than this, a measured number stands below the r
 
 
 def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> str:
-    """Metrics side by side, each with two columns for a category, reported and measured; `lines` of text at the end.
-
-    `cells` are those of viewnet.tables.table.Table.
-    """
+    """Metrics side by side, each with two columns for a category, reported and measured; `lines` of text at the end."""
     categories, pairs = list(dict.fromkeys(cells["category"])), _pairs(cells)
     headings = [METRICS[metric].latex for metric in layout.metrics]
     count = len(headings) * len(categories)  # each of two columns
@@ -38,8 +35,7 @@ def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> s
 def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> str:
     """Metrics one below the other, as Table 3 has them; `lines` of text in a box below.
 
-    Up to WIDE categories have two columns each, reported and measured; more of them one, with the measured number in
-    italics below the reported one, in a smaller font and with less space between columns.
+    Up to WIDE categories have two columns each, reported and measured; more of them one, measured below reported.
     """
     categories, pairs = list(dict.fromkeys(cells["category"])), _pairs(cells)
     measured_rows = set(cells.loc[cells["variant"] != "", "row"])  # others have no line of ours

@@ -134,9 +134,8 @@ def training_curves(logs: pd.DataFrame) -> Figure:
 def calibration_curves(scores: pd.DataFrame) -> Figure:
     """Scores over the number of calibration photographs, a row a metric and a column a category.
 
-    `scores` is `scores` of viewnet.experiments.alignment_study.Study: a line is the median over draws and seeds of a
-    predictor (colour) by an alignment (style), the shade from the lowest to the highest. Predictors that are fitted on
-    the photographs are shown without an alignment on top.
+    `scores` is that of viewnet.experiments.alignment_study.Study: a line is the median over draws and seeds of a
+    predictor (colour) by an alignment (style), the shade from the lowest to the highest.
     """
     categories = list(dict.fromkeys(scores["category"]))
     fitted = set(scores.loc[scores["alignment"] == "none", "predictor"])
@@ -169,8 +168,8 @@ def calibration_curves(scores: pd.DataFrame) -> Figure:
 def collapse_curves(collapse: pd.DataFrame) -> Figure:
     """Linear alignment over the one-sidedness of photographs, a colour a category and a style a predictor.
 
-    `collapse` is `collapse` of viewnet.experiments.alignment_study.Study. Left: the spread of aligned predictions, as a
-    share of the true viewpoints' spread. Middle and right: the accuracy and the DVA added to rigid alignment, points.
+    `collapse` is that of viewnet.experiments.alignment_study.Study. Left: the spread of aligned predictions, as a share
+    of the truth's. Middle and right: the accuracy and the DVA added to rigid alignment, points.
     """
     styles = dict(zip(dict.fromkeys(collapse["predictor"]), itertools.cycle(DASHES), strict=False))
     colours = {category: f"C{i}" for i, category in enumerate(dict.fromkeys(collapse["category"]))}

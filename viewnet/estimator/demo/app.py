@@ -1,7 +1,7 @@
 """The page of `viewnet demo`: an image and the place of its object, and what a trained network predicts and renders.
 
-Needs gradio, which is imported here; viewnet.commands.demo explains how to install it. What a visitor has chosen is
-kept for that visitor alone (gr.State); the network is shared, and used by one event at a time.
+Needs gradio. What a visitor has chosen is kept for that visitor alone (gr.State); the network is shared, and used by
+one event at a time.
 """
 
 import tempfile
@@ -36,10 +36,7 @@ def theme() -> gr.themes.Base:
 
 
 class Page:
-    """The page of a network, with images to try it on: components (`blocks`) and event handlers.
-
-    The state of visitors goes from event to event and is never kept here.
-    """
+    """The page of a network, with images to try it on: components (`blocks`) and event handlers, without any state."""
 
     def __init__(self, estimator: ViewpointEstimator, examples: Sequence[Example] = ()):
         self.estimator, self.examples = estimator, list(examples)

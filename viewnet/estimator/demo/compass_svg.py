@@ -1,8 +1,7 @@
 """A viewpoint as SVG and HTML: compasses from above and from the side, and a table of the hypotheses.
 
-From above the object's front points down, as on a turntable's dial: azimuth 0 is below and 90, the left side, on the
-right. Hypotheses differ by number, width and dashes as well as by colour (Okabe and Ito's palette); lines and letters
-have the page's own colour, for light pages and dark ones.
+From above the object's front points down, as on a turntable's dial. Hypotheses differ by number, width and dashes as
+well as by colour (Okabe and Ito's palette); lines and letters have the page's own colour, light or dark.
 """
 
 import math

@@ -1,6 +1,5 @@
 """What the overview page shows of a section's files: tables of reported and measured numbers, and plain tables."""
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,25 +26,13 @@ Files = Mapping[str, Path]  # name -> file
 
 
 @dataclass(frozen=True)
-class Cell:
-    """A row's number for a category: reported, measured, its interval, and details shown on pointing at it."""
-
-    reported: str = ""
-    bold: bool = False
-    measured: str = ""
-    interval: str = ""
-    best: bool = False
-    about: str = ""
-
-
-@dataclass(frozen=True)
 class MetricTable:
-    """Reported and measured numbers; `parts` has the heading of each metric and its rows: label and cells."""
+    """Reported and measured numbers, metric by metric."""
 
     title: str
     categories: tuple[str, ...]
     with_reported: bool
-    parts: tuple[tuple[str, tuple[tuple[str, tuple[Cell, ...]], ...]], ...]
+    parts: tuple[tuple[Column, dict[str, list[dict[str, Any]]]], ...]  # metric, and label -> cells by category
 
 
 @dataclass(frozen=True)
@@ -89,33 +76,16 @@ def tables(files: Files) -> Content:
 
 
 def metric_table(cells: pd.DataFrame, title: str) -> MetricTable:
-    """The cells of a table (viewnet.tables.table.Table.cells), metric by metric."""
-    lines, top = (
-        by_key(cells),
-        best(cells, lambda metric: column_of(metric).page_digits),
-    )  # of numbers as they are shown
-    categories, parts = tuple(dict.fromkeys(cells["category"])), []
+    """The cells of a table (viewnet.tables.table.Table.cells), metric by metric; {} where a row has none."""
+    lines = by_key(cells)
+    for key in best(cells, lambda metric: column_of(metric).page_digits):  # of numbers as they are shown
+        lines[key]["best"] = True
+    categories = tuple(dict.fromkeys(cells["category"]))
+    parts = []
     for metric, part in cells.groupby("metric", sort=False):
-        keys = {row: [(row, category, metric) for category in categories] for row in part["row"]}
-        rows = tuple((row, tuple(_cell(lines.get(key), key in top) for key in each)) for row, each in keys.items())
-        parts.append((column_of(metric).page, rows))
+        rows = {row: [lines.get((row, category, metric), {}) for category in categories] for row in part["row"]}
+        parts.append((column_of(metric), rows))
     return MetricTable(title, categories, bool((cells["printed"] != "").any()), tuple(parts))
-
-
-def _cell(line: dict[str, Any] | None, is_best: bool) -> Cell:
-    if line is None:
-        return Cell()
-    reported, bold = line["printed"], bool(line["bold"])
-    if math.isnan(line["measured"]):
-        return Cell(reported, bold)
-    digits = column_of(line["metric"]).page_digits
-    measured, spread, low, high = (f"{line[name]:.{digits}f}" for name in FLOATS)
-    about = f"{measured}: {line['images']} images of {line['objects']} objects, "
-    about += "1 seed" if line["seeds"] == 1 else f"mean of {line['seeds']} seeds"
-    about += "" if math.isnan(line["sd"]) else f", sd {spread}"
-    about += f"; runs: {line['runs']}" if line["runs"] else ""
-    measured = f"({measured})" if line["degenerate"] else measured  # predictions had too little spread for an alignment
-    return Cell(reported, bold, measured, "" if math.isnan(line["low"]) else f"[{low}, {high}]", is_best, about)
 
 
 def novel_views(files: Files) -> Content:
