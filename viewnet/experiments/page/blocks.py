@@ -14,7 +14,7 @@ from viewnet.experiments.reported_constants import ConstantAudit
 from viewnet.runtime.files import read_csv, read_json
 from viewnet.tables import benchmark
 from viewnet.tables.architecture import COLUMNS, Architecture
-from viewnet.tables.columns import best, by_key, column_of
+from viewnet.tables.columns import Column, best, by_key, column_of
 
 FLOATS = ("measured", "sd", "low", "high")  # null in JSON where there is none
 # End of a CSV file's name beside a table -> its title.
