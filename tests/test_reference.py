@@ -73,26 +73,22 @@ def both(config: RunConfig, seed: int, occupied: float = 0.0) -> list[tuple[dict
     ]
 
 
-def worst(config: RunConfig, occupied: float = 0.0) -> tuple[float, list[float]]:
-    """The largest relative difference of any seed's loss, and each seed's largest of any gradient."""
-    losses, gradients = [], []
+def same(config: RunConfig, occupied: float = 0.0, tolerance: float = 1e-5) -> bool:
+    """Whether losses agree to the tolerance and gradients to 1e-3, of every seed.
+
+    But for those of viewpoints and of the focal length, which must agree in most: a point of a ray that lies on the
+    border of two voxels, to rounding, may count for either. A third of the seeds have such a point.
+    """
+    losses, volumes, cameras = [], [], []
     for seed in SEEDS:
         (terms, mine), (others, its) = both(config, seed, occupied)
         assert terms.keys() == others.keys() and mine.keys() == its.keys()
         assert all(gradient.norm() > 0 for gradient in mine.values())
         losses.append(abs(sum(terms.values()) - sum(others.values())) / sum(terms.values()))
-        gradients.append(max(float((g - its[name]).norm() / g.norm()) for name, g in mine.items()))
-    return max(losses), gradients
-
-
-def same(config: RunConfig, occupied: float = 0.0) -> bool:
-    """Whether losses agree to 1e-5 and gradients to 1e-3.
-
-    A point of a ray that lies on the border of two voxels, to rounding, may count for either, and the gradient of its
-    viewpoint is another. A third of the seeds have such a point, so that most must agree, not all.
-    """
-    loss, gradients = worst(config, occupied)
-    return loss < 1e-5 and statistics.median(gradients) < 1e-3
+        off = {name: float((gradient - its[name]).norm() / gradient.norm()) for name, gradient in mine.items()}
+        volumes += [value for name, value in off.items() if name.startswith(("f_a.", "f_d."))]
+        cameras.append(max(value for name, value in off.items() if not name.startswith(("f_a.", "f_d."))))
+    return max(losses) < tolerance and max(volumes) < 1e-3 and statistics.median(cameras) < 1e-3
 
 
 @pytest.mark.parametrize("variant", ["viewnet", "viewnet_cycle"])
@@ -102,8 +98,11 @@ def test_the_package_has_the_loss_and_the_gradients_of_the_reference(variant, lo
     assert same(paper(variant, **loss))
 
 
-def test_so_has_its_compiled_renderer_where_no_voxel_is_empty():
-    assert same(paper("viewnet_cycle", **PIXELS), occupied=1.0)
+@pytest.mark.slow
+@pytest.mark.parametrize(("variant", "tolerance"), [("viewnet", 1e-5), ("viewnet_cycle", 1e-4)])
+def test_so_has_its_compiled_renderer_where_no_voxel_is_empty(variant, tolerance):
+    # It ends a ray when 1e-5 of the light is left, and normalising four novel views makes more of that.
+    assert same(paper(variant, **PIXELS), 1.0, tolerance)
 
 
 def planted(name: str, change) -> pytest.param:
@@ -160,25 +159,31 @@ def test_it_fits_on_a_page():
     assert len(Path(reference.__file__).read_text(encoding="utf-8").splitlines()) <= 300
 
 
+@pytest.mark.slow
 def test_it_trains_and_prints_every_epoch_and_the_best(capsys):
-    assert reference.main(["car", "--epochs", "6", "--cycle"]) == 0
+    assert reference.main(["car", "--epochs", "4"]) == 0
     lines = capsys.readouterr().out.splitlines()
     rows = [[float(x) for x in re.findall(r"\d+\.?\d*", line)] for line in lines]  # epoch, loss, error, accuracy
-    assert [row[0] for row in rows[:-1]] == [1, 2, 3, 4, 5, 6]
-    assert rows[5][1] < 0.9 * rows[0][1]
+    assert [row[0] for row in rows[:-1]] == [1, 2, 3, 4]
+    assert rows[3][1] < 0.9 * rows[0][1]
     assert lines[-1].startswith("best") and rows[-1] == max(rows[:-1], key=lambda row: row[3])
     assert all(0 <= error <= 180 and 0 <= accuracy <= 100 for _, _, error, accuracy in rows)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
-    [(["plane"], "'plane'"), (["car", "--profile", "huge"], "'huge'"), (["car", "--epochs", "0"], "0")],
+    ("arguments", "named"), [(["car", "--profile", "huge"], "'huge'"), (["car", "--epochs", "0"], "epochs 0")]
 )
-def test_bad_input_gets_one_line(arguments, named):
-    command = [sys.executable, "-m", "viewnet.reference", *arguments]
+def test_bad_input_gets_one_line(arguments, named, capsys):
+    assert reference.main(arguments) == 2
+    printed = capsys.readouterr()
+    assert not printed.out and printed.err.count("\n") == 1 and named in printed.err
+
+
+def test_an_unknown_category_gets_one_line_and_an_exit_code():
+    command = [sys.executable, "-m", "viewnet.reference", "plane"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 2 and not result.stdout
-    assert result.stderr.count("\n") == 1 and named in result.stderr
+    assert result.stderr.count("\n") == 1 and "'plane'" in result.stderr
 
 
 def test_missing_weights_get_one_line(monkeypatch, tmp_path, capsys):
