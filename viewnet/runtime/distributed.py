@@ -14,7 +14,6 @@ from typing import Any, NoReturn, TypeVar
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
-from torch.distributed.nn.functional import all_reduce
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from viewnet.errors import ViewnetError
@@ -106,14 +105,8 @@ def share(rows: Tensor) -> Tensor:
 
 
 def gathered(value: Tensor) -> Tensor:
-    """The values of all processes, (processes, ...). Differentiable: gradients reach every process's value.
-
-    A sum of arrays that are zero outside a process's own slot: exact, and every backend has it.
-    """
-    if size() == 1:
-        return value[None]
-    slots = [value if number == rank() else torch.zeros_like(value) for number in range(size())]
-    return all_reduce(torch.stack(slots))  # (processes, ...)
+    """The values of all processes, (processes, ...). Differentiable: gradients reach every process's value."""
+    return value[None] if size() == 1 else _Gather.apply(value)
 
 
 def mean(value: Tensor) -> Tensor:
@@ -184,3 +177,21 @@ class BatchNorm(_BatchNorm):
         scale = self.weight * (variance + self.eps).rsqrt()
         shape = (-1, *[1] * (x.dim() - 2))
         return (x * scale.view(shape) + (self.bias - mean * scale).view(shape)).to(x.dtype)
+
+
+class _Gather(torch.autograd.Function):
+    """Gathers by a sum of arrays that are zero outside a process's own slot: exact, and every backend has it."""
+
+    @staticmethod
+    def forward(ctx: Any, value: Tensor) -> Tensor:
+        slots = value.new_zeros(size(), *value.shape)  # (processes, ...)
+        slots[rank()] = value
+        dist.all_reduce(slots)
+        return slots
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        # Each process minimises its own loss, and all losses depend on this value.
+        total = gradient.contiguous().clone()
+        dist.all_reduce(total)
+        return total[rank()]
