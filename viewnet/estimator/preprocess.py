@@ -245,7 +245,7 @@ def ready_images(images: Any, framing: "Framing") -> Tensor | None:
 
 
 def ready_batches(images: Tensor, framing: "Framing", device: torch.device, batch_size: int) -> Iterator[Tensor]:
-    """Images of `ready_images` in [0, 1] (n, 3, S, S), batch by batch. Warns, and raises, as `batches` does."""
+    """Images of `ready_images` in [0, 1] (n, 3, S, S), by batches. Warns as `batches`; ViewnetError for others."""
     buffer = None  # A batch is overwritten by the next one: allocating takes several times as long as filling.
     for start in range(0, len(images), _positive(batch_size)):
         part = images[start : start + batch_size].to(device)
