@@ -26,16 +26,15 @@ from viewnet.runtime.files import write_text
 RUNGS: dict[str, dict[str, Any]] = {
     "paper": {},
     "learning rate 1e-3": {"learning_rate": 1e-3},
-    "known focal length": {"focal": 0.268},
     "masks": {"mask_weight": 1.0},
     "whole views": {"crop": "none", "augment": False},
     "elevation limits": {"elevation_limits": (-22.0, 42.0)},
-    "balance": {"balance": 1.0},
+    "heads that start apart": {"head_spread": 0.5},
     "neighbours and pull": {"neighbours": 8.0},
     "search": {"search": 0.3},
     "shares of the selection": {"selection_temperature": 0.1},
     "pixels for features": {"perceptual": "none", "pixel_weight": 0.3},
-    "Muon and schedule": {"muon": 0.02, "schedule": "hold"},
+    "optimiser": {"betas": (0.9, 0.99), "muon": 0.02, "schedule": "hold"},
     "weights chosen without labels": {"select_by": "reconstruction"},
 }
 """What is added, from top to bottom, to the recipe `paper`: the last has all of `matting` but for its batches."""

@@ -151,7 +151,6 @@ class SearchConfig:
 
     share: float = _setting(0.0, "search")  # of training during which it runs [ours] (R)
     views: int = _setting(32, "search_views")  # viewpoints tried for each target [ours] (U)
-    balance: float = 0.0  # weight of the penalty on over-represented viewpoints, during all of training [ours] (R)
 
 
 @dataclass(frozen=True)

@@ -33,23 +33,19 @@ RECIPES: dict[str, Changes] = {
     # As reported, and as released where the paper is silent: black background, VGG16 perceptual loss, a learned focal
     # length, the viewpoint network's input cropped to the object, stopping by validation accuracy.
     "paper": {"model": {"crop": "square"}, "train": {"augment": True}},
-    # Ours: masks beside colours, known elevations and focal length, viewpoints tried beside the heads' and evenly from
-    # all around, stopping without labels. See docs/recipes.md.
+    # Ours: masks beside colours, known elevations, heads that start apart, viewpoints tried beside theirs, stopping
+    # without labels. See docs/recipes.md.
     "matting": {
-        "model": {
-            "head_spread": 0.5,
-            "elevation_limits": (-22.0, 42.0),
-            "focal": 0.268,  # of the camera that rendered the views
-        },
+        "model": {"head_spread": 0.5, "elevation_limits": (-22.0, 42.0)},
         "train": {
             "perceptual": "none",
             "pixel_weight": 0.3,
             "mask_weight": 1.0,
             "select_by": "reconstruction",
             "comparison": {"neighbours": 8.0, "temperature": 0.1},
-            "search": {"share": 0.3, "balance": 1.0},
+            "search": {"share": 0.3},
             "cycle": {"weight": 0.3, "head": "closest"},
-            "optimiser": {"learning_rate": 1e-3, "muon": 0.02, "schedule": "hold"},
+            "optimiser": {"learning_rate": 1e-3, "betas": (0.9, 0.99), "muon": 0.02, "schedule": "hold"},
         },
     },
 }
@@ -85,15 +81,14 @@ VARIANTS: dict[str, Changes] = {
 ABLATIONS: dict[str, Changes] = {
     "whole_views": {"model": {"crop": "square"}, "train": {"augment": True}},
     "elevation_limits": {"model": {"elevation_limits": None}},
-    "known_focal": {"model": {"focal": None}},
     "masks": {"train": {"mask_weight": 0.0}},
     "neighbours": {"train": {"comparison": {"neighbours": 0.0}}},
     "pull": {"train": {"comparison": {"pull_weight": 0.0}}},
     "temperature": {"train": {"comparison": {"temperature": 0.0}}},
     "head_spread": {"model": {"head_spread": 0.0}},
     "search": {"train": {"search": {"share": 0.0}}},
-    "balance": {"train": {"search": {"balance": 0.0}}},
     "learning_rate": {"train": {"optimiser": {"learning_rate": 1e-4}}},
+    "betas": {"train": {"optimiser": {"betas": (0.9, 0.999)}}},
     "muon": {"train": {"optimiser": {"muon": 0.0}}},
     "schedule": {"train": {"optimiser": {"schedule": "constant"}}},
 }

@@ -9,7 +9,7 @@ from viewnet.geometry import look_at, view_vector
 from viewnet.model.reconstruction import Encoded
 from viewnet.recipes import make_config
 
-PLAIN = {"neighbours": 0.0, "search": 0.0, "balance": 0.0, "amp": "off"}
+PLAIN = {"neighbours": 0.0, "search": 0.0, "amp": "off"}
 SMOKE = make_config(profile="smoke", recipe="matting", **PLAIN)
 
 

@@ -122,7 +122,7 @@ def test_normalisation_by_all_rows_is_torch_s_own(dims):
 
 STEPS: dict[str, tuple[str, dict[str, Any], float, float]] = {
     # variant, settings, share of training done, tolerance as a share of the largest gradient
-    # search, balance, cycle
+    # search, cycle
     "search": ("viewnet_cycle", {"search": 0.5, "targets_per_object": 2, "augment": True}, 0.1, 1e-5),
     "after": ("viewnet_cycle", {}, 0.9, 1e-5),
     # batch normalisation in the generator, backgrounds, three views per target

@@ -1,4 +1,4 @@
-"""The search for viewpoints: neighbours, sectors, noise and balance."""
+"""The search for viewpoints: neighbours, sectors and noise."""
 
 from __future__ import annotations
 
@@ -12,15 +12,7 @@ from viewnet.geometry import azimuth_elevation, look_at, view_vector
 from viewnet.model.reconstruction import Choice, Encoded, Reconstruction, best_head, compare
 from viewnet.model.viewnet import Hypotheses, ViewNet
 from viewnet.recipes import make_config
-from viewnet.training.matting import (
-    SECTORS,
-    PoseSearch,
-    Search,
-    balanced,
-    compare_grid,
-    half_resolution,
-    repeated_views_loss,
-)
+from viewnet.training.matting import SECTORS, PoseSearch, Search, compare_grid, half_resolution, repeated_views_loss
 
 
 @pytest.fixture
@@ -94,27 +86,6 @@ def test_chance_chooses_in_proportion_to_the_errors():
     chosen = torch.bincount(perturbed.argmin(1), minlength=3) / len(errors)
     assert torch.allclose(chosen, torch.softmax(-errors[0], 0), atol=0.02)  # their spread is 1
     assert torch.equal(Search(0, 0.0, torch.Generator()).perturb(errors), errors)
-
-
-def test_an_azimuth_chosen_too_often_is_avoided():
-    front, back = view_vector(torch.tensor([15.0, 195.0]), torch.zeros(2))
-    views = torch.stack([front, back]).expand(1, 2, 3)
-    score = torch.tensor([[1.0, 1.1]])  # both much alike, the front a little better
-    even, limits = torch.full((12, 4), 1 / 48), (-90.0, 90.0)
-    assert balanced(score, views, even, limits, 1.0).argmin().item() == 0
-    often = torch.tensor([0.6, 0.4, *[0.0] * 10])[:, None].expand(12, 4) / 4
-    assert balanced(score, views, often, limits, 1.0).argmin().item() == 1
-    assert torch.equal(balanced(score, views, often, limits, 0.0), score)
-
-
-def test_an_elevation_chosen_too_often_is_avoided():
-    """Near and far exchanged, (a, e) looks like (180 - a, -e): how often each elevation is due tells them apart."""
-    views = view_vector(torch.tensor([15.0, 165.0]), torch.tensor([10.0, -10.0])).expand(1, 2, 3)
-    score, limits = torch.tensor([[1.1, 1.0]]), (-20.0, 40.0)
-    even = torch.full((12, 4), 1 / 48)
-    assert balanced(score, views, even, limits, 1.0).argmin().item() == 1
-    below = torch.tensor([0.7, 0.1, 0.1, 0.1]).expand(12, 4) / 12
-    assert balanced(score, views, below, limits, 1.0).argmin().item() == 0
 
 
 def test_other_images_of_a_target_learn_what_its_one_reconstruction_taught():

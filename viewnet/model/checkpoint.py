@@ -20,7 +20,7 @@ from torch import Tensor
 from viewnet import paths
 from viewnet.config import ModelConfig, RunConfig
 from viewnet.errors import ViewnetError
-from viewnet.model.viewnet import BANDS, ViewNet
+from viewnet.model.viewnet import ViewNet
 
 CHECKPOINT = "checkpoint.safetensors"
 LARGEST_VOLUME = 256
@@ -131,7 +131,7 @@ def starting_weights(start: str, model: ModelConfig) -> dict[str, Tensor]:
 def fewest_weights(config: ModelConfig) -> int:
     """How many weights the largest layer of a network has at least."""
     encoder, generator = config.encoder_channels, config.generator_channels
-    layers = [*pairwise(encoder), *pairwise(generator), (12, BANDS)]
+    layers = [*pairwise(encoder), *pairwise(generator)]
     layers += [(min(encoder), outputs) for outputs in (config.heads, config.appearance_size)]
     if config.decoder == "adain":
         layers += [(64, generator[0]), (1, config.code_size)]

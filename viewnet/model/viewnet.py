@@ -15,8 +15,6 @@ from viewnet.runtime.images import composite
 
 FOCAL = 0.4
 """What a learned focal length starts from, as released."""
-BANDS = 4
-"""Of elevation, by which ViewpointNetwork.shares tells viewpoints apart."""
 
 
 @dataclass
@@ -42,12 +40,8 @@ class Hypotheses:
 
 
 class ViewpointNetwork(nn.Module):
-    """f^v: images (N, 3, S, S) -> Hypotheses. One encoder whose last layer gives logits and vectors (section 3.1).
+    """f^v: images (N, 3, S, S) -> Hypotheses. One encoder whose last layer gives logits and vectors (section 3.1)."""
 
-    `shares` (12, BANDS) is kept by training: the share of chosen viewpoints in each part of the sphere.
-    """
-
-    shares: Tensor
     offset: Tensor
 
     def __init__(self, config: ModelConfig):
@@ -59,7 +53,6 @@ class ViewpointNetwork(nn.Module):
         # Heads that start in one place would all learn the same viewpoint.
         offset = config.head_spread * torch.stack([azimuth.cos(), azimuth.sin(), torch.zeros_like(azimuth)], dim=1)
         self.register_buffer("offset", offset, persistent=False)  # (M, 3); follows from the settings: not saved
-        self.register_buffer("shares", torch.full((12, BANDS), 1 / (12 * BANDS)))  # all alike
 
     def forward(self, images: Tensor) -> "Hypotheses":
         """The hypotheses for images (N, 3, S, S), as `ViewNet.composite` gives them."""

@@ -80,7 +80,8 @@ _CONSTANTS = (
 _TAKEN_AWAY = {
     "pull": "pull to a better viewpoint",
     "temperature": "shares in the selection",
-    "balance": "balanced viewpoints",
+    "head_spread": "heads that start apart",
+    "betas": "Adam's faster second moment",
     "learning_rate": "learning rate of 1e-3",
     "muon": "Muon",
     "schedule": "falling learning rate",

@@ -14,7 +14,7 @@ from viewnet.config import TrainConfig
 from viewnet.geometry import azimuth_elevation, view_vector
 from viewnet.model.losses import pixel_loss, pull_loss, selection_target
 from viewnet.model.reconstruction import Choice, Encoded, Reconstruction, compare
-from viewnet.model.viewnet import BANDS, Hypotheses, ViewNet
+from viewnet.model.viewnet import Hypotheses, ViewNet
 from viewnet.model.volume import halved
 from viewnet.runtime import distributed
 from viewnet.runtime.images import resize
@@ -111,15 +111,8 @@ class PoseSearch:
             searched, search_errors = compare_grid(model, objects, grid, target, config, coarse)
             candidates = torch.cat([candidates, searched], 1)  # (N, M + SECTORS, 3)
             score = self.search.perturb(torch.cat([score, search_errors], 1))  # (N, M + SECTORS)
-        balance = config.search.balance
-        if balance and score.shape[1] > 1:
-            score = balanced(score, candidates, model.viewpoint.shares, limits, balance)
         winner = score.argmin(1)
         viewpoint = candidates[torch.arange(len(target), device=target.device), winner]  # (N, 3)
-        if balance:
-            shares = model.viewpoint.shares  # (12, BANDS), moved after the choice, for the next step
-            counts = torch.bincount(_part(viewpoint, limits), minlength=shares.numel())  # (12 BANDS,)
-            shares.lerp_(distributed.mean(counts / len(viewpoint)).view_as(shares), 0.02)  # averages some 50 steps
         closest = (vectors - viewpoint[:, None]).square().sum(-1).argmin(1)  # (N,)
         head = torch.where(winner < heads, winner, closest)  # a searched winner teaches the nearest head
         return Choice(head, viewpoint, errors, viewpoint if self.search else None)
@@ -173,25 +166,6 @@ def half_resolution(model: ViewNet, objects: Encoded, target: Tensor) -> Coarse:
     if target.shape[-1] <= 16 or model.config.decoder == "hologan":
         return objects, target
     return Encoded(objects.code, halved(objects.volume)), resize(target, target.shape[-1] // 2)
-
-
-def balanced(score: Tensor, views: Tensor, shares: Tensor, limits: tuple[float, float], weight: float) -> Tensor:
-    """Scores (N, T) of viewpoints (N, T, 3) with a penalty on parts of the sphere chosen more often than their share.
-
-    A volume that has grown alike on two sides explains images of either from one of them, is never reconstructed from
-    the other, and would stay as it is. Images are taken from all around and from all elevations within the limits, so
-    no part of the sphere is due more than its share of `shares` (12, BANDS).
-    """
-    smooth = (2 * shares + shares.roll(1, 0) + shares.roll(-1, 0)) / 4  # (12, BANDS), blurred around the horizon
-    excess = torch.log(smooth * smooth.numel() + 0.05).flatten()[_part(views, limits)]  # (N, T)
-    return score + weight * score.std(1, keepdim=True) * excess  # in units of the errors' spread
-
-
-def _part(views: Tensor, limits: tuple[float, float]) -> Tensor:
-    """The part of the sphere of view vectors (..., 3): one of 12 sectors of azimuth times BANDS of elevation."""
-    azimuth, elevation = azimuth_elevation(views)
-    band = ((elevation - limits[0]) / (limits[1] - limits[0]) * BANDS).long().clamp(0, BANDS - 1)  # both limits count
-    return (azimuth / 30).long() % 12 * BANDS + band  # sectors of 30 degrees
 
 
 def neighbours(vectors: Tensor, angle: float) -> Tensor:
