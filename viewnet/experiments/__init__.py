@@ -26,8 +26,8 @@ def experiment(name: str, cell: Mapping[str, Any] | None = None, /, **parameters
     parameter (viewnet.experiments.parameters.PARAMETERS) and its valid values.
 
     >>> request = experiment("table2_ablation", profile="smoke", categories="car", seeds="0,2")
-    >>> request.label, request.seeds, len(request.configs)  # six trained rows with two seeds, three others
-    ('smoke-car', (0, 2), 15)
+    >>> request.label, request.seeds, len(request.configs)  # seven trained rows with two seeds, three others
+    ('smoke-car', (0, 2), 17)
     """
     given = {key: cell[key] for key in accepted(name) if key in cell} if cell else {}
     return _KINDS[DESIGNS[known(name, DESIGNS, "notebook")].kind].check(name, **given, **parameters)
