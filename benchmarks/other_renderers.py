@@ -109,7 +109,7 @@ def renderers() -> dict[str, Render]:
 
 def inputs(occupancy: str, size: int, volumes: int) -> tuple[Tensor, Tensor, Tensor, int]:
     """What all are given."""
-    shape = volume.squash(logits(occupancy, size, volumes), None, None)
+    shape = volume.squash(logits(occupancy, size, volumes), None)
     return shape, camera_frames(VIEWS * volumes), torch.tensor(FOCAL), size
 
 

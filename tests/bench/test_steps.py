@@ -142,10 +142,9 @@ def test_volumes_are_as_full_as_a_trained_car_s_and_stay_so(step):
     assert torch.equal(step.model.encode(images)[1][:, 3], before)
 
 
-def test_a_cycle_needs_more(step):
+def test_a_search_needs_more(step):
     early, late = (steps.needs(step, progress) for progress in (0.1, 0.9))
-    assert late[steps.LAYERS].products > early[steps.LAYERS].products
-    assert late[steps.FORWARD].samples > early[steps.FORWARD].samples
+    assert late[steps.LAYERS].products == early[steps.LAYERS].products
     assert late[steps.COMPARING].samples < early[steps.COMPARING].samples  # the search is over
 
 

@@ -178,7 +178,9 @@ def test_a_wrong_command_line_is_reported_in_one_line(arguments, message, capsys
     with pytest.raises(SystemExit) as end:
         cli.main(arguments)
     assert end.value.code == 2
-    assert capsys.readouterr().err == f"viewnet: {message}\n"
+    said = capsys.readouterr().err
+    assert said.startswith("viewnet: ") and said.endswith(f"{message}\n")
+    assert said.count("\n") == 1
 
 
 def test_an_interruption_is_reported(capsys, monkeypatch):

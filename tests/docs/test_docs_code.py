@@ -172,7 +172,9 @@ def test_programs_exist_with_these_options(words):
 
 
 def check_program(words: list[str]) -> str | None:
-    """The problem with one of the project's programs and its options, or None."""
+    """The problem with one of the project's programs, or modules after -m, and its options, or None."""
+    if words[0] == "-m":
+        words = [f"{words[1].replace('.', '/')}.py", *words[2:]]
     if not (ROOT / words[0]).is_file():
         return "no such file"
     source = (ROOT / words[0]).read_text()

@@ -27,7 +27,7 @@ def test_models_see_what_they_have_not_been_trained_on(category):
     assert (estimator.config.category, estimator.config.profile) == (category, "pocket")
     drawn = examples.rendered(estimator)
     found = estimator.predict([one.image for one in drawn], boxes=[one.box for one in drawn])
-    truth = view_vector(*(torch.tensor([getattr(one, name) for one in drawn]) for name in ("azimuth", "elevation")))
+    truth = view_vector(*torch.tensor(examples.VIEWPOINTS).unbind(1))
     said = torch.tensor(np.array([one.vector for one in found]), dtype=truth.dtype)
     errors = rotation_angle(look_at(said), look_at(truth))
     assert (errors < 30).sum() >= 3, errors

@@ -23,7 +23,7 @@ def test_defaults_are_the_table_s(tmp_path):
     assert request.categories == SHAPENET_CATEGORIES
     assert request.seeds == (0,)
     assert request.folder == tmp_path / "tables"
-    assert len(request.configs) == 9 * 3
+    assert len(request.configs) == 10 * 3
     assert request.configs[0].variant == "viewnet"
     assert "profile tiny, recipe matting, 1 seed" in request.note
 

@@ -114,7 +114,7 @@ def test_an_alignment_of_predictions_is_fitted_once(monkeypatch, tmp_path):
 
     monkeypatch.setattr(table_module, "align", counted)
     table = Table.of("table2_ablation", [entry("ViewNet", "matting", 5), entry("Single-head", "matting", 5)], ["car"])
-    table.differences()
+    table.verdict()
     table.comparison("Single-head (matting)", "ViewNet (matting)", "car")
     table.write(tmp_path)
     definitions.of_seeds(table)

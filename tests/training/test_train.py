@@ -221,7 +221,7 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_state(store, tm
         return {name: value * math.nan for name, value in terms.items()} if next(calls) == 4 else terms
 
     folder = tmp_path / "run"
-    message = r"the loss is not finite at step 4 \(pixels nan, masks nan, selection nan\)"
+    message = r"the loss is not finite at step 4 \(selection nan, pixels nan, masks nan\)"
     with monkeypatch.context() as patch:
         patch.setattr(training, "step_loss", broken)
         with pytest.raises(ViewnetError, match=message):

@@ -101,7 +101,8 @@ def compare(
     if ups is not None:
         ups = ups[:, :, None].expand_as(candidates)  # (N, M, T, 3)
     cameras = look_at(candidates, ups)  # (N, M, T, 3, 3)
-    weights = (1.0, config.mask_weight) if config.target == "image" else (0.0, 1.0)
+    # By the weights of the loss: "reconstruction error" is one word for both in the paper.
+    weights = (config.pixel_weight or 1.0, config.mask_weight) if config.target == "image" else (0.0, 1.0)
     in_a_volume = model.config.decoder != "hologan"
     if in_a_volume and volume.fused_kernels(objects.volume.device) is volume_cpu:
         best, errors = volume_cpu.compare(objects.volume, cameras, model.focal, target, weights)  # (N, M) each

@@ -40,7 +40,7 @@ TRAINING = (
     *(f"model/kernels/{name}.py" for name in (
         "bfloat16_numba", "norm_relu_cpu", "norm_relu_numba", "numba_call", "rotation_numba", "trilinear_llvm",
         "volume_cpu", "volume_gpu", "volume_numba", "volume_triton", "voxels_numba")),
-    "runtime/distributed.py", "runtime/images.py", "runtime/random.py", "runtime/torchvision_weights.py",
+    *(f"runtime/{name}.py" for name in ("distributed", "images", "memory", "random", "torchvision_weights")),
     *(f"training/{name}.py" for name in (
         "history", "matting", "optimisers", "paper", "step", "train", "validation")),
 )
