@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -22,7 +23,7 @@ from viewnet.tables import definitions, kept_predictions
 from viewnet.tables.table import Table
 
 __all__ = [
-    "HEADINGS", "ROOT", "TABLES", "definitions", "frame", "markdown", "pd", "remade", "score", "scores",
+    "HEADINGS", "ROOT", "TABLES", "definitions", "frame", "markdown", "pd", "recipes_compared", "remade", "score", "scores",
     "tables_1_and_2", "value",
 ]  # fmt: skip
 
@@ -124,6 +125,17 @@ def tables_1_and_2(metrics: Iterable[str] = ("acc30", "median"), interval: bool 
         for row, file in files.items()
     )
     return markdown(header, cells)
+
+
+def recipes_compared(files: Mapping[str, str], row: str = "ViewNet") -> Table:
+    """One table of a row by several recipes: name of a recipe -> JSON file of the table it was measured in."""
+    entries = [
+        replace(entry, recipe=recipe)
+        for recipe, file in files.items()
+        for entry in remade(file).entries
+        if entry.row == row
+    ]
+    return Table.of("table2_ablation", entries)
 
 
 def markdown(header: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
