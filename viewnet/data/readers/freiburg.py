@@ -17,7 +17,7 @@ from pathlib import Path
 from viewnet.config import VideoConfig, known
 from viewnet.data.clips import Clip, Frame, images_in, pick_frames
 from viewnet.data.crop import Box, clipped
-from viewnet.data.readers.reader import Contents, DataSet, Reader, VideoReader, no_usable, within
+from viewnet.data.readers.reader import Contents, Reader, no_usable, within
 from viewnet.data.store import Rejected
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import size
@@ -141,18 +141,8 @@ def _count(root: Path, contents: Contents) -> None:
 
 
 READER = Reader(
-    DataSet(
-        title="Freiburg static cars 52, release 1.1",
-        use="videos to train on: Table 4",
-        named="-p video_root FOLDER",
-        layout="car001/<frame>.png ... and annotations/<number>_annot.txt; masks/car001/<frame>.png of your own",
-        terms="see https://lmb.informatik.uni-freiburg.de/resources/datasets/",
-        source="https://lmb.informatik.uni-freiburg.de/resources/datasets/FreiburgStaticCars52/"
-        "freiburg_static_cars_52_v1.1.tar.gz",
-    ),
     recognises=lambda folder: any((folder / ANNOTATIONS).glob("*_annot.txt")),
     count=_count,
-    videos=VideoReader(
-        accepts=lambda folder: (folder / ANNOTATIONS).is_dir() and not (folder / "videos").is_dir(), read=_read_videos
-    ),
+    accepts=lambda folder: (folder / ANNOTATIONS).is_dir() and not (folder / "videos").is_dir(),
+    videos=_read_videos,
 )
