@@ -171,7 +171,7 @@ def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]
     reader = next(r for r in READERS.values() if r.accepts(root)) if auto else READERS[config.kind]
     assert reader.videos is not None
     clips, rejected = reader.videos(config, root)
-    if config.split_rule == "all":
+    if known(config.split_rule, ("45/2/rest", "all"), "split rule") == "all":
         clips = [replace(clip, split="train") for clip in clips]
     if config.mask_folder != VideoConfig.mask_folder:
         if config.masks != "files":
