@@ -27,14 +27,12 @@ from viewnet.runtime import image_files
 from viewnet.runtime.progress import bar
 from viewnet.runtime.splits import seeded_rank, seeded_splits
 
-CLASSES = {"bicycle": "bike", "bottle": "bottle", "chair": "chair"}
-"""Objectron's classes that are categories here."""
+CLASSES = {"bicycle": "bike", "bottle": "bottle", "chair": "chair"}  # Objectron's classes that are categories here
 VIDEO = "video.MOV"
 MASKS = "masks"
 
 _SUFFIXES = (".jpg", ".jpeg", ".png")
-_Images = dict[int, tuple[int, Path]]
-"""Frame number -> place in the order of names, and file."""
+_Images = dict[int, tuple[int, Path]]  # frame number -> place in the order of names, and file
 
 
 def read(
