@@ -15,6 +15,7 @@ from viewnet import cli
 from viewnet.config import SYNSETS
 from viewnet.data import catalogue
 from viewnet.data.catalogue import DATA_SETS, check, recognise
+from viewnet.data.readers.registry import READERS
 from viewnet.data.synthetic.objectron_standin import ObjectronStandIn
 from viewnet.errors import ViewnetError
 
@@ -129,12 +130,13 @@ def test_the_command_tells_all_there_is(capsys, tmp_path, monkeypatch):
     assert cli.main(["data"]) == 0
     text = capsys.readouterr().out
     for key, data in DATA_SETS.items():
-        assert f"{key}: {data.title}" in text and data.source in text and data.terms in text
+        assert f"{key}: {data['title']}" in text and data["source"] in text and data["terms"] in text
     assert f"vgg16: there: {tmp_path / 'mine.pth'}" in text
     assert f"squeezenet1_1: missing: {tmp_path}" in text
     assert cli.main(["data", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert [d["key"] for d in told["data sets"]] == list(DATA_SETS)
+    assert list(DATA_SETS) == [key for key in READERS if key != "folder"]
     assert {w["network"]: w["there"] for w in told["weights"]}["vgg16"] is True
     assert {w["network"] for w in told["weights"]} == set(catalogue.NETWORKS)
 

@@ -283,6 +283,8 @@ def test_the_layout_is_known_by_what_lies_in_the_root_or_by_name(tmp_path, monke
     store = video_views(cars, 1, False)
     assert store.index["azimuth"].tolist() == [0, 10, 20] * 2 and set(store.index["split"]) == {"train", "val"}
     assert set(video_views(replace(cars, split_rule="all"), 1, False).index["split"]) == {"train"}
+    with pytest.raises(ViewnetError, match="split rule 'half'"):
+        video_views(replace(cars, split_rule="half"), 1, False)
     assert video_views(replace(cars, kind="freiburg"), 1, False).folder == store.folder
     with pytest.raises(ViewnetError, match="no records: expected Objectron's"):
         video_views(replace(cars, category="chair", kind="objectron"), 1, False)

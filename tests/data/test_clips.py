@@ -76,4 +76,4 @@ def test_a_quarter_turn_counter_clockwise():
     image.putpixel((2, 0), 255)  # the upper right corner becomes the upper left one
     turned = upright(image, -270)
     assert turned.size == (2, 3) and turned.getpixel((0, 0)) == 255
-    assert upright(image, 0) is image
+    assert upright(image, 0) == image

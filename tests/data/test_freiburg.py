@@ -24,9 +24,6 @@ def test_sequences_become_clips_with_splits_by_number(tmp_path):
     assert clips[0].frames == (Frame(0, 0.0, 0.0, box), Frame(1, 10.0, 0.0, box), Frame(2, 20.0, 0.0, box))
     assert (clips[0].category, clips[0].source, clips[0].masks) == ("car", tmp_path / "car002", None)
     assert clips[1].masks == tmp_path / "masks/car045"
-    assert {clip.split for clip in read(tmp_path, "all")[0]} == {"train"}
-    with pytest.raises(ViewnetError, match="split rule 'half'"):
-        read(tmp_path, "half")
 
 
 def test_folders_and_lists_may_have_padded_numbers_and_bare_names(tmp_path):

@@ -13,8 +13,7 @@ from PIL import Image
 
 from viewnet.data.clips import Clip
 from viewnet.data.readers import objectron, objectron_record
-from viewnet.data.readers.objectron_record import AXES, UNIT_BOX, interpret
-from viewnet.data.readers.objectron_schema import Sequence
+from viewnet.data.readers.objectron_record import AXES, UNIT_BOX, Sequence, interpret
 from viewnet.data.store import tally
 from viewnet.data.synthetic import objectron_standin
 from viewnet.data.synthetic.objectron_standin import ObjectronStandIn

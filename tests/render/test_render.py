@@ -18,7 +18,7 @@ from viewnet.geometry import look_at, view_vector
 from viewnet.render import choose_backend, opengl, render_mesh
 from viewnet.render.camera import DISTANCE, FOCAL, look_from, project
 from viewnet.render.mesh import Material, Mesh
-from viewnet.render.raycast import AMBIENT
+from viewnet.render.raycast import ALPHA_CUT, AMBIENT
 
 BACKENDS = ("raycast", "pyrender")
 # The camera's viewpoint for each side of the box.
@@ -339,3 +339,7 @@ def test_a_mesh_that_is_not_normalised(box: Mesh) -> None:
     large = Mesh(box.vertices * 3, box.faces, box.material, box.materials)
     with pytest.raises(ViewnetError, match="normalise"):
         render_mesh(large, np.zeros(1), np.zeros(1))
+
+
+def test_the_shader_leaves_out_what_the_ray_caster_does() -> None:
+    assert f"< {ALPHA_CUT}.0) discard" in (opengl.SHADERS / "mesh.frag").read_text()

@@ -26,26 +26,23 @@ def read(path: Path) -> tuple[pd.DataFrame, dict[str, int]]:
     table = read_csv(path, REQUIRED, dtype={"category": str, "subset": str, "split": str})
     for name, value in OPTIONAL.items():
         table[name] = table[name].fillna(value) if name in table.columns else value
-    azimuth = pd.to_numeric(table["azimuth_deg"], errors="coerce").to_numpy(dtype=np.float64, copy=True)
-    elevation = pd.to_numeric(table["elevation_deg"], errors="coerce").to_numpy(dtype=np.float64)
+    for name in ("azimuth_deg", "elevation_deg", "annotated", "easy"):
+        table[name] = pd.to_numeric(table[name], errors="coerce").astype(np.float64)
     reasons = {
-        "of another category": ~table["category"].isin(CATEGORIES).to_numpy(),
-        "only coarsely annotated": (pd.to_numeric(table["annotated"], errors="coerce") == 0).to_numpy(),
-        "azimuth or elevation is no number": ~(np.isfinite(azimuth) & np.isfinite(elevation)),
-        "elevation beyond 90 degrees": np.abs(elevation) > 90,
+        "of another category": ~table["category"].isin(CATEGORIES),
+        "only coarsely annotated": table["annotated"] == 0,
+        "azimuth or elevation is no number": ~np.isfinite(table[["azimuth_deg", "elevation_deg"]]).all(axis=1),
+        "elevation beyond 90 degrees": table["elevation_deg"].abs() > 90,
     }
     # The first reason that applies counts.
     reason = np.select(list(reasons.values()), list(reasons), default="")
     counts = {name: count for name in reasons if (count := int((reason == name).sum()))}
-    rejected = reason != ""
-    if rejected.all():
+    table = table[reason == ""]
+    if table.empty:
         raise ViewnetError(f"{path}: no usable viewpoint ({in_words(counts) or 'the list is empty'})")
-    azimuth[rejected] = 0.0  # infinity has no remainder
-    table["azimuth"] = azimuth % 360 % 360  # a tiny negative angle is 360 after rounding
-    table["elevation"] = elevation
-    table["easy"] = pd.to_numeric(table["easy"], errors="coerce").fillna(0) == 1
-    usable = table.loc[~rejected, ["category", "azimuth", "elevation", "subset", "split", "easy"]]
-    return usable.reset_index(drop=True), counts
+    azimuth = table["azimuth_deg"] % 360 % 360  # a tiny negative angle is 360 after rounding
+    usable = table.assign(azimuth=azimuth, elevation=table["elevation_deg"], easy=table["easy"] == 1)
+    return usable[["category", "azimuth", "elevation", "subset", "split", "easy"]].reset_index(drop=True), counts
 
 
 def histogram_file() -> Path:

@@ -15,8 +15,7 @@ from viewnet.data.backgrounds import load as load_backgrounds
 from viewnet.runtime.images import CROP_MARGIN, composite
 from viewnet.runtime.random import RandomSource, rand, randint, randn
 
-COUNT = 1000
-"""Backgrounds at most; many windows are cut from each."""
+COUNT = 1000  # backgrounds at most; many windows are cut from each
 
 
 def load(config: DataConfig, size: int, device: torch.device) -> Tensor | None:

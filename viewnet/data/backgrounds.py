@@ -25,12 +25,9 @@ from viewnet.runtime.image_files import opened
 from viewnet.runtime.progress import bar
 from viewnet.runtime.splits import seeded_generator, seeded_rank
 
-SYNTHETIC = "drawn"
-"""The source that needs no images."""
-VERSION = 1
-"""Raise it when a change alters how images are chosen or cropped."""
-LARGEST = 1024
-"""Pixels along a side."""
+SYNTHETIC = "drawn"  # the source that needs no images
+VERSION = 1  # raise it when a change alters how images are chosen or cropped
+LARGEST = 1024  # pixels along a side
 
 
 @dataclass(frozen=True, eq=False)

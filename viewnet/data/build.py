@@ -109,22 +109,23 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
     crop = Crop(config.size, config.margin, config.square)
     made_by: dict[str, Any] = {"category": config.category, "crop": photo_store.describe_crop(crop)}
     if config.root is None:
-        reader = pascal3d.READER.photographs
+        reader = pascal3d.READER
         made_by |= {"stand-in": photo_stand_in(config).describe()}
         made_by |= pascal3d.settings(config)
     else:
         root = Path(config.root)
-        reader = next((r.photographs for r in READERS.values() if r.photographs and r.recognises(root)), None)
+        reader = next((r for r in READERS.values() if r.photographs and r.recognises(root)), None)
         if reader is None:
             expected = f"PASCAL3D+ 1.1 (Annotations, Images and Image_sets) or a folder with images/ and {LIST}"
             raise ViewnetError(f"{root}: no photographs that can be read: expected {expected}")
         made_by |= reader.describe(config, root)
-    assert reader is not None
+    read = reader.photographs
+    assert read is not None
     folder = _store_folder(f"photos-{config.category}", made_by)
 
     def make() -> None:
         root = written(photo_stand_in(config), workers, progress) if config.root is None else Path(config.root)
-        photo_store.photo_store(reader.read(config, root), folder, crop, made_by, workers, progress)
+        photo_store.photo_store(read(config, root), folder, crop, made_by, workers, progress)
 
     return ViewStore.open(made_once(folder, make))
 
@@ -166,11 +167,11 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
 
 def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]:
     """The clips in `root` as the configuration wants them split and masked, and what cannot be used."""
-    kinds = {key: reader.videos for key, reader in READERS.items() if reader.videos}
-    kind = config.kind
-    reader = kinds[kind] if kind != "auto" else next(reader for reader in kinds.values() if reader.accepts(root))
-    clips, rejected = reader.read(config, root)
-    if config.split_rule == "all":
+    auto = config.kind == "auto"
+    reader = next(r for r in READERS.values() if r.accepts(root)) if auto else READERS[config.kind]
+    assert reader.videos is not None
+    clips, rejected = reader.videos(config, root)
+    if known(config.split_rule, ("45/2/rest", "all"), "split rule") == "all":
         clips = [replace(clip, split="train") for clip in clips]
     if config.mask_folder != VideoConfig.mask_folder:
         if config.masks != "files":

@@ -3,6 +3,7 @@
 Nothing is downloaded. A copy is read by the readers of training and scoring, so problems are theirs, in their words.
 """
 
+import tomllib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,7 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime import torchvision_weights
 from viewnet.runtime.image_files import SUFFIXES
 
-DATA_SETS = {key: reader.about for key, reader in READERS.items() if reader.about}
-
+DATA_SETS: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("data_sets.toml").read_text("utf-8"))
 
 NETWORKS = {
     "vgg16": "perceptual loss of the recipe paper, view regression",
@@ -54,7 +54,7 @@ def recognise(folder: Path) -> str:
             raise ViewnetError(f"{folder}: no data set by itself, but {inside.name}/ in it is {key}: name {inside}")
     if any(path.suffix.lower() in SUFFIXES for path in folder.rglob("*")):
         return "backgrounds"
-    expected = "; ".join(f"{key}: {data.layout}" for key, data in DATA_SETS.items())
+    expected = "; ".join(f"{key}: {data['layout']}" for key, data in DATA_SETS.items())
     raise ViewnetError(f"{folder}: none of the layouts that are read ({expected})")
 
 
@@ -71,7 +71,7 @@ def as_dict(contents: Contents | None = None) -> dict[str, Any]:
     """JSON values: of a checked folder, or the whole catalogue."""
     if contents is not None:
         return asdict(contents)
-    return {"data sets": [{"key": key, **asdict(data)} for key, data in DATA_SETS.items()], "weights": weights()}
+    return {"data sets": [{"key": key, **data} for key, data in DATA_SETS.items()], "weights": weights()}
 
 
 def as_text(contents: Contents | None = None) -> str:
@@ -79,15 +79,15 @@ def as_text(contents: Contents | None = None) -> str:
     if contents is None:
         lines = []
         for key, data in DATA_SETS.items():
-            lines += [f"{key}: {data.title}", f"  for     {data.use}", f"  named   {data.named}"]
-            lines += [f"  layout  {data.layout}", f"  terms   {data.terms}", f"  from    {data.source}", ""]
+            labels = {"for": "use", "named": "named", "layout": "layout", "terms": "terms", "from": "source"}
+            lines += [f"{key}: {data['title']}", *(f"  {label:8}{data[name]}" for label, name in labels.items()), ""]
         lines.append("weights, torchvision's (terms: https://github.com/pytorch/vision#pre-trained-model-license)")
         for file in weights():
             there = "there" if file["there"] else "missing"
             lines += [f"  {file['network']}: {there}: {file['path']}", f"    for    {file['use']}"]
             lines += [f"    named  {file['variable']}", f"    from   {file['source']}"]
         return "\n".join([*lines, "", "viewnet data check FOLDER says what a copy holds"])
-    lines = [f"{contents.folder}: {DATA_SETS[contents.key].title}"]
+    lines = [f"{contents.folder}: {DATA_SETS[contents.key]['title']}"]
     for category, counts in contents.counts.items():
         lines.append(f"  {category + ': ' if category else ''}{in_words(counts) or 'nothing that can be used'}")
     lines += [f"  problem: {problem}" for problem in contents.problems]

@@ -32,16 +32,13 @@ from viewnet.runtime.parallel import cores
 from viewnet.runtime.progress import bar
 from viewnet.runtime.splits import SPLITS
 
-VERSION = 1
-"""Raise it when a change alters the crops: it is part of every store's identity."""
+VERSION = 1  # raise it when a change alters the crops: it is part of every store's identity
 CROP = Crop(128, margin=0.05)
 LONGEST = 0.95
 """The share of a clip's views that stay within their frame when objects are made equally high: masks can be wrong."""
-SHARPNESS = 96
-"""Pixels along a side of the crop whose sharpness is measured."""
+SHARPNESS = 96  # pixels along a side of the crop whose sharpness is measured
 Scale = Literal["clip", "view"]
-LOST_MASK = "mask"
-"""How every reason for a frame without a usable mask begins."""
+LOST_MASK = "mask"  # how every reason for a frame without a usable mask begins
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from typing import Literal
 
 import av
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import Image
 
 from viewnet.data.crop import Box
 from viewnet.errors import ViewnetError
-from viewnet.runtime.image_files import MOST_PIXELS, SUFFIXES, opened
+from viewnet.runtime.image_files import MOST_PIXELS, SUFFIXES, read
 from viewnet.runtime.splits import seeded_generator
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".3gp")
@@ -27,7 +27,6 @@ Pick = Literal["random", "evenly"]
 PICKS: tuple[Pick, ...] = ("random", "evenly")
 Still = tuple[int, str, Image.Image | ViewnetError]
 """A frame's number from 0, its name without a suffix, and its image or why there is none."""
-_QUARTERS = {90: Image.Transpose.ROTATE_90, 180: Image.Transpose.ROTATE_180, 270: Image.Transpose.ROTATE_270}
 
 
 @dataclass(frozen=True)
@@ -119,9 +118,7 @@ def _from_folder(folder: Path, numbers: list[int]) -> Iterator[Still]:
             yield number, f"{number:06d}", ViewnetError("no such frame")
             continue
         try:
-            with opened(files[number]) as still:
-                still.load()
-                image: Image.Image | ViewnetError = ImageOps.exif_transpose(still)
+            image: Image.Image | ViewnetError = read(files[number])
         except ViewnetError as error:
             image = error
         yield number, files[number].stem, image
@@ -176,5 +173,4 @@ def _to_image(frame: av.VideoFrame) -> Image.Image | ViewnetError:
 
 def upright(image: Image.Image, rotation: float) -> Image.Image:
     """A frame rotated as its video's display matrix records: `rotation` degrees counter-clockwise, by quarter turns."""
-    quarter = round(rotation / 90) * 90 % 360
-    return image.transpose(_QUARTERS[quarter]) if quarter else image
+    return image.rotate(round(rotation / 90) * 90, expand=True)

@@ -10,12 +10,10 @@ from viewnet.errors import ViewnetError
 
 Box = tuple[float, float, float, float]
 """Left, upper, right and lower edge in pixels from the image's left upper corner."""
-LARGEST = 1024
-"""Pixels along a side of a crop."""
+LARGEST = 1024  # pixels along a side of a crop
 MOST_PIXELS = 2**28
 """Pixels of a crop before it is resized, 1 GB: an image of some kB can be very long, and the square about it huge."""
-AROUND = 0.1
-"""A mask counts within its object's box and this share of the box's sides around it."""
+AROUND = 0.1  # a mask counts within its object's box and this share of the box's sides around it
 
 
 @dataclass(frozen=True)

@@ -24,40 +24,29 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime import torchvision_weights
 from viewnet.runtime.image_files import opened
 
-VERSION = 1
-"""Raise it when a change alters masks: it is part of every store's identity."""
+VERSION = 1  # raise it when a change alters masks: it is part of every store's identity
 NETWORKS = {"maskrcnn": "maskrcnn_resnet50_fpn", "deeplabv3": "deeplabv3_resnet50"}
 """Our name -> torchvision's. Mask R-CNN separates the objects of a class; DeepLabV3 does not, so each connected region
 counts as one."""
 COCO = dict(aeroplane="airplane", diningtable="dining table", motorbike="motorcycle", sofa="couch", tvmonitor="tv")
 """COCO's names of categories where PASCAL VOC, and so DeepLabV3, has other ones."""
-SURE = 0.5
-"""Score of an object, and probability of a pixel, from which on they count."""
-SPECK = 0.02
-"""Regions below this share of the largest one are no objects."""
-FOLLOW = 0.2
-"""Intersection over union with the mask before, from which on an object is taken for the same."""
-SIDE = 520
-"""Pixels along the shorter side of what DeepLabV3 sees, as in its training."""
+SURE = 0.5  # score of an object, and probability of a pixel, from which on they count
+SPECK = 0.02  # regions below this share of the largest one are no objects
+FOLLOW = 0.2  # intersection over union with the mask before, from which on an object is taken for the same
+SIDE = 520  # pixels along the shorter side of what DeepLabV3 sees, as in its training
 
 Follower = Callable[[int, str, Image.Image], np.ndarray]
 """A frame's number, name and image -> alpha (H, W) uint8. Raises ViewnetError where there is no usable mask."""
-Segmenter = Callable[[Image.Image], np.ndarray]
-"""An image -> masks (K, H, W) bool of the K objects of a class in it."""
+Segmenter = Callable[[Image.Image], np.ndarray]  # an image -> masks (K, H, W) bool of the K objects of a class in it
 
 
 @dataclass(frozen=True)
 class MaskSource:
-    """Where masks come from.
+    """Where masks come from."""
 
-    described   what decides the masks but for the clips' own files, as JSON values
-    follow      a new follower for the frames of a clip
-    parallel    whether clips are better worked on side by side
-    """
-
-    described: dict[str, Any]
-    follow: Callable[[Clip], Follower]
-    parallel: bool = True
+    described: dict[str, Any]  # what decides the masks but for the clips' own files, as JSON values
+    follow: Callable[[Clip], Follower]  # a new follower for the frames of a clip
+    parallel: bool = True  # whether clips are better worked on side by side
 
 
 def from_files() -> MaskSource:

@@ -24,10 +24,8 @@ from viewnet.runtime.image_files import opened
 from viewnet.runtime.parallel import cores
 from viewnet.runtime.progress import bar
 
-VERSION = 1
-"""Raise it when a change alters how photographs are cut: it is part of every store's identity."""
-SPLITS = ("val", "test")
-"""Photographs on which viewpoints are calibrated, and which are scored."""
+VERSION = 1  # raise it when a change alters how photographs are cut: it is part of every store's identity
+SPLITS = ("val", "test")  # photographs on which viewpoints are calibrated, and which are scored
 
 
 @dataclass(frozen=True)

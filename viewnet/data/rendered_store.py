@@ -26,10 +26,8 @@ from viewnet.runtime.files import replacing, write_text
 from viewnet.runtime.parallel import as_done, cores
 from viewnet.runtime.progress import bar as progress_bar
 
-CHUNK = 16
-"""Models in a chunk."""
-WORTH_PROCESSES = 4000
-"""Views below which starting processes takes longer than rendering."""
+CHUNK = 16  # models in a chunk
+WORTH_PROCESSES = 4000  # views below which starting processes takes longer than rendering
 
 log = logging.getLogger(__name__)
 

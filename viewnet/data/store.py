@@ -38,8 +38,7 @@ COLUMNS = {
     "source": "text",
 }
 REJECTED = ("model_id", "path", "reason")
-Rejected = tuple[str, str, str]
-"""Something that cannot be used: its id, its path within the data set, and the reason."""
+Rejected = tuple[str, str, str]  # something that cannot be used: its id, its path within the data set, and the reason
 _AGAIN = "remove the folder and build the store again"
 
 

@@ -102,19 +102,11 @@ def read_image(image: ImageLike, mask: Any = None, box: Box | None = None) -> In
     return InputImage(decoded, alpha, None if mask is None and box is None else place)
 
 
-def read_file(path: Path, name: str = "image") -> Image.Image:
-    """An image file, decoded and upright. ViewnetError, which calls it `name`, if it cannot be read."""
-    with image_files.opened(path, name) as file:
-        file.load()
-        ImageOps.exif_transpose(file, in_place=True)
-        return file
-
-
 def _decode(image: ImageLike) -> Image.Image:
     if isinstance(image, ARRAYS):
         return Image.fromarray(_pixels(image))
     if isinstance(image, (str, os.PathLike)):
-        return read_file(Path(image))
+        return image_files.read(Path(image))
     if isinstance(image, Image.Image):
         try:
             return ImageOps.exif_transpose(image)

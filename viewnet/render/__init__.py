@@ -11,8 +11,7 @@ from viewnet.render.mesh import Mesh
 
 Backend = Literal["auto", "raycast", "pyrender"]
 
-VERSION = 2
-"""Raise it when a change alters images: it is part of every view store's identity."""
+VERSION = 2  # raise it when a change alters images: it is part of every view store's identity
 
 log = logging.getLogger(__name__)
 

@@ -7,10 +7,8 @@ away), where an object's bounding box has a diagonal of 1.
 import numpy as np
 
 DISTANCE = 2.0
-FOCAL = 1.875
-"""In image widths: a field of view of 29.9 degrees."""
-RADIUS = 0.5
-"""No vertex of a normalised mesh is farther from the origin, so every one lies in front of the camera."""
+FOCAL = 1.875  # in image widths: a field of view of 29.9 degrees
+RADIUS = 0.5  # no vertex of a normalised mesh is farther from the origin, so every one lies in front of the camera
 
 
 def look_from(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:

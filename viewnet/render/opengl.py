@@ -9,7 +9,6 @@ import ctypes.util
 import importlib
 import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -19,43 +18,9 @@ import numpy as np
 
 from viewnet.render.camera import DISTANCE, FOCAL, RADIUS
 from viewnet.render.mesh import Material, Mesh, surfaces
-from viewnet.render.raycast import ALPHA_CUT, AMBIENT
+from viewnet.render.raycast import AMBIENT
 
-# pyrender defines the locations. Every primitive has texture coordinates, colours and a texture.
-_VERTEX = """#version 330 core
-layout(location = 0) in vec3 position;
-layout(location = NORMAL_LOC) in vec3 normal;
-layout(location = TEXCOORD_0_LOC) in vec2 texcoord_0;
-layout(location = COLOR_0_LOC) in vec4 color_0;
-layout(location = INST_M_LOC) in mat4 inst_m;
-uniform mat4 M, V, P;
-out vec2 uv_0;
-out vec3 point, face_normal, colour;
-void main() {
-    point = vec3(M * inst_m * vec4(position, 1.0));
-    gl_Position = P * V * vec4(point, 1.0);
-    face_normal = normal;
-    uv_0 = texcoord_0;
-    colour = color_0.rgb;
-}
-"""
-_FRAGMENT = """#version 330 core
-struct DirectionalLight { vec3 direction; };
-struct Material { sampler2D base_color_texture; };
-uniform DirectionalLight directional_lights[1];
-uniform Material material;
-uniform vec3 ambient_light, cam_pos;
-in vec2 uv_0;
-in vec3 point, face_normal, colour;
-out vec4 frag_color;
-void main() {
-    vec4 texel = texture(material.base_color_texture, uv_0);
-    if (texel.a * 255.0 < %d.0) discard;
-    float side = dot(face_normal, cam_pos - point) < 0.0 ? -1.0 : 1.0;
-    float diffuse = max(side * dot(normalize(face_normal), -directional_lights[0].direction), 0.0);
-    frag_color = vec4(colour * texel.rgb * mix(ambient_light, vec3(1.0), diffuse), 1.0);
-}
-"""
+SHADERS = Path(__file__).parent / "shaders"
 _LINEAR, _REPEAT = 9729, 10497
 
 
@@ -121,12 +86,8 @@ def _renderer(pixels: int) -> Any:
     from pyrender.shader_program import ShaderProgramCache
 
     renderer = pyrender.OffscreenRenderer(pixels, pixels)
-    folder = tempfile.TemporaryDirectory(prefix="viewnet-shaders-")
-    (Path(folder.name) / "mesh.vert").write_text(_VERTEX, encoding="ascii")
-    (Path(folder.name) / "mesh.frag").write_text(_FRAGMENT % ALPHA_CUT, encoding="ascii")
     # pyrender has no public way to other shaders; it has not changed since 2021.
-    renderer._renderer._program_cache = ShaderProgramCache(shader_dir=folder.name)
-    renderer.shader_folder = folder
+    renderer._renderer._program_cache = ShaderProgramCache(shader_dir=SHADERS)
     _kept[pixels] = renderer
     return renderer
 

@@ -21,8 +21,7 @@ from viewnet.errors import ViewnetError
 
 log = logging.getLogger(__name__)
 
-PART = ".part-"
-"""Part of the names of temporary folders: a dot, the target's name, this, and random letters."""
+PART = ".part-"  # part of the names of temporary folders: a dot, the target's name, this, and random letters
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _CLOSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
 

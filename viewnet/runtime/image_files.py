@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from PIL import Image
+from PIL import Image, ImageOps
 
 from viewnet.errors import ViewnetError
 
@@ -13,8 +13,7 @@ FORMATS = ("JPEG", "PNG", "BMP", "WEBP", "PPM", "TIFF", "GIF")
 """Formats that are decoded, whatever a file's suffix. Of Pillow's others, EPS would run Ghostscript on its content."""
 SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".ppm", ".tif", ".tiff")
 """Suffixes of image files, where a folder is searched for them."""
-MOST_PIXELS = 100_000_000
-"""The largest image, 0.4 GB once decoded: a file of some kB can claim any number of pixels."""
+MOST_PIXELS = 100_000_000  # the largest image, 0.4 GB once decoded: a file of some kB can claim any number of pixels
 
 
 @contextlib.contextmanager
@@ -34,6 +33,14 @@ def opened(source: Path | IO[bytes], what: str = "image", formats: tuple[str, ..
         raise ViewnetError(f"no such {what}") from None
     except Exception as error:  # Pillow's decoders raise many types for damaged files
         raise ViewnetError(f"{what} does not decode ({type(error).__name__})") from None
+
+
+def read(source: Path, what: str = "image") -> Image.Image:
+    """An image, decoded and turned upright by its EXIF data. Raises ViewnetError, which calls it `what`."""
+    with opened(source, what) as image:
+        image.load()
+        ImageOps.exif_transpose(image, in_place=True)
+        return image
 
 
 def size(source: Path) -> tuple[int, int]:

@@ -4,8 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-CROP_MARGIN = 0.05
-"""Where views are cropped to their object: the margin all around, as a share of its side."""
+CROP_MARGIN = 0.05  # where views are cropped to their object: the margin all around, as a share of its side
 
 
 def composite(images: Tensor, background: Tensor | float) -> Tensor:

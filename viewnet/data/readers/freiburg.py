@@ -10,14 +10,13 @@ are not annotated and taken as 0. 48 of the 52 sequences are annotated. Whatever
 
 import math
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from viewnet.config import VideoConfig, known
+from viewnet.config import VideoConfig
 from viewnet.data.clips import Clip, Frame, images_in, pick_frames
 from viewnet.data.crop import Box, clipped
-from viewnet.data.readers.reader import Contents, DataSet, Reader, VideoReader, no_usable, within
+from viewnet.data.readers.reader import Contents, Reader, no_usable, within
 from viewnet.data.store import Rejected
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import size
@@ -30,20 +29,15 @@ the opposite sense (-1)."""
 ANNOTATIONS = "annotations"
 MASKS = "masks"
 
-SPLITS: dict[str, Callable[[int], str]] = {
-    "45/2/rest": lambda number: "train" if number <= 45 else "val" if number <= 47 else "test",
-    "all": lambda number: "train",
-}
-"""Split of a sequence by its number: up to 45, 46 and 47, beyond; or all of them for training."""
 
-
-def read(root: Path, split_rule: str = "45/2/rest") -> tuple[list[Clip], list[Rejected]]:
+def read(root: Path) -> tuple[list[Clip], list[Rejected]]:
     """The sequences by number with the frames that can be used, and what cannot be used.
 
-    Frames are numbered by their place among all images of their folder. Boxes are cut at their image's edges.
+    Sequences up to 45 are "train", 46 and 47 "val", the rest "test". Frames are numbered by their place among all
+    images of their folder. Boxes are cut at their image's edges.
     Raises ViewnetError where `root` is not this data set or no frame can be used.
     """
-    root, split = Path(root), SPLITS[known(split_rule, SPLITS, "split rule")]
+    root = Path(root)
     if not (root / ANNOTATIONS).is_dir():
         raise ViewnetError(f"{root}: no folder {ANNOTATIONS}: expected that of Freiburg static cars 52, release 1.1")
     folders = {n: path for path in sorted(root.iterdir()) if path.is_dir() and (n := _number(path.name)) is not None}
@@ -60,7 +54,8 @@ def read(root: Path, split_rule: str = "45/2/rest") -> tuple[list[Clip], list[Re
             name, masks = folders[number].name, root / MASKS / folders[number].name
             if frames := tuple(_frames(lists[number], folders[number], root, rejected)):
                 place = (folders[number], frames, masks if masks.is_dir() else None)
-                clips.append(Clip(name, CATEGORY, split(number), *place))
+                split = "train" if number <= 45 else "val" if number <= 47 else "test"
+                clips.append(Clip(name, CATEGORY, split, *place))
     if not clips:
         raise no_usable(root, "frame", rejected, "no sequences")
     return clips, rejected
@@ -125,7 +120,7 @@ def _parsed(line: str) -> tuple[str, Box, float]:
 def _read_videos(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]:
     if config.category != CATEGORY:
         raise ViewnetError(f"{root}: shows cars, not {config.category}: name another root or category car")
-    clips, rejected = read(root, config.split_rule)
+    clips, rejected = read(root)
     picked = []
     for clip in clips:
         chosen = pick_frames(len(clip.frames), config.count or None, config.pick, clip.id, config.seed)
@@ -134,25 +129,15 @@ def _read_videos(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Reje
 
 
 def _count(root: Path, contents: Contents) -> None:
-    clips, rejected = read(root, "all")
+    clips, rejected = read(root)
     usable = ["sequences"] * len(clips) + ["frames"] * sum(len(clip.frames) for clip in clips)
     usable += ["sequences with masks"] * sum(clip.masks is not None for clip in clips)
     contents.add(CATEGORY, usable, [reason for *_, reason in rejected])
 
 
 READER = Reader(
-    DataSet(
-        title="Freiburg static cars 52, release 1.1",
-        use="videos to train on: Table 4",
-        named="-p video_root FOLDER",
-        layout="car001/<frame>.png ... and annotations/<number>_annot.txt; masks/car001/<frame>.png of your own",
-        terms="see https://lmb.informatik.uni-freiburg.de/resources/datasets/",
-        source="https://lmb.informatik.uni-freiburg.de/resources/datasets/FreiburgStaticCars52/"
-        "freiburg_static_cars_52_v1.1.tar.gz",
-    ),
     recognises=lambda folder: any((folder / ANNOTATIONS).glob("*_annot.txt")),
     count=_count,
-    videos=VideoReader(
-        accepts=lambda folder: (folder / ANNOTATIONS).is_dir() and not (folder / "videos").is_dir(), read=_read_videos
-    ),
+    accepts=lambda folder: (folder / ANNOTATIONS).is_dir() and not (folder / "videos").is_dir(),
+    videos=_read_videos,
 )

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from viewnet.data.clips import is_image
-from viewnet.data.readers.reader import Contents, DataSet, Reader, read_text
+from viewnet.data.readers.reader import Contents, Reader, read_text
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import SUFFIXES
 
@@ -61,15 +61,4 @@ def _count(root: Path, contents: Contents) -> None:
     contents.add("", usable, [reason for _, reason in missing])
 
 
-READER = Reader(
-    DataSet(
-        title="SUN397, or any folder of images",
-        use="behind what is trained on for photographs",
-        named="-p backgrounds FOLDER",
-        layout="images in folders; SUN397's ClassName.txt if it is there",
-        terms="see https://vision.princeton.edu/projects/2010/SUN/",
-        source="http://vision.princeton.edu/projects/2010/SUN/SUN397.tar.gz",
-    ),
-    recognises=lambda folder: (folder / CLASSES).is_file(),
-    count=_count,
-)
+READER = Reader(recognises=lambda folder: (folder / CLASSES).is_file(), count=_count)

@@ -16,8 +16,7 @@ import scipy.io
 
 from viewnet.errors import ViewnetError
 
-LARGEST = 4 * 2**20
-"""Bytes of a file once it is unpacked: a thousand times an annotation."""
+LARGEST = 4 * 2**20  # bytes of a file once it is unpacked: a thousand times an annotation
 MOST_ARRAYS = 10_000
 """Arrays in a file, structures and their fields among them; so many within each other are still read."""
 MOST_VALUES = 1_000_000

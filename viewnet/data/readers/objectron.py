@@ -20,21 +20,19 @@ import numpy as np
 from viewnet.config import VideoConfig
 from viewnet.data.clips import Clip, Frame, natural
 from viewnet.data.readers.objectron_record import Record, View, read_record
-from viewnet.data.readers.reader import Contents, DataSet, Reader, VideoReader, no_usable, read_text, within
+from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text, within
 from viewnet.data.store import Rejected
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 from viewnet.runtime.progress import bar
 from viewnet.runtime.splits import seeded_rank, seeded_splits
 
-CLASSES = {"bicycle": "bike", "bottle": "bottle", "chair": "chair"}
-"""Objectron's classes that are categories here."""
+CLASSES = {"bicycle": "bike", "bottle": "bottle", "chair": "chair"}  # Objectron's classes that are categories here
 VIDEO = "video.MOV"
 MASKS = "masks"
 
 _SUFFIXES = (".jpg", ".jpeg", ".png")
-_Images = dict[int, tuple[int, Path]]
-"""Frame number -> place in the order of names, and file."""
+_Images = dict[int, tuple[int, Path]]  # frame number -> place in the order of names, and file
 
 
 def read(
@@ -178,17 +176,8 @@ def _count(root: Path, contents: Contents) -> None:
 
 
 READER = Reader(
-    DataSet(
-        title="Objectron",
-        use="videos to train on: bicycles, bottles and chairs",
-        named="-p video_root FOLDER (notebook objectron)",
-        layout="annotations/<class>/batch-N/M.pbdata and videos/<class>/batch-N/M/video.MOV, or its frames as images",
-        terms="C-UDA 1.0: https://github.com/google-research-datasets/Objectron",
-        source="https://storage.googleapis.com/objectron (videos/ and annotations/; v1/index/ has the lists)",
-    ),
     recognises=lambda folder: any((folder / "annotations" / name).is_dir() for name in CLASSES.values()),
     count=_count,
-    videos=VideoReader(
-        accepts=lambda folder: (folder / "annotations").is_dir() and (folder / "videos").is_dir(), read=_read_videos
-    ),
+    accepts=lambda folder: (folder / "annotations").is_dir() and (folder / "videos").is_dir(),
+    videos=_read_videos,
 )

@@ -26,26 +26,28 @@ from typing import Any
 
 import numpy as np
 import torch
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, text_format
 
 from viewnet.data.crop import Box
-from viewnet.data.readers.objectron_schema import Sequence
 from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation
 
 AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-LARGEST = 16 * 2**20
-"""Bytes of a record file: ten times a minute's record. In memory it can be 30 times as large."""
-MOST_FRAMES = 100_000
-"""Frames of a record, and objects annotated in all of them together, at most."""
-BEYOND = 0.1
-"""Keypoints may be outside of the image by this share of its side: the box extends beyond the object in it."""
-VISIBLE = 0.5
-"""The share of an object that has to be visible, where that is annotated."""
-DISAGREE = 5.0
-"""Degrees between the viewpoints of the camera and of the keypoints in its frame, at most."""
+LARGEST = 16 * 2**20  # bytes of a record file: ten times a minute's record; in memory it can be 30 times as large
+MOST_FRAMES = 100_000  # frames of a record, and objects annotated in all of them together, at most
+BEYOND = 0.1  # keypoints may be outside of the image by this share of its side: the box extends beyond the object in it
+VISIBLE = 0.5  # the share of an object that has to be visible, where that is annotated
+DISAGREE = 5.0  # degrees between the viewpoints of the camera and of the keypoints in its frame, at most
 
 UNIT_BOX = np.array([(0, 0, 0), *((x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5))])
 """Places of the nine keypoints in a box of side 1: its centre, then its corners."""
+
+_schema = Path(__file__).with_name("objectron.textproto").read_text(encoding="utf-8")
+# A pool of its own: the published schema, were it loaded too, has the same names in the default one.
+_pool = descriptor_pool.DescriptorPool()
+_pool.Add(text_format.Parse(_schema, descriptor_pb2.FileDescriptorProto()))
+Sequence: Any = message_factory.GetMessageClass(_pool.FindMessageTypeByName("Sequence"))
+"""The message of a record file, built here, so that no compiler and no generated code is needed."""
 
 _SLACK = 0.01  # of rotations in single precision, and of what cameras' poses were optimised to
 

@@ -24,7 +24,7 @@ from viewnet.config import CATEGORIES, PhotoConfig, known
 from viewnet.data.crop import Box, clipped
 from viewnet.data.photo_store import Photograph, Photographs
 from viewnet.data.readers import matlab
-from viewnet.data.readers.reader import Contents, DataSet, PhotoReader, Reader, no_usable, read_text, within
+from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text, within
 from viewnet.data.store import Rejected, tally
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
@@ -294,18 +294,8 @@ def _count(root: Path, contents: Contents) -> None:
 
 
 READER = Reader(
-    DataSet(
-        title="PASCAL3D+ release 1.1",
-        use="photographs to score on: Tables 3 and 4, DVA, the study of alignments",
-        named="-p data_root FOLDER",
-        layout="Annotations/, Images/, Image_sets/ and, for the subset pascal, PASCAL/VOCdevkit/",
-        terms="its images are ImageNet's and PASCAL VOC's: see https://cvgl.stanford.edu/projects/pascal3d.html",
-        source="ftp://cs.stanford.edu/cs/cvgl/PASCAL3D+_release1.1.zip",
-    ),
     recognises=lambda folder: (folder / "Annotations").is_dir(),
     count=_count,
-    photographs=PhotoReader(
-        lambda config, root: {"pascal3d": digest(root, config.category, config.subset)} | settings(config),
-        _read_both_splits,
-    ),
+    describe=lambda config, root: {"pascal3d": digest(root, config.category, config.subset)} | settings(config),
+    photographs=_read_both_splits,
 )

@@ -15,7 +15,7 @@ import pandas as pd
 
 from viewnet.config import CATEGORIES, PhotoConfig, known
 from viewnet.data.photo_store import SPLITS, Photograph, Photographs
-from viewnet.data.readers.reader import Contents, DataSet, PhotoReader, Reader
+from viewnet.data.readers.reader import Contents, Reader
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import read_csv
 
@@ -99,17 +99,8 @@ def _count(root: Path, contents: Contents) -> None:
 
 
 READER = Reader(
-    DataSet(
-        title="photographs of your own",
-        use="in place of PASCAL3D+",
-        named="-p data_root FOLDER",
-        layout=f"images/ and {LIST}: file, azimuth_deg, elevation_deg, split (val or test); boxes x0, y0, x1, y1",
-        terms="yours",
-        source="you",
-    ),
     recognises=lambda folder: (folder / LIST).is_file(),
     count=_count,
-    photographs=PhotoReader(
-        _describe, lambda config, root: Photographs(root, read(root, config.category), upright=True)
-    ),
+    describe=_describe,
+    photographs=lambda config, root: Photographs(root, read(root, config.category), upright=True),
 )

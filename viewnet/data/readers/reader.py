@@ -17,18 +17,6 @@ if TYPE_CHECKING:
     from viewnet.data.photo_store import Photographs
 
 
-@dataclass(frozen=True)
-class DataSet:
-    """The catalogue's entry of a data set."""
-
-    title: str
-    use: str  # what it serves for
-    named: str  # how a copy is named to the project
-    layout: str  # what must lie in the folder
-    terms: str  # the licence, and where it is
-    source: str
-
-
 @dataclass
 class Contents:
     """What a folder holds: counts by category ("" where there are none), and problems, each in a line."""
@@ -54,30 +42,17 @@ class Contents:
 
 
 @dataclass(frozen=True)
-class PhotoReader:
-    """Reads annotated photographs, by a configuration and the data set's folder."""
-
-    describe: Callable[[PhotoConfig, Path], dict[str, Any]]  # what decides the photographs, as JSON values
-    read: "Callable[[PhotoConfig, Path], Photographs]"
-
-
-@dataclass(frozen=True)
-class VideoReader:
-    """Reads clips, by a configuration and the data set's folder."""
-
-    accepts: Callable[[Path], bool]  # whether a folder is read in this layout where the configuration does not name one
-    read: "Callable[[VideoConfig, Path], tuple[list[Clip], list[Rejected]]]"  # clips, and what cannot be used
-
-
-@dataclass(frozen=True)
 class Reader:
-    """A data set that the project reads."""
+    """A data set that the project reads, by the data set's folder and a configuration."""
 
-    about: DataSet | None  # its entry in the catalogue; None for a layout that is named in a configuration alone
     recognises: Callable[[Path], bool] = lambda folder: False  # whether a folder has its layout
     count: Callable[[Path, Contents], None] = lambda folder, contents: None  # adds what a folder holds to its contents
-    photographs: PhotoReader | None = None
-    videos: VideoReader | None = None
+    # Annotated photographs, and what decides them, as JSON values.
+    photographs: "Callable[[PhotoConfig, Path], Photographs] | None" = None
+    describe: Callable[[PhotoConfig, Path], dict[str, Any]] = lambda config, root: {}
+    # Clips and what cannot be used, and whether a folder is read so where a configuration does not name its layout.
+    videos: "Callable[[VideoConfig, Path], tuple[list[Clip], list[Rejected]]] | None" = None
+    accepts: Callable[[Path], bool] = lambda folder: False
 
 
 def read_text(path: Path, expected: str) -> str:

@@ -1,4 +1,4 @@
-"""All readers by their keys. A data set is added by one module with a `READER`, and one line here."""
+"""All readers by key. A data set is added by a module with a `READER`, a line here and an entry in data_sets.toml."""
 
 from viewnet.data.readers import freiburg, image_folder, objectron, pascal3d, photo_folder, shapenet, video_folder
 from viewnet.data.readers.reader import Reader

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from viewnet.config import SYNSETS, known
-from viewnet.data.readers.reader import Contents, DataSet, Reader, read_text
+from viewnet.data.readers.reader import Contents, Reader, read_text
 from viewnet.errors import ViewnetError
 from viewnet.render.mesh import Mesh, UnusableModel
 from viewnet.render.obj import read_obj
@@ -191,15 +191,5 @@ def _count(root: Path, contents: Contents) -> None:
 
 
 READER = Reader(
-    DataSet(
-        title="ShapeNetCore v1 or v2",
-        use="CAD models to train on; Tables 1 and 2",
-        named="-p data_root FOLDER (Tables 1 and 2), -p cad_root FOLDER (Tables 3 and 4), train --data-root FOLDER",
-        layout="<synset>/<id>/model.obj (v1) or <synset>/<id>/models/model_normalized.obj (v2); "
-        "all.csv if there is one",
-        terms="ShapeNet's terms of use: https://shapenet.org/terms",
-        source="https://shapenet.org, and on application https://huggingface.co/datasets/ShapeNet",
-    ),
-    recognises=lambda folder: any(_synset_there(folder, synset) for synset in SYNSETS.values()),
-    count=_count,
+    recognises=lambda folder: any(_synset_there(folder, synset) for synset in SYNSETS.values()), count=_count
 )

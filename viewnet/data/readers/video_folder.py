@@ -12,7 +12,7 @@ from pathlib import Path
 
 from viewnet.config import CATEGORIES, known
 from viewnet.data.clips import Clip, Frame, Pick, frame_count, is_video, pick_frames
-from viewnet.data.readers.reader import Reader, VideoReader
+from viewnet.data.readers.reader import Reader
 from viewnet.data.store import Rejected
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import read_csv
@@ -85,9 +85,6 @@ def _listed(root: Path) -> dict[str, str]:
 
 
 READER = Reader(
-    about=None,
-    videos=VideoReader(
-        accepts=lambda folder: True,
-        read=lambda config, root: read(root, config.category, config.count or None, config.pick, config.seed),
-    ),
+    accepts=lambda folder: True,
+    videos=lambda config, root: read(root, config.category, config.count or None, config.pick, config.seed),
 )

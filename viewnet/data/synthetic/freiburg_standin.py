@@ -24,14 +24,10 @@ from viewnet.runtime.files import write_text
 
 SEQUENCES = tuple(n for n in range(1, 53) if n not in (6, 20, 31, 36))
 """48 of 52, so that numbers have gaps as in the data set."""
-MODEL_SEED = 2000
-"""Added to the seed, so that models differ from those of a training and of the stand-in for PASCAL3D+."""
-SIZE = (240, 135)
-"""Width and height of a frame, pixels: a quarter of the data set's."""
-OBJECT = 160
-"""Pixels along a side of the rendering that a car is pasted from."""
-NO_MASK = 0.02
-"""The share of frames without a mask."""
+MODEL_SEED = 2000  # added to the seed, so that models differ from those of a training and of the stand-in for PASCAL3D+
+SIZE = (240, 135)  # width and height of a frame, pixels: a quarter of the data set's
+OBJECT = 160  # pixels along a side of the rendering that a car is pasted from
+NO_MASK = 0.02  # the share of frames without a mask
 
 
 @dataclass(frozen=True)

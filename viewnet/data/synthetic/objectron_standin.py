@@ -16,8 +16,7 @@ from PIL import Image, ImageDraw, ImageFilter
 from scipy import ndimage
 
 from viewnet.data.readers.objectron import CLASSES, MASKS
-from viewnet.data.readers.objectron_record import AXES, UNIT_BOX
-from viewnet.data.readers.objectron_schema import Sequence
+from viewnet.data.readers.objectron_record import AXES, UNIT_BOX, Sequence
 from viewnet.data.synthetic import scenes
 from viewnet.data.synthetic.stand_in import StandIn, as_image, built_in_mesh
 from viewnet.errors import ViewnetError
@@ -28,14 +27,10 @@ from viewnet.runtime.files import write_text
 
 WEAK = "masks_weak"
 """The folder of masks like a weakly supervised network's: blobs without legs that include some surroundings."""
-MODEL_SEED = 2000
-"""Added to the seed, so that models differ from those of a training with the same one."""
-SIZE = (180, 240)
-"""Width and height of an image, pixels: three to four, as of a phone held upright."""
-BATCH = 50
-"""Videos in a batch."""
-TEST = 0.2
-"""The share of videos in the test list."""
+MODEL_SEED = 2000  # added to the seed, so that models differ from those of a training with the same one
+SIZE = (180, 240)  # width and height of an image, pixels: three to four, as of a phone held upright
+BATCH = 50  # videos in a batch
+TEST = 0.2  # the share of videos in the test list
 
 # Axes of the sensor as columns, in the image's frame (right, up, back). It lies on its side: its x points down in the
 # image, its y to the right.

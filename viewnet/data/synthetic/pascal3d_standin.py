@@ -29,16 +29,11 @@ from viewnet.runtime.files import write_text
 from viewnet.runtime.image_files import opened
 from viewnet.runtime.splits import seeded_generator
 
-MODEL_SEED = 1000
-"""Added to the seed, so that models differ from those of a training with the same one."""
-SIZE = (200, 150)
-"""Width and height of an image, pixels."""
-OBJECT = 144
-"""Pixels along a side of the rendering that an object is pasted from."""
-HARD = {"imagenet": 0.1, "pascal": 0.5}
-"""The share of objects that are truncated or occluded."""
-DISTANCE = 7.0
-"""The annotated distance of the camera; 0 would mean that the viewpoint is coarse."""
+MODEL_SEED = 1000  # added to the seed, so that models differ from those of a training with the same one
+SIZE = (200, 150)  # width and height of an image, pixels
+OBJECT = 144  # pixels along a side of the rendering that an object is pasted from
+HARD = {"imagenet": 0.1, "pascal": 0.5}  # the share of objects that are truncated or occluded
+DISTANCE = 7.0  # the annotated distance of the camera; 0 would mean that the viewpoint is coarse
 
 
 @dataclass(frozen=True)

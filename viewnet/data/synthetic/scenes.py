@@ -11,8 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFilter
 from scipy.spatial import cKDTree
 
-VERSION = 1
-"""Raise it when a change alters images: it is part of every set of backgrounds' identity."""
+VERSION = 1  # raise it when a change alters images: it is part of every set of backgrounds' identity
 
 _SMALLEST = 32  # pixels of the shorter side while a scene is made, at least
 Rng = np.random.Generator

@@ -21,8 +21,7 @@ from viewnet.render.mesh import Mesh
 from viewnet.runtime.parallel import as_done, cores
 from viewnet.runtime.progress import bar
 
-WORTH_PROCESSES = 16
-"""Objects below which starting processes takes longer than making their images."""
+WORTH_PROCESSES = 16  # objects below which starting processes takes longer than making their images
 
 
 class StandIn(abc.ABC):

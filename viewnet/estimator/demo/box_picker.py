@@ -7,7 +7,7 @@ from PIL import Image, ImageDraw, ImageOps
 
 from viewnet.data.crop import Box, rgb
 from viewnet.errors import ViewnetError
-from viewnet.estimator.inputs import read_file
+from viewnet.runtime import image_files
 
 SHOWN = 1024
 """Pixels along the longer side of an image as it is shown. Browsers then only scale it down: gradio reports clicks
@@ -28,7 +28,7 @@ class BoxPicker:
     @classmethod
     def of(cls, path: Path, name: str) -> "BoxPicker":
         """Read a file. ViewnetError, which calls it `name`, if it is not an image that can be read."""
-        image = read_file(path, f"image {name}")
+        image = image_files.read(path, f"image {name}")
         display = image.convert("RGBA") if image.has_transparency_data else rgb(image)
         display = ImageOps.contain(display, (SHOWN, SHOWN))
         if display.mode == "RGBA":
@@ -37,7 +37,7 @@ class BoxPicker:
 
     def image(self) -> Image.Image:
         """The image in full resolution. ViewnetError if the file is gone."""
-        return read_file(self.path, f"image {self.name}")
+        return image_files.read(self.path, f"image {self.name}")
 
     def click(self, x: float, y: float) -> "tuple[BoxPicker, Box | None]":
         """The state after a click at a point of `shown`, and the box if the click completes one."""
