@@ -23,8 +23,8 @@ from viewnet.tables import definitions, kept_predictions
 from viewnet.tables.table import Table
 
 __all__ = [
-    "HEADINGS", "ROOT", "TABLES", "definitions", "frame", "markdown", "pd", "recipes_compared", "remade", "score", "scores",
-    "tables_1_and_2", "value",
+    "HEADINGS", "ROOT", "TABLES", "definitions", "frame", "markdown", "pd", "recipes_compared", "remade", "score",
+    "scores", "tables_1_and_2", "value",
 ]  # fmt: skip
 
 ROOT = Path(__file__).resolve().parent.parent
