@@ -50,7 +50,7 @@ def test_the_image_is_the_winner_s(model):
 @pytest.mark.parametrize(("reconstructed", "masks"), [("image", 0.0), ("image", 2.0), ("mask", 0.5)])
 def test_viewpoints_are_compared_by_colours_and_masks_as_configured(model, reconstructed, masks):
     config = settings(target=reconstructed, mask_weight=masks)
-    colours, masks = (1.0, masks) if reconstructed == "image" else (0.0, 1.0)
+    colours, masks = (config.pixel_weight, masks) if reconstructed == "image" else (0.0, 1.0)  # as in the loss
     target = images(4, seed=1)
     found = reconstruct(model.eval(), target, resize(target, 16), target, config)
     off = (found.rendered - found.target).square().mean(dim=(2, 3))

@@ -210,6 +210,7 @@ def test_the_verdict_compares_each_measured_row(table):
     sentences = table.verdict()
     assert [sentence.partition(" beside ")[0] for sentence in sentences] == [
         "Single-head (matting)",
+        "Constant",
         "Constant, as printed",
     ]
     for sentence in sentences:
