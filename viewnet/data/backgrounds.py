@@ -60,7 +60,9 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
     def fill(folder: Path) -> None:
         rejected: list[tuple[str, str]] = []
         if source == SYNTHETIC:
-            images = _synthetic(size, count, seed, progress)
+            numbers = bar(progress, iterable=range(count), desc="backgrounds", unit="image")
+            drawn = [scenes.sample(np.random.default_rng([seed, number]), size, size) for number in numbers]
+            images = np.stack(drawn).transpose(0, 3, 1, 2)  # (count, 3, size, size)
         else:
             images, rejected = _crop_all(Path(source), listed, size, count, seed, progress)
         np.save(folder / "pictures.npy", images)
@@ -82,13 +84,6 @@ def _digest(root: Path, listed: list[tuple[str, int]], missing: list[tuple[str, 
     for path, number in listed:
         hashed.update(json.dumps([path, number, (root / path).stat().st_size]).encode())
     return hashed.hexdigest()
-
-
-def _synthetic(size: int, count: int, seed: int, progress: bool) -> np.ndarray:
-    images = np.empty((count, 3, size, size), np.uint8)
-    for number in bar(progress, iterable=range(count), desc="backgrounds", unit="image"):
-        images[number] = scenes.sample(np.random.default_rng([seed, number]), size, size).transpose(2, 0, 1)
-    return images
 
 
 def _crop_all(

@@ -114,10 +114,11 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
         made_by |= pascal3d.settings(config)
     else:
         root = Path(config.root)
-        reader = next((r for r in READERS.values() if r.photographs and r.recognises(root)), None)
-        if reader is None:
+        found = [reader for reader in READERS.values() if reader.photographs and reader.recognises(root)]
+        if not found:
             expected = f"PASCAL3D+ 1.1 (Annotations, Images and Image_sets) or a folder with images/ and {LIST}"
             raise ViewnetError(f"{root}: no photographs that can be read: expected {expected}")
+        reader = found[0]
         made_by |= reader.describe(config, root)
     read = reader.photographs
     assert read is not None

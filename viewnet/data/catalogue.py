@@ -17,6 +17,7 @@ from viewnet.runtime import torchvision_weights
 from viewnet.runtime.image_files import SUFFIXES
 
 DATA_SETS: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("data_sets.toml").read_text("utf-8"))
+LABELS = {"for": "use", "named": "named", "layout": "layout", "terms": "terms", "from": "source"}
 
 NETWORKS = {
     "vgg16": "perceptual loss of the recipe paper, view regression",
@@ -79,8 +80,7 @@ def as_text(contents: Contents | None = None) -> str:
     if contents is None:
         lines = []
         for key, data in DATA_SETS.items():
-            labels = {"for": "use", "named": "named", "layout": "layout", "terms": "terms", "from": "source"}
-            lines += [f"{key}: {data['title']}", *(f"  {label:8}{data[name]}" for label, name in labels.items()), ""]
+            lines += [f"{key}: {data['title']}", *(f"  {label:8}{data[name]}" for label, name in LABELS.items()), ""]
         lines.append("weights, torchvision's (terms: https://github.com/pytorch/vision#pre-trained-model-license)")
         for file in weights():
             there = "there" if file["there"] else "missing"

@@ -25,6 +25,7 @@ from viewnet.data.clips import Clip, Frame, frame_count, read_frames
 from viewnet.data.crop import Crop, bounds, cut, inside, shrunk
 from viewnet.data.masks import MaskSource
 from viewnet.data.photo_store import describe_crop
+from viewnet.data.readers.reader import within
 from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, tally, write_store
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import scratch
@@ -153,7 +154,7 @@ def summary(store: ViewStore) -> str:
 
 def _views(clip: Clip, root: Path, cutting: Cutting) -> tuple[list[_View], list[Rejected]]:
     """The usable frames of a clip, none where there are fewer than two, and what cannot be used."""
-    where = _within(clip.source, root)
+    where = within(clip.source, root)
     views: list[_View] = []
     lost: list[Rejected] = []
     try:
@@ -218,7 +219,7 @@ def sharpness(view: np.ndarray) -> float:
 
 
 def _row(clip: Clip, view: _View, root: Path) -> tuple[Any, ...]:
-    frame, source = view.frame, f"{_within(clip.source, root)}#{view.name}"
+    frame, source = view.frame, f"{within(clip.source, root)}#{view.name}"
     azimuth = frame.azimuth % 360 % 360  # NaN stays NaN
     return clip.id, clip.category, clip.split, frame.number, azimuth, frame.elevation, source
 
@@ -227,7 +228,3 @@ def _sizes(path: Path) -> list[Any]:
     """Name and sizes of a file or of a folder's files."""
     files = [path] if path.is_file() else sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else []
     return [path.name, [(file.name, file.stat().st_size) for file in files]]
-
-
-def _within(path: Path, root: Path) -> str:
-    return (path.relative_to(root) if path.is_relative_to(root) else path).as_posix()

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from viewnet.render.camera import DISTANCE, FOCAL, RADIUS
 from viewnet.render.mesh import Material, Mesh, surfaces
@@ -45,8 +46,9 @@ def render(mesh: Mesh, world_from_camera: np.ndarray, lights: np.ndarray, size: 
     light = scene.add(pyrender.DirectionalLight())
     images = np.zeros((len(world_from_camera), size, size, 4), np.uint8)
     for view, (pose, direction) in enumerate(zip(world_from_camera, lights, strict=True)):
-        scene.set_pose(camera, _pose(pose, DISTANCE * pose[:, 2]))
-        scene.set_pose(light, _pose(_towards(direction), np.zeros(3)))
+        place = np.column_stack([pose, DISTANCE * pose[:, 2]])  # (3, 4)
+        scene.set_pose(camera, np.vstack([place, [0, 0, 0, 1]]))
+        scene.set_pose(light, trimesh.geometry.align_vectors([0, 0, 1], direction))
         fine, _ = renderer.render(scene, flags=pyrender.RenderFlags.RGBA)
         # Smoothed edges are over black, so colours are weighted by alpha already.
         total = fine.astype(np.float64).reshape(size, supersample, size, supersample, 4).sum(axis=(1, 3))
@@ -125,17 +127,3 @@ def _primitives(mesh: Mesh) -> Iterator[Any]:
                     material=pyrender.MetallicRoughnessMaterial(baseColorTexture=texture, doubleSided=not one),
                     mode=4,
                 )
-
-
-def _pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, position
-    return pose
-
-
-def _towards(direction: np.ndarray) -> np.ndarray:
-    """A rotation whose third column is `direction`."""
-    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
-    first = np.cross(helper, direction)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first), direction], axis=1)

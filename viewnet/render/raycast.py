@@ -20,6 +20,7 @@ from viewnet.render.mesh import Mesh, surfaces
 AMBIENT = 0.4
 ALPHA_CUT = 128  # texels more transparent than this are holes
 STEP = 1e-5  # distance behind a hole from which its ray continues, above the rounding errors of single precision
+_device = lru_cache(maxsize=1)(EmbreeDevice)
 BATCH = 2**18  # rays cast and hits shaded at once, which bounds memory
 
 
@@ -70,11 +71,6 @@ def prepare(mesh: Mesh) -> Surface:
     return Surface(
         scene, mesh.vertices, front, back, normals, planes, mesh.material, diffuse, texture, texels, holes, uv, colours
     )
-
-
-@lru_cache(maxsize=1)
-def _device() -> EmbreeDevice:
-    return EmbreeDevice()
 
 
 def render(
