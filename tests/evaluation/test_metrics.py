@@ -71,8 +71,9 @@ def test_predicted_tilt_counts():
 
 def test_thresholds_are_strict_and_flips_are_over_150():
     errors = np.array([9.99, 10.0, 15.0, 30.0, 29.9, 150.0, 150.1, 180.0])
-    assert metrics.summary(errors) == {
+    assert metrics.summary(errors, np.full(8, 15.0)) == {
         "acc10": 12.5, "acc15": 25.0, "acc30": 50.0, "median": pytest.approx(29.95), "flips": 25.0,
+        "dva": 50.0, "confidence_index": 0.0,
     }  # fmt: skip
     assert metrics.accuracy(np.array([30.0]), 30) == 0.0
 

@@ -30,7 +30,7 @@ def request_and_runs(**parameters):
 def test_the_same_run_is_scored_on_each_set(tmp_path):
     request, runs = request_and_runs(eval_root=str(tmp_path))
     table = request.table(runs)
-    assert all(table.checks().values()), table.checks()
+    assert table.complete
     assert table.rows == tuple(named(label, "matting") for label in (OWN, SEED, OTHER))
     cells = [cell_of(table, row, "car", "acc30") for row in table.rows]
     assert [cell["images"] for cell in cells] == [len(runs[0].predictions.subset("test")), 120, 120]
@@ -45,7 +45,7 @@ def test_without_another_collection_its_row_is_empty():
     request, runs = request_and_runs()
     assert request.label == "smoke-car"
     table = request.table(runs)
-    assert all(table.checks().values()), table.checks()
+    assert table.complete
     assert np.isnan(cell_of(table, OTHER, "car", "acc30")["measured"])
 
 

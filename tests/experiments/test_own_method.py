@@ -157,7 +157,7 @@ def test_the_same_predictions_score_the_same_as_ours_to_the_last_bit(photographs
             mine, theirs = (cell_of(table, r, "car", metric) for r in (f"By file, {kind}", named(row, "photos")))
             assert [mine[s] for s in SCORES] == [theirs[s] for s in SCORES]
     assert table.rows[-3:] == tuple(f"By file, {kind}" for kind in kinds.values())
-    assert all(table.checks().values()), table.checks()
+    assert table.complete
 
 
 def held_store(request, category="car"):
@@ -410,7 +410,7 @@ class TestTheNotebook:
         assert request.configs == alone[names[0]].configs + alone[names[1]].configs
         tables = request.score(finished(request), [Submission("Mine", Says(straight))])
         for name, table in tables.items():
-            assert table.name == name and all(table.checks().values())
+            assert table.name == name and table.complete
             assert table.rows[-1] == "Mine"
 
     def test_its_tables_go_where_no_other_does(self, tmp_path):

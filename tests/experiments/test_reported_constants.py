@@ -43,7 +43,7 @@ def test_no_constant_passes_the_bounds(azimuth, elevation, seed):
     a, grid = views["azimuth"].to_numpy(), errors_of(constants.grid_frames(around=True), views)
     mine = errors_of(frame(azimuth, elevation)[None], views)[0]
     for made in metrics.DEFINITIONS.values():
-        bound, found = constants.bounds(made(grid), a), constants.scores(made(mine), a)
+        bound, found = constants.bounds(made(grid), a), metrics.summary(made(mine), a)
         assert found["acc30"] <= bound["acc30"] + 1e-6
         assert found["median"] >= bound["median"] - 1e-6
         assert found["dva"] <= bound["dva"] + 1e-6
@@ -54,7 +54,7 @@ def test_bounds_are_close_to_what_some_constant_reaches():
     rng = np.random.default_rng(0)
     views = rows(rng.normal(90, 5, 500), rng.normal(10, 5, 500))
     bound = constants.bounds(errors_of(constants.grid_frames(around=True), views), views["azimuth"].to_numpy())
-    own = constants.scores(errors_of(frame(90, 10)[None], views)[0], views["azimuth"].to_numpy())
+    own = metrics.summary(errors_of(frame(90, 10)[None], views)[0], views["azimuth"].to_numpy())
     assert bound["acc30"] == pytest.approx(own["acc30"], abs=1)
     assert own["median"] - 3 < bound["median"] <= own["median"]
 
@@ -77,7 +77,7 @@ def test_verdicts_tell_the_definition_that_was_used(monkeypatch):
     views = rows(rng.normal(0, 35, 400) % 360, rng.normal(5, 8, 400))
     mine = errors_of(constants.mean_view(true_vectors(views))[None], views)[0]
     for used, made in metrics.DEFINITIONS.items():
-        found = constants.scores(made(mine), views["azimuth"].to_numpy())
+        found = metrics.summary(made(mine), views["azimuth"].to_numpy())
         monkeypatch.setattr(
             constants,
             "reported_scores",

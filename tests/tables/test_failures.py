@@ -57,11 +57,9 @@ def test_failures_come_by_cause_worst_first():
         line = predicted.ids.iloc[test[row]]
         hypotheses[test[row], 0] = vectors([line["azimuth"] + off], [line["elevation"]])[0]
     groups = failures.by_cause(align(Predictions(predicted.ids, hypotheses, predicted.logits), "none"))
-    assert groups[0].cause == "half a turn"
-    assert groups[0].rows == [5, 1]
-    assert groups[0].views == len(test)
-    rest = sorted(row for group in groups[1:] for row in group.rows)
-    assert rest == [3, 7]
+    assert next(iter(groups)) == "half a turn"
+    assert groups.pop("half a turn") == [5, 1]
+    assert sorted(row for rows in groups.values() for row in rows) == [3, 7]
 
 
 @pytest.fixture
@@ -76,9 +74,9 @@ def test_gallery_tells_both_viewpoints(store, tmp_path):
     (renderer,) = failures.renderers([run], lambda run: store)
     groups = failures.by_cause(renderer.aligned)
     labels = [axes.get_ylabel().replace("\n", " ") for axes in figure.axes if axes.get_ylabel()]
-    assert labels == [f"{g.cause} {len(g.rows)} of 16" for g in groups]
-    assert [len(line) for line in shown] == [2 * min(3, len(g.rows)) for g in groups]
-    worst = renderer.aligned.predictions.ids.iloc[groups[0].rows[0]]
+    assert labels == [f"{cause} {len(rows)} of 16" for cause, rows in groups.items()]
+    assert [len(line) for line in shown] == [2 * min(3, len(rows)) for rows in groups.values()]
+    worst = renderer.aligned.predictions.ids.iloc[next(iter(groups.values()))[0]]
     assert figure.axes[0].get_xlabel() == f"true\n{round(worst['azimuth']) % 360}°, {round(worst['elevation'])}°"
     assert figure.axes[1].get_xlabel().startswith("predicted\n")
     assert inside(figure)

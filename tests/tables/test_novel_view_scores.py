@@ -16,7 +16,7 @@ from viewnet.errors import ViewnetError
 from viewnet.model.viewnet import Hypotheses
 from viewnet.render import render_mesh
 from viewnet.tables import novel_view_scores
-from viewnet.tables.columns import of_novel_views
+from viewnet.tables.columns import NOVEL_VIEWS
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +130,7 @@ def test_cells_are_those_of_a_table(store, tmp_path):
     ]
     result = novel_view_scores.cells(runs, lambda run: store, draws=20)
     assert list(dict.fromkeys(result["row"])) == [novel_view_scores.COPY, "ViewNet", "Segmentation Target"]
-    assert list(result.loc[result["row"] == "ViewNet", "metric"]) == list(of_novel_views())
+    assert list(result.loc[result["row"] == "ViewNet", "metric"]) == list(NOVEL_VIEWS)
     mine = result.set_index(["row", "metric"])
     psnr = mine.loc["ViewNet", "psnr"]
     assert psnr["seeds"] == 2

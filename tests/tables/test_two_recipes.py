@@ -11,13 +11,12 @@ from helpers.evaluation_data import make_index, noisy
 from helpers.latex import assert_tabular
 from helpers.tables import cell_of
 
-from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.experiments.page import blocks
 from viewnet.tables import definitions, kept_predictions
 from viewnet.tables import table as table_module
-from viewnet.tables.table import DEGENERATE, Entry, Table, named, unnamed
+from viewnet.tables.table import DEGENERATE, Entry, Table, named
 
 VARIANTS = {"ViewNet": "viewnet", "Single-head": "single_head"}
 
@@ -50,8 +49,7 @@ def table() -> Table:
 
 @pytest.mark.parametrize("label", ["ViewNet", "ViewNet*", "ViewNet (robust)", "+ Objectron, weak masks (robust)"])
 @pytest.mark.parametrize("recipe", ["", "paper", "photos"])
-def test_names_are_told_apart_and_back(label, recipe):
-    assert unnamed(named(label, recipe), recipe) == label
+def test_names_say_the_recipe_within_one_pair_of_brackets(label, recipe):
     assert (recipe in named(label, recipe)) and named(label, recipe).count("(") <= 1
 
 
@@ -62,7 +60,6 @@ def test_each_recipe_is_a_row_with_the_reported_number_beside_it(table):
     assert {lines[row]["printed"] for row in table.rows[:2]} == {"89"}
     assert lines["ViewNet (paper)"]["runs"].split() == ["paperV0", "paperV1"]
     assert lines["No Shape Prior"]["seeds"] == 0
-    assert table.checks()["every printed row is here"]
 
 
 def test_rows_are_compared_only_where_a_difference_is_measured(table):
@@ -70,8 +67,7 @@ def test_rows_are_compared_only_where_a_difference_is_measured(table):
     assert "points lower [-" in text
     same = table.comparison("ViewNet (matting)", "ViewNet (matting)", "car")
     assert same.startswith("no difference measured [")
-    with pytest.raises(ViewnetError, match=r"No Shape Prior and ViewNet \(paper\), car"):
-        table.comparison("No Shape Prior", "ViewNet (paper)", "car")
+    assert table.comparison("No Shape Prior", "ViewNet (paper)", "car") is None
 
 
 def test_the_reference_of_a_row_is_of_its_own_recipe(table):

@@ -9,9 +9,10 @@ import gc
 import math
 import re
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -107,12 +108,8 @@ def step_config(profile: str) -> RunConfig:
 
 def reference_name(name: str) -> str:
     """What viewnet.reference calls a weight of the package's network."""
-    for ours, theirs in (
-        ("viewpoint.encoder.", "f_v."),
-        ("appearance.", "f_a."),
-        ("decoder.", "f_d."),
-        (".norm.", "."),
-    ):
+    names = {"viewpoint.encoder.": "f_v.", "appearance.": "f_a.", "decoder.": "f_d.", ".norm.": "."}
+    for ours, theirs in names.items():
         name = name.replace(ours, theirs)
     return name
 
@@ -208,41 +205,33 @@ def peak_memory(work: Work, contestant: str, device: torch.device, threads: int)
 
     On a GPU the memory that PyTorch allocates there, else resident memory. ViewnetError where that process fails.
     """
-    context, what = get_context("spawn"), f"{work.kind} at {work.size} by the {contestant} version"
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_send_peak_memory, args=(sender, work, contestant, device, threads), daemon=True)
-    process.start()
-    sender.close()
-    try:
-        answer = receiver.recv()
-    except EOFError:
-        process.join()
-        advice = "too little memory is likely: choose a smaller --batch or smaller --sizes"
-        raise ViewnetError(f"{what}: its process was ended (exit code {process.exitcode}): {advice}") from None
-    process.join()
-    if isinstance(answer, str):
-        raise ViewnetError(f"{what} failed: {answer}")
-    return answer
+    what = f"{work.kind} at {work.size} by the {contestant} version"
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        try:
+            return pool.submit(_peak_memory, work, contestant, device, threads).result()
+        except BrokenProcessPool:
+            advice = "too little memory is likely: choose a smaller --batch or smaller --sizes"
+            raise ViewnetError(f"{what}: its process was ended: {advice}") from None
+        except Exception as error:
+            reason = f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
+            raise ViewnetError(f"{what} failed: {reason}") from error
 
 
-def _send_peak_memory(sender: Connection, work: Work, contestant: str, device: torch.device, threads: int) -> None:
-    """The body of the measuring process: sends bytes, None or the text of an error."""
-    try:
-        torch.set_num_threads(threads)
-        volume_cpu.warm_up()
-        call = prepare(work, contestant, device)
-        gc.collect()
-        gpu = device.type == "cuda"
-        if gpu:
-            torch.cuda.reset_peak_memory_stats(device)
-        before = torch.cuda.memory_allocated(device) if gpu else _reset_peak()
-        call()
-        call()
-        synchronise(device)
-        peak = torch.cuda.max_memory_allocated(device) if gpu else _status("VmHWM")
-        sender.send(None if before is None or peak is None else max(0, peak - before))
-    except Exception as error:
-        sender.send(f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}")
+def _peak_memory(work: Work, contestant: str, device: torch.device, threads: int) -> int | None:
+    """The body of the measuring process."""
+    torch.set_num_threads(threads)
+    volume_cpu.warm_up()
+    call = prepare(work, contestant, device)
+    gc.collect()
+    gpu = device.type == "cuda"
+    if gpu:
+        torch.cuda.reset_peak_memory_stats(device)
+    before = torch.cuda.memory_allocated(device) if gpu else _reset_peak()
+    call()
+    call()
+    synchronise(device)
+    peak = torch.cuda.max_memory_allocated(device) if gpu else _status("VmHWM")
+    return None if before is None or peak is None else max(0, peak - before)
 
 
 def _reset_peak() -> int | None:

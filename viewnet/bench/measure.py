@@ -7,6 +7,7 @@ import datetime
 import math
 import statistics
 import tempfile
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -103,42 +104,41 @@ class Settings:
 
 def measure(settings: "Settings", progress: bool = True) -> dict[str, Any]:
     """Everything, as `bench.json` has it: settings, machine, and rows with the columns COLUMNS."""
+    works = settings.works()
+
+    def measured(device: torch.device, rates: Rates) -> list[Row]:
+        rows = []
+        steps = bar(progress, iterable=works, unit="row")
+        for work in steps:
+            steps.set_description(f"{work.kind}, {work.occupancy}, {work.size}")
+            rows.append(_row(work, settings, rates, device))
+        if device.type == "cpu":  # a GPU's rows, named and empty
+            rows += [_empty(w.kind, w.occupancy, w.size, "cuda", w.profile) for w in works if w.memory]
+        return _with_growth(rows + time_to_accuracy(settings, device, progress))
+
+    told = {name: value for name, value in asdict(settings).items() if name != "accuracy"}
+    told |= {"sizes": list(settings.sizes), "volumes": settings.volumes, "views": VIEWS, "perceptual": "none"}
+    return recorded(settings, told, measured)
+
+
+def recorded(
+    settings: "Settings", told: dict[str, Any], measure: Callable[[torch.device, Rates], list[Row]]
+) -> dict[str, Any]:
+    """What a measurement's file holds: the settings that are `told`, the machine, and the rows that are measured."""
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     threads_before, started = torch.get_num_threads(), datetime.datetime.now(datetime.UTC)
     torch.set_num_threads(settings.threads)
-    works = settings.works()
-    steps = bar(progress, total=len(works) + 1 + bool(settings.accuracy), unit="row")
     try:
         volume_cpu.warm_up()
         rates = Rates.measure(device, settings.quick)
-        steps.update()
-        rows = []
-        for work in works:
-            steps.set_description(f"{work.kind}, {work.occupancy}, {work.size}")
-            rows.append(_row(work, settings, rates, device))
-            steps.update()
-        if device.type == "cpu":  # a GPU's rows, named and empty
-            rows += [_empty(w.kind, w.occupancy, w.size, "cuda", w.profile) for w in works if w.memory]
-        if settings.accuracy:
-            steps.set_description("training to accuracy")
-        rows += time_to_accuracy(settings, device, progress)
-        steps.update(bool(settings.accuracy))
+        rows = measure(device, rates)
     finally:
-        steps.close()
         torch.set_num_threads(threads_before)
-    told = {name: value for name, value in asdict(settings).items() if name != "accuracy"}
-    told |= {"sizes": list(settings.sizes), "volumes": settings.volumes, "views": VIEWS}
-    told |= {"device": device.type, "perceptual": "none"}
-    return about(told, settings.threads, rates, started) | {"rows": _with_growth(rows)}
-
-
-def about(settings: dict[str, Any], threads: int, rates: Rates, started: datetime.datetime) -> dict[str, Any]:
-    """What a measurement's file says of it, beside its rows."""
     return {
         "schema": SCHEMA,
         "started": started.isoformat(timespec="seconds"),
-        "settings": settings,
-        "hardware": provenance.hardware(threads),
+        "settings": told | {"device": device.type},
+        "hardware": provenance.hardware(settings.threads),
         "rates": {
             "float32_multiply_adds_per_s": rates.float32,
             "bfloat16_multiply_adds_per_s": rates.bfloat16,
@@ -146,6 +146,7 @@ def about(settings: dict[str, Any], threads: int, rates: Rates, started: datetim
         },
         "versions": provenance.versions((*provenance.LIBRARIES, "triton")),
         "git": provenance.commit(),
+        "rows": rows,
     }
 
 

@@ -13,9 +13,9 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from viewnet.bench import steps
 from viewnet.bench.contestants import BOTH
 from viewnet.bench.measure import COLUMNS, Row
-from viewnet.runtime.files import write_json, write_text
+from viewnet.runtime.files import write_csv, write_json, write_text
 from viewnet.tables import latex, plots
-from viewnet.tables.benchmark import CONTESTANTS, HEADINGS, NOT_MEASURED, cells, notes, number, steps_notes
+from viewnet.tables.benchmark import CONTESTANTS, HEADINGS, NOT_MEASURED, aligned, cells, notes, number, steps_notes
 from viewnet.tables.columns import DASH
 
 COLUMN = 3.25  # inches: a column of the paper
@@ -26,14 +26,7 @@ RATIOS = {"time": "#009e73", "memory": "#e69f00"}
 
 def as_text(result: dict[str, Any]) -> str:
     """One aligned table, and what it was measured on."""
-    return "\n".join([*_aligned([*HEADINGS, *(cells(row) for row in result["rows"])], 2), "", *notes(result), ""])
-
-
-def _aligned(lines: list[tuple[str, ...]], left: int) -> list[str]:
-    """Cells below each other, those of the first `left` columns by their left edges."""
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    form = "  ".join(f"{{:{'<' if place < left else '>'}{width}}}" for place, width in enumerate(widths))
-    return [form.format(*line).rstrip() for line in lines]
+    return "\n".join([*aligned([*HEADINGS, *(cells(row) for row in result["rows"])], 2), "", *notes(result), ""])
 
 
 def steps_as_text(result: dict[str, Any]) -> str:
@@ -47,24 +40,20 @@ def steps_as_text(result: dict[str, Any]) -> str:
         times = (number(row[name]) for name in ("ms", "ms_low", "ms_high"))
         lines.append(("" if title == before else title, row["part"], *times, share, *values))
         before = title
-    return "\n".join([*_aligned(lines, 2), "", *steps_notes(result), ""])
+    return "\n".join([*aligned(lines, 2), "", *steps_notes(result), ""])
 
 
-def write_steps(result: dict[str, Any], folder: Path) -> list[Path]:
-    """`steps.json` and `steps.csv`."""
-    files = [folder / "steps.json", folder / "steps.csv"]
-    write_json(files[0], result)
-    table = pd.DataFrame(result["rows"], columns=list(steps.COLUMNS), dtype=object)
-    write_text(files[1], table.to_csv(index=False, lineterminator="\n"))
-    return files
+def write_steps(result: dict[str, Any], folder: Path, name: str = "steps", columns: Any = steps.COLUMNS) -> list[Path]:
+    """`steps.json` and `steps.csv`, or by another name with other columns."""
+    path = folder / f"{name}.json"
+    write_json(path, result)
+    table = pd.DataFrame(result["rows"], columns=list(columns), dtype=object)
+    return [path, write_csv(path.with_suffix(".csv"), table)]
 
 
 def write(result: dict[str, Any], folder: Path) -> list[Path]:
     """`bench.json`, `bench.csv`, `bench.tex`, `bench.png` and `bench.pdf`."""
-    files = [folder / f"bench{suffix}" for suffix in (".json", ".csv", ".tex")]
-    write_json(files[0], result)
-    table = pd.DataFrame(result["rows"], columns=list(COLUMNS), dtype=object)
-    write_text(files[1], table.to_csv(index=False, lineterminator="\n"))
+    files = [*write_steps(result, folder, "bench", COLUMNS), folder / "bench.tex"]
     write_text(files[2], as_latex(result))
     return files + plots.save(figure(result), folder, "bench")
 

@@ -5,14 +5,13 @@ those of a training, and rendering takes as long as volumes are full: the occupa
 stands in the place of the shape prior, and learning rates are 0, so that it stays.
 """
 
-import datetime
 import math
 import os
 import re
 import statistics
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -27,14 +26,13 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from viewnet import reference
 from viewnet.bench.contestants import camera_frames
-from viewnet.bench.measure import Row, Settings, about
+from viewnet.bench.measure import Row, Settings, recorded
 from viewnet.bench.roofline import COUNTED, Need, Rates, lit_samples, network_need, render_need, seconds
 from viewnet.config import RunConfig
 from viewnet.data import augment
 from viewnet.data.build import view_store
 from viewnet.data.pairs import model_views, sample_pairs, step_generator
 from viewnet.estimator import pretrained
-from viewnet.model.kernels import volume_cpu
 from viewnet.model.losses import PerceptualLoss
 from viewnet.model.viewnet import ViewNet
 from viewnet.model.volume import halved
@@ -87,28 +85,22 @@ def configuration(profile: str, recipe: str | None, variant: str, batch: int | N
 
 def measure(configs: list[RunConfig], settings: Settings, progress: bool = True) -> dict[str, Any]:
     """Everything, as `steps.json` has it: settings, machine, and rows with the columns COLUMNS."""
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    before, started = torch.get_num_threads(), datetime.datetime.now(datetime.UTC)
-    torch.set_num_threads(settings.threads)
     os.environ.setdefault("KINETO_LOG_LEVEL", "99")  # the profiler tells of GPUs that are not there
-    shown, rows, perceptual = bar(progress, total=len(configs), unit="profile"), [], {}
-    try:
-        volume_cpu.warm_up()
-        memory.keep_freed()  # as training does
-        rates = Rates.measure(device, settings.quick)
-        for config in configs:
-            shown.set_description(config.profile)
+    memory.keep_freed()  # as training does
+    perceptual: dict[str, str] = {}
+
+    def measured(device: torch.device, rates: Rates) -> list[Row]:
+        rows = []
+        for config in bar(progress, iterable=configs, unit="profile"):
             step = Step(config, device)
             perceptual[config.profile] = step.told
             share = config.train.search.share
             for phase, units in PHASES.items() if share else [("all", 0.0)]:
                 rows += _rows(step, phase, units * share or 0.5, settings, rates)
-            shown.update()
-    finally:
-        shown.close()
-        torch.set_num_threads(before)
+        return rows
+
     told = {"repeat": settings.repeat, "quick": settings.quick, "models": MODELS, "perceptual": perceptual}
-    return about(told | {"device": device.type}, settings.threads, rates, started) | {"rows": rows}
+    return recorded(settings, told, measured)
 
 
 class Step:
@@ -204,38 +196,31 @@ def _rows(step: Step, phase: str, progress: float, settings: Settings, rates: Ra
 
 
 @contextmanager
-def named_choice() -> Iterator[None]:
-    """Records the choice of viewpoints as CHOICE: what is rendered in it has no gradient."""
-    call = PoseSearch.__call__
-
-    def recorded(*given: Any) -> Any:
-        with record_function(CHOICE):
-            return call(*given)
-
-    setattr(PoseSearch, "__call__", recorded)  # noqa: B010 (mypy: methods are not assigned to)
+def _replaced(owner: type, name: str, method: Callable[..., Any]) -> Iterator[None]:
+    before = getattr(owner, name)
+    setattr(owner, name, method)
     try:
         yield
     finally:
-        setattr(PoseSearch, "__call__", call)  # noqa: B010
+        setattr(owner, name, before)
 
 
-@contextmanager
-def named_perceptual() -> Iterator[None]:
+def named_choice() -> AbstractContextManager[None]:
+    """Records the choice of viewpoints as CHOICE: what is rendered in it has no gradient."""
+    return _replaced(PoseSearch, "__call__", record_function(CHOICE)(PoseSearch.__call__))
+
+
+def named_perceptual() -> AbstractContextManager[None]:
     """Records the perceptual term as PERCEPTUAL, and when its backward pass begins and ends."""
-    call = PerceptualLoss.forward
+    call = record_function(PERCEPTUAL)(PerceptualLoss.forward)
 
-    def recorded(self: PerceptualLoss, image: Tensor, target: Tensor) -> Tensor:
-        with record_function(PERCEPTUAL):
-            loss = call(self, image, target)
+    def marked(self: PerceptualLoss, image: Tensor, target: Tensor) -> Tensor:
+        loss = call(self, image, target)
         loss.register_hook(lambda _: _mark(BEGINS))
         image.register_hook(lambda _: _mark(ENDS))
         return loss
 
-    setattr(PerceptualLoss, "forward", recorded)  # noqa: B010 (mypy: methods are not assigned to)
-    try:
-        yield
-    finally:
-        setattr(PerceptualLoss, "forward", call)  # noqa: B010
+    return _replaced(PerceptualLoss, "forward", marked)
 
 
 def _mark(name: str) -> None:

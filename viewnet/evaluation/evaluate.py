@@ -98,9 +98,7 @@ def evaluate(
     return {
         "images": len(test),
         "objects": len(set(test.objects)),
-        **metrics.summary(errors),
-        "dva": metrics.dva(errors, azimuths),
-        "confidence_index": metrics.confidence_index(azimuths),
+        **metrics.summary(errors, azimuths),
         "intervals": {name: None if bounds is None else list(bounds) for name, bounds in intervals.items()},
         "oracle": _headline(aligned.errors.min(axis=1)),
         "heads": [

@@ -104,9 +104,10 @@ STATISTICS: dict[str, Callable[[Floats], float]] = {
 """Statistics of errors (N,) by name: acc10, acc15, acc30 and flips in per cent, median in degrees."""
 
 
-def summary(errors: Floats) -> dict[str, float]:
-    """All `STATISTICS` of errors (N,)."""
-    return {name: statistic(errors) for name, statistic in STATISTICS.items()}
+def summary(errors: Floats, azimuths: Floats) -> dict[str, float]:
+    """Of errors (N,) at true azimuths (N,), degrees: all `STATISTICS`, then "dva" and "confidence_index"."""
+    of_errors = {name: statistic(errors) for name, statistic in STATISTICS.items()}
+    return of_errors | {"dva": dva(errors, azimuths), "confidence_index": confidence_index(azimuths)}
 
 
 def bootstrap_intervals(

@@ -21,7 +21,7 @@ from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.photos import PhotoExperiment
-from viewnet.experiments.reported_constants import write_frames
+from viewnet.runtime.files import write_csv
 from viewnet.tables.columns import HEADLINE
 from viewnet.tables.layouts import LAYOUTS
 
@@ -110,26 +110,10 @@ class Study:
         correlations.insert(0, "parts", groups.size())  # a correlation over three subsets says little
         return correlations
 
-    def checks(self) -> dict[str, bool]:
-        """What must hold whatever was trained."""
-        scores, collapse = self.scores, self.collapse
-        kinds = scores.groupby(["category", "predictor"])["alignment"].agg(set)
-        return {
-            "every predictor is scored by every alignment": bool(kinds.map(lambda k: set(KINDS) <= k).all()),
-            "accuracies lie between 0 and 100": bool(scores[["acc30", "dva"]].stack().between(0, 100).all()),
-            "medians lie between 0 and 180": bool(scores["median"].between(0, 180).all()),
-            "every category is there as it is": bool(
-                (collapse.groupby("category")["concentration"].min() == 0).all()
-                and set(collapse["category"]) == set(scores["category"])
-            ),
-            "shares lie between 0 and 1": bool(collapse[["side", "confidence_index"]].stack().between(0, 1).all()),
-            "no spread is negative": bool((collapse[["spread_rigid", "spread_linear"]] >= 0).all(axis=None)),
-        }
-
     def write(self, folder: Path) -> list[Path]:
         """`alignment_study_scores.csv` and `alignment_study_collapse.csv`."""
-        frames = {"alignment_study_scores": self.scores, "alignment_study_collapse": self.collapse}
-        return write_frames(folder, frames, digits=4)
+        frames = {"scores": self.scores, "collapse": self.collapse}
+        return [write_csv(folder / f"alignment_study_{name}.csv", f.round(4)) for name, f in frames.items()]
 
 
 def study_alignment(experiment: PhotoExperiment, runs: Sequence[Run]) -> Study:
@@ -230,5 +214,5 @@ def one_sided(predictions: Predictions, concentration: float) -> Predictions | N
 
 
 def _scores(aligned: Aligned) -> dict[str, float]:
-    errors, azimuths = aligned.selected_errors, aligned.predictions.ids["azimuth"].to_numpy()
-    return {**{m: metrics.STATISTICS[m](errors) for m in HEADLINE}, "dva": metrics.dva(errors, azimuths)}
+    values = metrics.summary(aligned.selected_errors, aligned.predictions.ids["azimuth"].to_numpy())
+    return {metric: values[metric] for metric in METRICS}

@@ -18,22 +18,13 @@ from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.experiments import experiment
 from viewnet.experiments.parameters import PARAMETERS
-from viewnet.experiments.request import DESIGNS, Request, accepted
+from viewnet.experiments.request import DESIGNS, TAKES, Request, accepted
 from viewnet.runtime.files import replacing
 
 START_TIMEOUT = 600
 """Seconds to wait for a kernel: on a busy machine the usual minute is not enough."""
-ORDER = (
-    # Nothing is trained for these.
-    *("architecture", "audit_metrics", "table1_shapenet"),
-    # The runs of Table 2 serve the figures after it, those of Table 3 what scores photographs.
-    *("table2_ablation", "figure3_azimuth", "failures", "learned_volumes", "training_curves", "novel_views"),
-    *("test_sets", "recipe_ablation"),
-    *("table3_pascal3d", "table5_dva", "alignment_study", "reconstructions"),
-    *("table4_freiburg", "objectron", "your_method"),
-)
-"""Notebooks that share runs follow each other: the first trains them, the others take no time."""
-
+ORDER = tuple(TAKES)
+"""The notebooks in the order to run them."""
 LIVE = "nbval-ignore-output"
 """The tag of the cell that runs what is missing, whose outputs nbval ignores and no committed notebook has."""
 

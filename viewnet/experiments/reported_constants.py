@@ -16,13 +16,12 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from viewnet import geometry
-from viewnet.config import known
 from viewnet.data.annotated_viewpoints import read, sample
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.baselines import mean_vector
 from viewnet.evaluation.predictions import Floats, true_vectors
-from viewnet.runtime.files import write_text
+from viewnet.runtime.files import write_csv
 from viewnet.tables import reported
 
 STEP = 2.0  # degrees between neighbours of the grid of all constants
@@ -56,11 +55,6 @@ class ConstantAudit:
         source = ", drawn as a stand-in" if self.stand_in else ""
         return f"{images.sum()} test viewpoints of {len(images)} categories{source}{left}"
 
-    def table(self, name: str) -> pd.DataFrame:
-        """All numbers compared for one table, rounded: a line for each category, test set and definition."""
-        cells = self.constants[self.constants["table"] == known(name, TABLES, "table")].drop(columns="table")
-        return cells.set_index(["category", "test_set", "definition"]).dropna(axis=1, how="all").round(1)
-
     def summary(self) -> pd.DataFrame:
         """A line for each reported cell; for each definition the best verdict over test sets, and where it holds."""
         lines: dict[tuple[str, str], dict[str, str]] = {}
@@ -74,24 +68,11 @@ class ConstantAudit:
         frame.index = pd.MultiIndex.from_tuples(frame.index, names=["table", "category"])
         return frame
 
-    def checks(self) -> dict[str, bool]:
-        """What must hold for any list: no constant has Table 2's reported scores if errors are geodesic angles."""
-        cells = self.constants[self.constants["table"] == "table2_ablation"]
-        verdicts = cells.loc[cells["definition"] == "geodesic", "verdict"]
-        return {"Table 2's constants are excluded for geodesic errors": bool((verdicts == "excluded").all())}
-
     def write(self, folder: Path) -> list[Path]:
         """`audit_constants.csv` and `audit_confidence.csv` (`stand_in_...` for a stand-in): all numbers compared."""
         stem = "stand_in" if self.stand_in else "audit"
-        frames = {f"{stem}_constants": self.constants, f"{stem}_confidence": self.confidence}
-        return write_frames(folder, frames, digits=3)
-
-
-def write_frames(folder: Path, frames: dict[str, pd.DataFrame], digits: int) -> list[Path]:
-    """Write each frame, rounded, to `<name>.csv` in `folder`."""
-    for name, frame in frames.items():
-        write_text(folder / f"{name}.csv", frame.round(digits).to_csv(index=False, lineterminator="\n"))
-    return [folder / f"{name}.csv" for name in frames]
+        frames = {"constants": self.constants, "confidence": self.confidence}
+        return [write_csv(folder / f"{stem}_{name}.csv", frame.round(3)) for name, frame in frames.items()]
 
 
 def audit_file(path: Path | None = None) -> ConstantAudit:
@@ -166,11 +147,6 @@ def bounds(errors: Floats, azimuths: Floats) -> dict[str, float]:
     }
 
 
-def scores(errors: Floats, azimuths: Floats) -> dict[str, float]:
-    """Statistics of errors (N,) by any definition, and "dva"."""
-    return {**metrics.summary(errors), "dva": metrics.dva(errors, azimuths)}
-
-
 def examine(
     test_set: str, category: str, rows: pd.DataFrame, sources: dict[str, pd.DataFrame], tables: Sequence[str]
 ) -> list[dict[str, Any]]:
@@ -186,7 +162,7 @@ def examine(
     for definition, defined in metrics.DEFINITIONS.items():
         errors = defined(grid)  # (K, N)
         bound = bounds(errors, azimuths)
-        by_candidate = {name: scores(defined(e), azimuths) for name, e in candidates.items()}
+        by_candidate = {name: metrics.summary(defined(e), azimuths) for name, e in candidates.items()}
         for table, column, report in reports:
             if category in ("", column):  # the even lattice stands for every category
                 verdict, closest = _judge(report, by_candidate, bound, errors)

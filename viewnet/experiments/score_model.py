@@ -31,6 +31,7 @@ from viewnet.recipes import make_config
 from viewnet.runs import make_run, other_views
 from viewnet.runs.make_run import Steps
 from viewnet.runtime.files import read_json, write_json
+from viewnet.tables.benchmark import aligned
 
 LEARNED = ("procrustes", "robust", "linear")  # the alignments of a trained network's predictions
 OWN = "own"  # the rotation saved with a model: fitted on its own validation views, whatever is scored
@@ -86,14 +87,12 @@ def as_text(scores: dict[str, Any]) -> str:
         (kind, *(with_interval(s, name) for name in METRICS), f"{s['flips']:.1f}", f"{s['oracle']['acc30']:.1f}")
         for kind, s in scores["alignments"].items()
     ]
-    widths = [max(map(len, column)) for column in zip(HEADER, *rows, strict=True)]
     lines = [
         f"{scores['name']}: {scores['model']}",
         f"  {scores['on']}: {first['images']} of {first['objects']} objects; aligned on {fitted['images']} of "
         f"{fitted['objects']}; [95 % intervals over objects]",
     ]
-    padded = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in (HEADER, *rows)]
-    return "\n".join([*lines, *("  " + "  ".join(row).rstrip() for row in padded)])
+    return "\n".join([*lines, *("  " + row for row in aligned([HEADER, *rows], len(HEADER)))])
 
 
 def _run(where: str, cad_root: str | None, folder: Path) -> Run:

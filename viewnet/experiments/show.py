@@ -39,7 +39,7 @@ def evidence(name: str, setting: str = "") -> None:
 def live(request: Experiment, submissions: Sequence[Submission] = ()) -> None:
     """Run what is missing, write tables and figures, and show them; `submissions` are a user's own methods.
 
-    Raises ViewnetError as Experiment.run does, and AssertionError where something does not hold that always must.
+    Raises ViewnetError as Experiment.run does, and AssertionError for a table with a row that was not measured.
     """
     files = outputs.write(request, submissions)
     _display([*drawn(request.name, files), _text([f"files: {', '.join(map(str, files))}"])])

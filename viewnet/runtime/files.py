@@ -133,6 +133,12 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_bytes(text.encode("utf-8"))
 
 
+def write_csv(path: Path, table: Any, index: bool = False) -> Path:
+    """Write a DataFrame; returns the path."""
+    write_text(path, table.to_csv(index=index, lineterminator="\n"))
+    return path
+
+
 def write_json(path: Path, value: Any) -> None:
     """Write `value` as indented JSON. ValueError for NaN and infinity, which JSON does not have."""
     write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")

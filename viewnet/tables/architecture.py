@@ -11,7 +11,7 @@ from viewnet.config import ModelConfig
 from viewnet.model.fast_layers import FixedCodeDeconv
 from viewnet.model.networks import AdaIN, Stage, parameters
 from viewnet.model.viewnet import ViewNet
-from viewnet.runtime.files import write_text
+from viewnet.runtime.files import write_csv, write_text
 from viewnet.tables import reported
 from viewnet.tables.latex import escape, line, tabular
 
@@ -51,10 +51,8 @@ class Architecture:
     def write(self, folder: Path) -> list[Path]:
         """`architecture_<part>.tex` and `.csv`."""
         tex = folder / f"architecture_{self.part}.tex"
-        csv = tex.with_suffix(".csv")
         write_text(tex, self.latex())
-        write_text(csv, self.layers.to_csv(index=False, lineterminator="\n"))
-        return [tex, csv]
+        return [tex, write_csv(tex.with_suffix(".csv"), self.layers)]
 
 
 def architectures(config: ModelConfig) -> list[Architecture]:

@@ -1,6 +1,6 @@
 """The table of `viewnet bench` as text: headings, the cells of a row of `bench.json`, and the notes below."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 CONTESTANTS = ("textbook", "viewnet")  # in the order of the columns
@@ -76,6 +76,13 @@ def rates(result: Mapping[str, Any]) -> str:
         f"{values['float32_multiply_adds_per_s']} G/s in float32, {values['bfloat16_multiply_adds_per_s']} G/s in "
         f"bfloat16, {values['copy_bytes_per_s']} GB/s"
     )
+
+
+def aligned(lines: Sequence[Sequence[str]], left: int) -> list[str]:
+    """Cells below each other, those of the first `left` columns by their left edges."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    form = "  ".join(f"{{:{'<' if place < left else '>'}{width}}}" for place, width in enumerate(widths))
+    return [form.format(*line).rstrip() for line in lines]
 
 
 def number(value: float | None) -> str:

@@ -11,6 +11,8 @@ HEADLINE = ("acc30", "median")
 """The two metrics of the paper's tables."""
 FIDELITY = ("psnr", "ssim", "iou")
 """The metrics of rendered novel views against the test views."""
+NOVEL_VIEWS = (*FIDELITY, "consistency_acc30", "consistency_median", "judged_acc30", "judged_median")
+"""The metrics of novel views, from left to right (viewnet.tables.novel_view_scores)."""
 DASH = "--"
 """Stands where nothing was reported or measured."""
 
@@ -24,7 +26,6 @@ class Column(NamedTuple):
     digits: int = 1  # in text and LaTeX: those the paper has
     page_digits: int = 1
     lower_is_better: bool = False
-    novel_views: bool = False  # whether it is shown in the table of novel views (viewnet.tables.novel_view_scores)
 
 
 METRICS = {
@@ -35,19 +36,17 @@ METRICS = {
         "Discretized viewpoint accuracy (DVA), % (higher is better)", digits=0),
     "confidence_index": Column("confidence index", "",
         "Confidence index: share of azimuth bins with more than ten photographs", 2, 2),
-    "psnr": Column("PSNR, dB", r"PSNR (dB) $\uparrow$", "PSNR of novel views, dB (higher is better)",
-        novel_views=True),
-    "ssim": Column("SSIM", r"SSIM $\uparrow$", "SSIM of novel views (higher is better)", 3, 3, novel_views=True),
-    "iou": Column("mask IoU", r"IoU $\uparrow$", "IoU of masks of novel views (higher is better)", 3, 3,
-        novel_views=True),
+    "psnr": Column("PSNR, dB", r"PSNR (dB) $\uparrow$", "PSNR of novel views, dB (higher is better)"),
+    "ssim": Column("SSIM", r"SSIM $\uparrow$", "SSIM of novel views (higher is better)", 3, 3),
+    "iou": Column("mask IoU", r"IoU $\uparrow$", "IoU of masks of novel views (higher is better)", 3, 3),
     "consistency_acc30": Column("consistent within 30, %", r"acc (\%) $\uparrow$",
-        "Rendered views whose viewpoint the model's own network predicts within 30°, %", novel_views=True),
+        "Rendered views whose viewpoint the model's own network predicts within 30°, %"),
     "consistency_median": Column("inconsistency, median degrees", r"med ($^\circ$) $\downarrow$",
-        "Error of the model's own network on rendered views, median degrees", lower_is_better=True, novel_views=True),
+        "Error of the model's own network on rendered views, median degrees", lower_is_better=True),
     "judged_acc30": Column("judged consistent within 30, %", r"judged acc (\%) $\uparrow$",
-        "Rendered views whose viewpoint ViewNet's network predicts within 30°, %", novel_views=True),
+        "Rendered views whose viewpoint ViewNet's network predicts within 30°, %"),
     "judged_median": Column("judged inconsistency, median degrees", r"judged med ($^\circ$) $\downarrow$",
-        "Error of ViewNet's network on rendered views, median degrees", lower_is_better=True, novel_views=True),
+        "Error of ViewNet's network on rendered views, median degrees", lower_is_better=True),
 }  # fmt: skip
 """Metric -> its column."""
 
@@ -55,11 +54,6 @@ METRICS = {
 def column_of(metric: str) -> Column:
     """The column of a metric; one that is not in METRICS, as a file of another version may have, is headed by name."""
     return METRICS.get(metric) or Column(metric, metric, metric, 2, 2)
-
-
-def of_novel_views() -> tuple[str, ...]:
-    """The metrics of novel views, from left to right."""
-    return tuple(metric for metric, column in METRICS.items() if column.novel_views)
 
 
 def text(value: float, metric: str, degenerate: float = 0) -> str:

@@ -7,7 +7,6 @@ that most predictions agree on.
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,24 +14,16 @@ import pandas as pd
 from viewnet.evaluation import metrics
 from viewnet.evaluation.alignment import Procrustes
 from viewnet.evaluation.predictions import Floats
-from viewnet.runtime.files import write_text
+from viewnet.runtime.files import write_csv
 from viewnet.tables.table import Table
 
-
-class Definition(NamedTuple):
-    """How predictions are aligned, and what is made of geodesic errors (N,)."""
-
-    alignment: str
-    error: Callable[[Floats], Floats]
-
-
-DEFINITIONS = {
-    "geodesic": Definition("procrustes", np.asarray),
-    "folded": Definition("procrustes", metrics.folded),
-    "robust": Definition("robust", np.asarray),
-    "yaw": Definition("yaw", np.asarray),
+DEFINITIONS: dict[str, tuple[str, Callable[[Floats], Floats]]] = {
+    "geodesic": ("procrustes", np.asarray),
+    "folded": ("procrustes", metrics.folded),
+    "robust": ("robust", np.asarray),
+    "yaw": ("yaw", np.asarray),
 }
-"""Column -> definition; "geodesic" is the headline."""
+"""Column -> the alignment of predictions, and what is made of geodesic errors (N,); "geodesic" is the headline."""
 
 
 def of_seeds(table: Table) -> pd.DataFrame:
@@ -44,9 +35,9 @@ def of_seeds(table: Table) -> pd.DataFrame:
     lines = []
     for entry in (entry for entry in table.entries if entry.alignment == "procrustes"):
         line: dict[str, object] = {"row": table.label(entry), "category": entry.category, "seed": entry.seed}
-        for name, definition in DEFINITIONS.items():
-            aligned = entry.aligned(definition.alignment)
-            errors = definition.error(aligned.selected_errors)
+        for name, (alignment, error) in DEFINITIONS.items():
+            aligned = entry.aligned(alignment)
+            errors = error(aligned.selected_errors)
             line |= {f"{name}_acc30": metrics.accuracy(errors, 30), f"{name}_median": metrics.median(errors)}
             if name == "geodesic" and isinstance(aligned.alignment, Procrustes):
                 line |= {"spread": aligned.alignment.spread, "degenerate": int(aligned.alignment.degenerate)}
@@ -62,6 +53,4 @@ def by_definition(table: Table) -> pd.DataFrame:
 
 def write(table: Table, folder: Path) -> Path:
     """`<name>_definitions.csv` of `by_definition`."""
-    path = folder / f"{table.name}_definitions.csv"
-    write_text(path, by_definition(table).to_csv(lineterminator="\n"))
-    return path
+    return write_csv(folder / f"{table.name}_definitions.csv", by_definition(table), index=True)

@@ -1,7 +1,6 @@
 """Failures of a run by cause: how far a wrong viewpoint is explained by a flip, with images of the worst."""
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -33,21 +32,11 @@ def causes(predicted: Floats, truth: Floats) -> np.ndarray:
     return np.where(metrics.geodesic_error(predicted, truth) < THRESHOLD, "", cause)
 
 
-@dataclass(frozen=True)
-class Failures:
-    """The failures of one cause."""
-
-    cause: str
-    rows: list[int]  # of test views, the worst first
-    views: int  # the number of all test views
-
-
-def by_cause(aligned: Aligned) -> list[Failures]:
-    """Failures by cause, in the order of CAUSES, without causes that do not occur."""
+def by_cause(aligned: Aligned) -> dict[str, list[int]]:
+    """Cause -> the rows of test views that fail by it, the worst first; of CAUSES those that occur, in their order."""
     why = causes(aligned.selected, aligned.predictions.truth)
     order = np.argsort(-aligned.selected_errors, kind="stable")  # the worst first, equal ones in the order of the store
-    groups = [Failures(cause, [int(i) for i in order if why[i] == cause], len(why)) for cause in CAUSES]
-    return [group for group in groups if group.rows]  # a cause that does not occur needs no line
+    return {cause: [int(i) for i in order if why[i] == cause] for cause in CAUSES if cause in why}
 
 
 def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
@@ -62,12 +51,12 @@ def gallery(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
         raise ViewnetError(f"{run.name}: no error of {THRESHOLD:g} degrees or more: there is nothing to show")
     kinds = {"true": angles(renderer.aligned.predictions.truth), "predicted": angles(renderer.aligned.selected)}
     lines, captions, labels = [], [], []
-    for group in groups:
-        rows = group.rows[:count]  # all are counted in the label
+    for cause, failed in groups.items():
+        rows = failed[:count]  # all are counted in the label
         pairs = zip(renderer.test_images(rows), renderer.displayed(renderer.reconstruct(rows)), strict=True)
         each = itertools.product(rows, kinds.items())
         texts = (f"{kind}\n{round(a[row]) % 360}°, {round(e[row])}°" for row, (kind, (a, e)) in each)
         lines.append(list(itertools.chain.from_iterable(pairs)))
         captions.append(list(texts))
-        labels.append(f"{group.cause}\n{len(group.rows)} of {group.views}")
+        labels.append(f"{cause}\n{len(failed)} of {len(renderer)}")
     return image_grid(lines, labels, captions=captions, gaps=range(2, 2 * count, 2))  # between image and next image

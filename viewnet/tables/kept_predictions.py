@@ -4,7 +4,6 @@ table2_ablation.json            where each number comes from
 table2_ablation.parquet         a row for each run and image: the run's key, then the columns of a run's predictions
 """
 
-import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,12 +14,19 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Predictions, read_parquet
 from viewnet.runtime.files import read_json
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.table import Entry, Table, run_of, unnamed
+from viewnet.tables.table import Entry, Table, named, run_of
 
 NUMBERS = ("measured", "sd", "low", "high")
 """The columns of a table's cells that predictions decide."""
 TOLERANCE = 1e-3
 """Of these, in per cent or degrees: predictions are kept in single precision, cells with four digits."""
+
+
+def cells_of(about: Mapping[str, Any]) -> pd.DataFrame:
+    """The cells of the JSON of a table, as viewnet.tables.table.Table has them."""
+    # Files of earlier versions have neither recipes nor degenerate alignments.
+    lines = [{"recipe": "", "degenerate": 0} | cell | {"runs": " ".join(cell["runs"])} for cell in about["cells"]]
+    return pd.DataFrame(lines).astype(dict.fromkeys(NUMBERS, float))  # null where there is none
 
 
 def read(path: Path) -> Table:
@@ -32,11 +38,10 @@ def read(path: Path) -> Table:
     kept = path.with_suffix(".parquet")
     runs = _runs(kept) if kept.is_file() else None
     try:
-        # Files of earlier versions have neither recipes nor degenerate alignments.
-        lines = [{"recipe": "", "degenerate": 0} | cell | {"runs": " ".join(cell["runs"])} for cell in about["cells"]]
-        cells = pd.DataFrame(lines).astype(dict.fromkeys(NUMBERS, float))
+        cells = cells_of(about)
         renamed, remarks = about.get("renamed", {}), tuple(about.get("remarks", ()))
-        entries = () if runs is None else tuple(_entries(cells, renamed, about["runs"], runs))
+        labels = {renamed.get(row.label, row.label): row.label for row in LAYOUTS[about["table"]].rows}
+        entries = () if runs is None else tuple(_entries(cells, labels, about["runs"], runs))
         return Table(about["table"], about["measured on"], cells, entries, remarks, renamed)
     except (KeyError, TypeError, ValueError) as error:
         raise ViewnetError(f"{path}: not a table with its predictions ({error}): make it again") from error
@@ -58,17 +63,15 @@ def differences(path: Path) -> pd.DataFrame:
 
     Columns row, category, metric, what ("measured", "low" ...), printed in the file, and remade. Errors as `remade`.
     """
-    found = []
-    again = remade(path).cells
     keys = ["row", "category", "metric"]
-    new = {tuple(cell[key] for key in keys): cell for cell in again.to_dict("records")}
-    for cell in read_json(path)["cells"]:
-        other = new[tuple(cell[key] for key in keys)]
-        for name in NUMBERS:
-            was, now = (math.nan if value is None else float(value) for value in (cell[name], other[name]))
-            if math.isnan(was) != math.isnan(now) or abs(was - now) > TOLERANCE:
-                found.append({**{key: cell[key] for key in keys}, "what": name, "printed": was, "remade": now})
-    return pd.DataFrame(found, columns=[*keys, "what", "printed", "remade"])
+    again = remade(path).cells
+    printed = pd.DataFrame(read_json(path)["cells"])[[*keys, *NUMBERS]].melt(
+        keys, var_name="what", value_name="printed"
+    )
+    both = printed.merge(again.melt(keys, NUMBERS, "what", "remade"), how="left", on=[*keys, "what"])
+    both = both.astype({"printed": float, "remade": float})
+    was, now = both["printed"], both["remade"]
+    return both[(was.isna() != now.isna()) | ((was - now).abs() > TOLERANCE)]
 
 
 def _runs(path: Path) -> dict[str, Predictions]:
@@ -85,12 +88,11 @@ def _runs(path: Path) -> dict[str, Predictions]:
 
 
 def _entries(
-    cells: pd.DataFrame, renamed: dict[str, str], origins: dict[str, Any], runs: Mapping[str, Predictions]
+    cells: pd.DataFrame, labels: dict[str, str], origins: dict[str, Any], runs: Mapping[str, Predictions]
 ) -> Iterator[Entry]:
-    """The entries of a table's cells."""
-    former = {new: old for old, new in renamed.items()}
+    """The entries of a table's cells; `labels` are those of the layout's rows by their names in the table."""
     for (row, recipe, category), group in cells.groupby(["row", "recipe", "category"], sort=False):
-        label = former.get(unnamed(row, recipe), unnamed(row, recipe))
+        label = next((label for name, label in labels.items() if named(name, recipe) == row), row)
         for key in group["runs"].iloc[0].split():
             origin = origins[key]
             how = (origin["seed"], origin["alignment"], key, runs[run_of(key)], origin, origin["calibration"])

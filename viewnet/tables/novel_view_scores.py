@@ -27,7 +27,7 @@ from viewnet.evaluation.alignment import fit_rotation
 from viewnet.evaluation.predictions import Floats, true_vectors
 from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
-from viewnet.runtime.files import write_text
+from viewnet.runtime.files import write_csv, write_text
 from viewnet.runtime.images import tight_crop
 from viewnet.tables import columns, latex
 from viewnet.tables.columns import FIDELITY, HEADLINE
@@ -156,10 +156,9 @@ def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -
 
 def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
     """`novel_views.tex`, a booktabs tabular, and `novel_views.csv`: every number, with its interval and runs."""
-    tex, csv = folder / "novel_views.tex", folder / "novel_views.csv"
-    write_text(tex, latex.measured(cells, columns.of_novel_views(), note))
-    write_text(csv, cells.round(4).to_csv(index=False, lineterminator="\n"))
-    return [tex, csv]
+    tex = folder / "novel_views.tex"
+    write_text(tex, latex.measured(cells, columns.NOVEL_VIEWS, note))
+    return [tex, write_csv(folder / "novel_views.csv", cells.round(4))]
 
 
 def _lines(
@@ -175,5 +174,5 @@ def _lines(
         bounds = metrics.bootstrap_intervals(seeds, objects, np.random.default_rng(0), draws)
         for statistic in HEADLINE:
             values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in seeds], bounds[statistic]
-    parts = {m: columns.measured(*values.get(m, ([np.nan], None)), objects) for m in columns.of_novel_views()}
+    parts = {m: columns.measured(*values.get(m, ([np.nan], None)), objects) for m in columns.NOVEL_VIEWS}
     return [{**about, "metric": metric, **part, "runs": keys} for metric, part in parts.items()]

@@ -6,7 +6,6 @@ import pandas as pd
 
 from viewnet import paths
 from viewnet.config import known
-from viewnet.errors import ViewnetError
 from viewnet.runtime.files import read_csv
 from viewnet.tables.layouts import LAYOUTS
 
@@ -23,25 +22,16 @@ def folder() -> Path:
 def load(table: str) -> pd.DataFrame:
     """A table of the paper, a line per number: `row` is the paper's label, `value` its text, "" where it has a dash.
 
-    Metrics are acc30 and dva (per cent), median (degrees) and confidence_index. ViewnetError for other columns.
+    Metrics are acc30 and dva (per cent), median (degrees) and confidence_index. ViewnetError for a missing column.
     """
     path = folder() / f"{known(table, TABLES, 'table')}.csv"
-    frame = read_csv(path, dtype=str, keep_default_na=False)
-    if tuple(frame.columns) != COLUMNS:
-        raise ViewnetError(f"{path}: columns are {', '.join(frame.columns)}, expected {', '.join(COLUMNS)}")
+    frame = read_csv(path, COLUMNS, dtype=str, keep_default_na=False)
     return frame.assign(bold=frame["bold"] == "1")  # values stay text, with the digits of the paper
-
-
-def none() -> pd.DataFrame:
-    """As `load`, of a table that is not in the paper."""
-    return pd.DataFrame(columns=COLUMNS)  # so that such a table is made like the others
 
 
 def architecture(part: str) -> pd.DataFrame:
     """The supplement's table of the "encoder" or the "generator", a line a layer. ViewnetError for a missing column."""
     known(part, ("encoder", "generator"), "part")  # the supplement has no other
-    path = folder() / "architecture.csv"
-    frame = read_csv(path, dtype=str, keep_default_na=False)
-    if missing := [name for name in ("part", "layer", "channels", "kernel", "stride") if name not in frame.columns]:
-        raise ViewnetError(f"{path}: column {missing[0]!r} is missing")
+    columns = ("part", "layer", "channels", "kernel", "stride")
+    frame = read_csv(folder() / "architecture.csv", columns, dtype=str, keep_default_na=False)
     return frame[frame["part"] == part].drop(columns="part").reset_index(drop=True)

@@ -19,7 +19,7 @@ from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.recipes import VARIANTS
-from viewnet.runtime.files import replacing, write_json, write_text
+from viewnet.runtime.files import replacing, write_csv, write_json, write_text
 from viewnet.tables import columns, latex, reported
 from viewnet.tables.columns import DASH, HEADLINE, METRICS, text
 from viewnet.tables.layouts import LAYOUTS, Layout
@@ -69,18 +69,6 @@ def named(label: str, recipe: str) -> str:
     if not recipe:
         return label
     return f"{label[:-1]}, {recipe})" if label.endswith(")") else f"{label} ({recipe})"
-
-
-def unnamed(label: str, recipe: str) -> str:
-    """The inverse of `named`.
-
-    >>> unnamed("ViewNet (robust, photos)", "photos")
-    'ViewNet (robust)'
-    """
-    alone = f" ({recipe})"
-    if not recipe or label.endswith(alone):
-        return label.removesuffix(alone)
-    return label.removesuffix(f", {recipe})") + ")"
 
 
 def entries(
@@ -149,8 +137,8 @@ class Table:
         for entry in given:
             known(entry.row, (row.label for row in layout.rows if row.variant), f"row of {name}")
             known(entry.category, categories, f"column of {name}")
-        printed = reported.load(name) if layout.reported else reported.none()
-        paper = {(r.row, r.metric, r.category): (r.value, bool(r.bold)) for r in printed.itertuples()}
+        printed = reported.load(name).itertuples() if layout.reported else ()
+        paper = {(r.row, r.metric, r.category): (r.value, bool(r.bold)) for r in printed}
         lines: list[dict[str, Any]] = []
         recipes = {row.label: dict.fromkeys(e.recipe for e in given if e.row == row.label) for row in layout.rows}
         rows = [(row, recipe) for row in layout.rows for recipe in recipes[row.label] or ("",)]
@@ -232,16 +220,11 @@ class Table:
             objects.append(entry.aligned().predictions.objects)
         return found
 
-    def comparison(self, row: str, reference: str, category: str) -> str:
+    def comparison(self, row: str, reference: str, category: str) -> str | None:
         """In words, how many points of Acc@30 a row is above or below another one, with the interval in brackets.
 
-        "no difference measured" where the interval includes 0. ViewnetError where one of them was not measured.
+        "no difference measured" where the interval includes 0. None where one of them was not measured.
         """
-        if (words := self._compared(row, reference, category)) is None:
-            raise ViewnetError(f"{self.name}: {row} and {reference}, {category}: one of them is not measured")
-        return words
-
-    def _compared(self, row: str, reference: str, category: str) -> str | None:
         if (interval := self.interval(row, reference, category)) is None:
             return None
         cells = self.cells[(self.cells["category"] == category) & (self.cells["metric"] == "acc30")].set_index("row")
@@ -262,7 +245,7 @@ class Table:
         rows = self.cells.drop_duplicates("row") if HEADLINE[0] in self.layout.metrics else self.cells[:0]
         for row, recipe in zip(rows["row"], rows["recipe"], strict=True):
             reference = named(self.layout.reference, recipe or first)
-            pairs = ((category, self._compared(row, reference, category)) for category in self.categories)
+            pairs = ((category, self.comparison(row, reference, category)) for category in self.categories)
             if row != reference and (found := [f"{category} {words}" for category, words in pairs if words]):
                 sentences.append(f"{row} beside {reference}, Acc@30: {'; '.join(found)}")
         return sentences
@@ -278,30 +261,10 @@ class Table:
         wide = wide.join(counts).loc[counts.index, [*shown, *counts.columns]]
         return wide.rename(columns={metric: f"{METRICS[metric].name} [95 %]" for metric in shown})
 
-    def checks(self) -> dict[str, bool]:
-        """Properties that hold for every table, whatever was trained and for how long."""
-        cells, layout = self.cells, self.layout
-        paper = reported.load(self.name)["row"] if layout.reported else ()
-        labels = self.cells.drop_duplicates("row")
-        former = {new: old for old, new in self.renamed.items()}
-        rows = [former.get(label, label) for label in map(unnamed, labels["row"], labels["recipe"])]
-        measured = cells[cells["seeds"] > 0]
-
-        def within(least: float, most: float, *metrics: str) -> bool:
-            return bool(measured.loc[measured["metric"].isin(metrics), "measured"].between(least, most).all())
-
-        result = {
-            "every printed row is here": set(paper) <= {layout.reported_as.get(row, row) for row in rows},
-            "every row of ours is measured in every category": len(measured) == int((cells["variant"] != "").sum()),
-            "nothing is measured elsewhere": bool((measured["variant"] != "").all()),
-            "accuracies lie between 0 and 100": within(0, 100, "acc30", "dva"),
-        }
-        if "median" in layout.metrics:
-            result["medians lie between 0 and 180"] = within(0, 180, "median")
-        if "confidence_index" in layout.own.values():
-            result["confidence indices lie between 0 and 1"] = within(0, 1, "confidence_index")
-        keys = set(" ".join(measured["runs"]).split())
-        return result | {"every number has runs behind it": keys <= self.provenance.keys()}
+    @property
+    def complete(self) -> bool:
+        """Whether every row of ours, and no other, is measured in every category."""
+        return bool(((self.cells["seeds"] > 0) == (self.cells["variant"] != "")).all())
 
     def latex(self) -> str:
         """A booktabs tabular to \\input: reported and measured numbers, the best of each column bold."""
@@ -316,7 +279,7 @@ class Table:
         """
         cells = self.cells.round(4)
         write_text(tex := folder / f"{self.name}.tex", self.latex())
-        write_text(csv := folder / f"{self.name}.csv", cells.to_csv(index=False, lineterminator="\n"))
+        csv = write_csv(folder / f"{self.name}.csv", cells)
         about = {
             "table": self.name,
             "title": self.layout.title,
@@ -355,15 +318,10 @@ def _measure(seeds: Sequence[Entry], row_metrics: Sequence[str]) -> dict[str, di
     statistics = [metric for metric in row_metrics if metric != "confidence_index"]
     rng = np.random.default_rng(0)
     intervals = metrics.bootstrap_intervals(errors, objects, rng, DRAWS, statistics=statistics, azimuths=azimuths)
-    values = {metric: list(map(functools.partial(_value, metric), errors, azimuths)) for metric in row_metrics}
+    values = list(map(metrics.summary, errors, azimuths))  # metric -> value, for each seed
     degenerate = sum(isinstance(one.alignment, Procrustes) and one.alignment.degenerate for one in aligned)
     return {
-        metric: columns.measured(values[metric], intervals.get(metric), objects) | {"degenerate": degenerate}
+        metric: columns.measured([seed[metric] for seed in values], intervals.get(metric), objects)
+        | {"degenerate": degenerate}
         for metric in row_metrics
     }
-
-
-def _value(metric: str, errors: np.ndarray, azimuths: np.ndarray) -> float:
-    if metric == "confidence_index":
-        return metrics.confidence_index(azimuths)
-    return metrics.dva(errors, azimuths) if metric == "dva" else metrics.STATISTICS[metric](errors)

@@ -15,8 +15,8 @@ from viewnet.runtime.files import read_csv, read_json
 from viewnet.tables import benchmark
 from viewnet.tables.architecture import COLUMNS, Architecture
 from viewnet.tables.columns import Column, best, by_key, column_of
+from viewnet.tables.kept_predictions import NUMBERS, cells_of
 
-FLOATS = ("measured", "sd", "low", "high")  # null in JSON where there is none
 # End of a CSV file's name beside a table -> its title.
 BESIDE = {
     "definitions": "By other alignments and definitions of the error",
@@ -64,9 +64,7 @@ def tables(files: Files) -> Content:
     for path in files.values():
         if path.suffix == ".json":
             table = read_json(path)
-            lines = [{"degenerate": 0} | cell | {"runs": " ".join(cell["runs"])} for cell in table["cells"]]
-            cells = pd.DataFrame(lines)
-            blocks.append(metric_table(cells.astype(dict.fromkeys(FLOATS, float)), table["title"]))
+            blocks.append(metric_table(cells_of(table), table["title"]))
             # Shown once, however many tables.
             notes += [table["measured on"], *table.get("remarks", ()), table["error"], table["interval"]]
             origins |= table["runs"]
@@ -90,7 +88,7 @@ def metric_table(cells: pd.DataFrame, title: str) -> MetricTable:
 
 def novel_views(files: Files) -> Content:
     """Of the CSV file that viewnet.tables.novel_view_scores.write writes."""
-    cells = read_csv(files["novel_views.csv"], keep_default_na=False, na_values=dict.fromkeys(FLOATS, ""))
+    cells = read_csv(files["novel_views.csv"], keep_default_na=False, na_values=dict.fromkeys(NUMBERS, ""))
     # Page.py knows more of some.
     keys: dict[str, dict[str, Any]] = {key: {} for keys in cells["runs"] for key in keys.split()}
     note = "intervals: 95 % percentile bootstrap over seeds and objects"

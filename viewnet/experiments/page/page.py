@@ -10,7 +10,7 @@ import logging
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -40,22 +40,6 @@ ENVIRONMENT = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), **_O
 
 
 @dataclass(frozen=True)
-class Kind:
-    """The rule for the files of a section, as in templates/sections.toml."""
-
-    name: str
-    chapter: str
-    patterns: list[str]
-    folder: str = ""
-    title: str = ""
-    lead: str = ""
-    command: str = ""
-
-
-KINDS = [Kind(**rule) for rule in tomllib.loads((TEMPLATES / "sections.toml").read_text(encoding="utf-8"))["section"]]
-
-
-@dataclass(frozen=True)
 class Setting:
     """A section's content at one setting: one profile, data set or machine."""
 
@@ -69,14 +53,21 @@ class Setting:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page."""
+    """A section of the page, with the rule for its files as in templates/sections.toml."""
 
     name: str
     chapter: str
-    title: str
-    lead: Markup
-    command: str
-    settings: tuple[Setting, ...]
+    patterns: list[str]
+    folder: str = ""
+    title: str = ""
+    lead: str = ""
+    command: str = ""
+    settings: tuple[Setting, ...] = ()
+
+
+KINDS = [
+    Section(**rule) for rule in tomllib.loads((TEMPLATES / "sections.toml").read_text(encoding="utf-8"))["section"]
+]
 
 
 def write(folder: Path) -> Path:
@@ -94,7 +85,7 @@ def render(content: list[Section]) -> str:
     """The page as HTML."""
     chapters = {name: list(group) for name, group in itertools.groupby(content, lambda section: section.chapter)}
     names = {section.name for section in content}
-    missing = {k.name: heading(k)[0] for k in KINDS if k.name in DESIGNS and k.name not in names}
+    missing = {k.name: headed(k).title for k in KINDS if k.name in DESIGNS and k.name not in names}
     origins = {o["key"]: o for section in content for setting in section.settings for o in setting.origins}
     return ENVIRONMENT.get_template("overview.html").render(
         chapters=chapters, missing=missing, summary=summary(origins.values()), runs=len(origins)
@@ -115,7 +106,7 @@ def sections(folder: Path, widest: int = WIDTHS[0]) -> list[Section]:
             for setting, paths in sorted(files[name].items()):  # the default, "", comes first
                 settings.append(_setting(name, setting, paths, folder, origins, widest))
                 progress.update()
-            result.append(Section(name, kinds[name].chapter, *heading(kinds[name]), tuple(settings)))
+            result.append(replace(headed(kinds[name]), settings=tuple(settings)))
     return result
 
 
@@ -213,11 +204,12 @@ def summary(origins: Iterable[Mapping[str, str]]) -> str:
     return " · ".join(parts)
 
 
-def heading(kind: Kind) -> tuple[str, Markup, str]:
-    """A section's title, introduction and command: its own, or those of its notebook."""
+def headed(kind: Section) -> Section:
+    """A section with its introduction as HTML; without a title, with title, lead and command of its notebook."""
     if kind.title:
-        return kind.title, _html(kind.lead), kind.command
-    return *_first_cell(notebooks.find(kind.name)), f"viewnet notebook {kind.name}"
+        return replace(kind, lead=_html(kind.lead))
+    title, lead = _first_cell(notebooks.find(kind.name))
+    return replace(kind, title=title, lead=lead, command=f"viewnet notebook {kind.name}")
 
 
 @functools.cache
