@@ -130,7 +130,7 @@ def tables_1_and_2(metrics: Iterable[str] = ("acc30", "median"), interval: bool 
 def recipes_compared(files: Mapping[str, str], row: str = "ViewNet") -> Table:
     """One table of a row by several recipes: name of a recipe -> JSON file of the table it was measured in."""
     entries = [
-        replace(entry, recipe=recipe)
+        replace(entry, origin=entry.origin | {"recipe": recipe})
         for recipe, file in files.items()
         for entry in remade(file).entries
         if entry.row == row
