@@ -87,7 +87,7 @@ def _volumes(request: Any, runs: Runs) -> Parts:
         mesh = volume_mesh.surface(encoded.volume[0], renderer.rotation)
         path = request.figures / "meshes" / category / f"{ids['model_id']}-{ids['view']}.glb"
         image, frame = renderer.test_images([0])[0], renderer.predicted_frames([0])[0]
-        images = turntable.animate(renderer, image, encoded, frame, renderer.aligned.selected[0])
+        images = turntable.animate(renderer, image, encoded, frame)
         yield [volume_mesh.write(mesh, path), turntable.save(images, request.figures / f"turntable_{category}.gif")]
 
 
