@@ -21,7 +21,7 @@ from viewnet.config import RunConfig
 from viewnet.evaluation.run import read_log
 from viewnet.recipes import make_config
 from viewnet.runs import run_store
-from viewnet.runtime.files import write_text
+from viewnet.runtime.files import write_csv
 
 RUNGS: dict[str, dict[str, Any]] = {
     "paper": {},
@@ -88,5 +88,5 @@ if __name__ == "__main__":
     parser.add_argument("-o", "--output", type=Path, default=Path("paper_tables/benchmarks"))
     options = parser.parse_args()
     found = ladder(options.category, options.epochs, options.seeds)
-    write_text(options.output / "ladder.csv", found.round(4).to_csv(index=False, lineterminator="\n"))
+    write_csv(options.output / "ladder.csv", found.round(4))
     print(found.groupby("rung", sort=False)[["accuracy", "folded", "error", "focal"]].mean().round(3).to_string())

@@ -126,7 +126,7 @@ class ModelConfig:
     in_plane: bool = False  # learn the camera's up vector too [3.1, the general case] (U)
     decoder: Literal["adain", "encoder_decoder", "hologan"] = "adain"  # [3.2, Table 2] (V)
     shape_prior: bool = True  # the Gaussian S in Q = S + Q' [3.3, Table 2] (V)
-    # Perspective: half sides of the volume over the camera's distance. None: learned, from 0.4 on [3.2, released] (R)
+    # Perspective: half sides of the volume over the camera's distance. None: learned, from 0.4 on [3.2, released] (U)
     focal: float | None = None
 
 

@@ -218,10 +218,10 @@ def make_config(
     return build(RunConfig, {**run, **merged(*changes)}, "config")
 
 
-def is_viewnet(variant: str, recipe: str) -> bool:
+def repeats_viewnet(variant: str, recipe: str) -> bool:
     """Whether a variant changes nothing of a recipe, as "no_search" of the paper's, which has none: no row of its own.
 
-    >>> is_viewnet("no_search", "paper"), is_viewnet("no_search", "matting")
+    >>> repeats_viewnet("no_search", "paper"), repeats_viewnet("no_search", "matting")
     (True, False)
     """
     changed = replace(make_config(variant, recipe=recipe), variant="viewnet")

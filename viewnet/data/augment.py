@@ -1,4 +1,4 @@
-"""Augmentation: views of CAD models made to look like photographs, and colours permuted (section 4.3 and ours).
+"""Augmentation: views of CAD models cut and rotated, and made to look like photographs (section 4.3 and ours).
 
 Backgrounds are images (K, 3, B, B) uint8, B twice the side of the networks' input (viewnet.data.backgrounds). Only what
 the networks see is changed, never the target: the model reconstructs the object alone. Every random number comes from
@@ -78,7 +78,7 @@ def photograph(crops: Tensor, backgrounds: Tensor, config: PhotoAugmentationConf
     """
     count, size, device = len(crops), crops.shape[-1], crops.device
     crops = _shifted(crops, config, generator)
-    images = over(crops, windows(backgrounds, count, size, generator, device))[:, :3]  # (N, 3, S, S)
+    images = composite(crops, windows(backgrounds, count, size, generator, device))  # (N, 3, S, S)
     if config.exposure:
         images = expose(images, config.exposure, generator)
     return torch.cat([images, torch.ones_like(crops[:, 3:])], 1)

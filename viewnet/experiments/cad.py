@@ -15,7 +15,7 @@ from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.request import Request, accepted
-from viewnet.recipes import is_viewnet, make_config
+from viewnet.recipes import make_config, repeats_viewnet
 from viewnet.runs.other_views import transferred
 from viewnet.runs.run_store import ensure, untrained
 from viewnet.tables.layouts import LAYOUTS
@@ -23,10 +23,6 @@ from viewnet.tables.table import Entry, Table, entries
 
 Rows = dict[str, tuple[ViewStore, NDArray[np.intp]]]
 """Split, "val" to align on and "test" to score -> a view store and which of its rows."""
-
-
-def _is_viewnet(recipe: str, variant: str) -> bool:
-    return variant not in UNTRAINED and is_viewnet(variant, recipe)
 
 
 class Experiment(Request):
@@ -39,14 +35,16 @@ class Experiment(Request):
 
     @property
     def configs(self) -> list[RunConfig]:
-        """One configuration a run: by recipe, variant, category and seed; untrained variants once a category."""
-        rows = [row for row in product(self.recipes, self.variants) if not _is_viewnet(*row)]
-        runs = product(rows, self.categories, self.seeds)
-        return list(
-            dict.fromkeys(
-                self._config(variant, category, seed, recipe=recipe) for (recipe, variant), category, seed in runs
-            )
-        )
+        """One configuration a run: by recipe, variant, category and seed; untrained variants once a category.
+
+        None where a variant is ViewNet itself by a recipe.
+        """
+        found: dict[RunConfig, None] = {}
+        for recipe, variant in product(self.recipes, self.variants):
+            if variant in UNTRAINED or not repeats_viewnet(variant, recipe):
+                runs = product(self.categories, self.seeds)
+                found |= dict.fromkeys(self._config(variant, *run, recipe=recipe) for run in runs)
+        return list(found)
 
     def _config(
         self, variant: str, category: str, seed: int, *, recipe: str | None = None, **overrides: Any
@@ -98,8 +96,7 @@ class Experiment(Request):
     def eval_data(self, config: RunConfig) -> DataConfig:
         """The views of `eval_root`, rendered as those of a run."""
         assert self.eval_root is not None
-        models: dict[str, Any] = {} if self.smoke else {"models": 0}
-        return make_config(category=config.category, profile=self.profile, data_root=self.eval_root, **models).data
+        return make_config(category=config.category, profile=self.profile, data_root=self.eval_root).data
 
     @property
     def renamed_rows(self) -> dict[str, str]:

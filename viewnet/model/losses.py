@@ -56,11 +56,7 @@ class PerceptualLoss(nn.Module):
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(1, 3, 1, 1))  # (1, 3, 1, 1)
 
     def features(self, image: Tensor) -> list[Tensor]:
-        """The taps of images (N, 3, H, W) in [0, 1], divided by their SPREADS."""
-        found = zip(self._undivided(image), self.taps, strict=True)
-        return [tap / self.spreads[index] if index in self.spreads else tap for tap, (index, _) in found]
-
-    def _undivided(self, image: Tensor) -> list[Tensor]:
+        """The taps of images (N, 3, H, W) in [0, 1], not yet divided by their SPREADS."""
         x = (image - self.mean) / self.std  # (N, 3, H, W), the range ImageNet networks are trained on
         x = x.contiguous(memory_format=torch.channels_last)
         indices = {index for index, _ in self.taps}
@@ -74,9 +70,9 @@ class PerceptualLoss(nn.Module):
     def forward(self, image: Tensor, target: Tensor) -> Tensor:
         """The distance, a scalar, of images (N, 3, H, W) in [0, 1] from their targets (N, 3, H, W)."""
         with torch.no_grad():  # a target takes no gradient, and its activations no memory
-            targets = self._undivided(target)
+            targets = self.features(target)
         total = image.new_zeros(())
-        for tap, wanted, (index, weight) in zip(self._undivided(image), targets, self.taps, strict=True):
+        for tap, wanted, (index, weight) in zip(self.features(image), targets, self.taps, strict=True):
             total = total + weight * _Distance.apply(tap, wanted, self.spreads.get(index, 1.0))
         return total / sum(weight for _, weight in self.taps)  # comparable between networks of other taps
 
@@ -131,6 +127,6 @@ def cycle_loss(hypotheses: Hypotheses, truth: Tensor, config: CycleConfig) -> Te
     The head that the network selects is pulled (the released code), or the closest one; either way the selection is
     taught which was the closest.
     """
-    closest = (hypotheses.vectors.detach() - truth[:, None]).square().sum(-1).argmin(1)  # (N,)
+    closest = hypotheses.closest(truth)  # (N,)
     pulled = closest if config.head == "closest" else hypotheses.logits.argmax(1)  # (N,)
     return F.mse_loss(hypotheses.of_heads(pulled), truth) + F.cross_entropy(hypotheses.logits, closest)

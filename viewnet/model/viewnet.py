@@ -38,6 +38,10 @@ class Hypotheses:
         """View vectors (N, 3), each image's of its head `index` (N,)."""
         return self.vectors.gather(1, index[:, None, None].expand(-1, 1, 3))[:, 0]  # (N, 3)
 
+    def closest(self, viewpoint: Tensor) -> Tensor:
+        """Each image's head (N,) whose view vector is the closest to its `viewpoint` (N, 3)."""
+        return (self.vectors - viewpoint[:, None]).square().sum(-1).argmin(1)  # (N,)
+
 
 class ViewpointNetwork(nn.Module):
     """f^v: images (N, 3, S, S) -> Hypotheses. One encoder whose last layer gives logits and vectors (section 3.1)."""

@@ -75,7 +75,7 @@ def compare(rendered: Tensor, target: Tensor) -> pd.DataFrame:
         )  # fmt: skip
         mask, true_mask = one[..., 3] > 0.5, true[..., 3] > 0.5  # masks are soft at edges
         union = (mask | true_mask).sum()
-        # Empty both.
+        # Two empty masks are equal.
         lines.append({"psnr": psnr, "ssim": float(ssim), "iou": (mask & true_mask).sum() / union if union else 1.0})
     return pd.DataFrame(lines, columns=list(FIDELITY))
 

@@ -113,7 +113,7 @@ def training_curves(logs: pd.DataFrame) -> Figure:
         axes.set_title(title, fontsize=8)
         axes.set_ylim(min(0, logs[column].min()), 100 if column in ("val_accuracy", "val_folded") else None)
         if recipes:
-            # They see far from equally many.
+            # Trainings by different recipes see numbers of images that are far apart.
             axes.set(xscale="log", xlim=(logs["targets"].min() * 0.8, logs["targets"].max() * 1.25))
         else:
             axes.set_xlim(left=0)

@@ -58,7 +58,7 @@ def repeated_views_loss(result: Reconstruction, config: TrainConfig) -> Tensor:
         view.detach().repeat(times, *[1] * (view.dim() - 1))  # (K N, 3) and (K N, M, 3)
         for view in (choice.viewpoint, result.hypotheses.vectors)
     )
-    closest = (hypotheses.vectors - viewpoint[:, None]).square().sum(-1).argmin(1)  # (K N,)
+    closest = hypotheses.closest(viewpoint)  # (K N,)
     loss = config.comparison.pull_weight * pull_loss(hypotheses.of_heads(closest), viewpoint)
     if heads.shape[1] > 1:
         wanted = selection_target(choice.errors, config.comparison.temperature).repeat(times, 1)  # (K N, M)
@@ -113,8 +113,8 @@ class PoseSearch:
             score = self.search.perturb(torch.cat([score, search_errors], 1))  # (N, M + SECTORS)
         winner = score.argmin(1)
         viewpoint = candidates[torch.arange(len(target), device=target.device), winner]  # (N, 3)
-        closest = (vectors - viewpoint[:, None]).square().sum(-1).argmin(1)  # (N,)
-        head = torch.where(winner < heads, winner, closest)  # a searched winner teaches the nearest head
+        # A searched winner teaches the nearest head.
+        head = torch.where(winner < heads, winner, hypotheses.closest(viewpoint))  # (N,)
         return Choice(head, viewpoint, errors, viewpoint if self.search else None)
 
 

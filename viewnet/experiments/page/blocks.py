@@ -89,7 +89,7 @@ def metric_table(cells: pd.DataFrame, title: str) -> MetricTable:
 def novel_views(files: Files) -> Content:
     """Of the CSV file that viewnet.tables.novel_view_scores.write writes."""
     cells = read_csv(files["novel_views.csv"], keep_default_na=False, na_values=dict.fromkeys(NUMBERS, ""))
-    # Page.py knows more of some.
+    # Keys alone: where a run is from stands in the JSON files of tables that have it, too.
     keys: dict[str, dict[str, Any]] = {key: {} for keys in cells["runs"] for key in keys.split()}
     note = "intervals: 95 % percentile bootstrap over seeds and objects"
     table = metric_table(cells.assign(printed="", bold=False, degenerate=0), "Scores of rendered novel views")
@@ -121,10 +121,10 @@ def audit(files: Files) -> Content:
     """Of the CSV files that viewnet.experiments.reported_constants.ConstantAudit.write writes."""
     blocks: list[Block] = []
     names = {"table2_ablation": "Table 2", "table3_pascal3d": "Table 3", "table5_dva": "DVA"}
-    # Which is no evidence.
+    # Apart, since what a stand-in says of the reported scores is no evidence.
     for stem, source in (("audit", "a list of annotations"), ("stand_in", "a stand-in for annotations")):
         if f"{stem}_constants.csv" in files:
-            # "81 / 33.7".
+            # As text: some hold two numbers, as "81 / 33.7".
             constants = read_csv(files[f"{stem}_constants.csv"], dtype={"printed": str}).replace({"table": names})
             confidence = read_csv(files[f"{stem}_confidence.csv"])
             summary = ConstantAudit(constants, confidence, {}, stem == "stand_in").summary()
