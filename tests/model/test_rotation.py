@@ -19,7 +19,7 @@ SMALL = dataclasses.replace(make_config(profile="smoke").model, decoder="hologan
 def images_and_gradients(decoder, code, frames, weights):
     decoder.zero_grad()
     code, frames = (value.clone().requires_grad_() for value in (code, frames))
-    images = decoder.render(decoder.features(code), frames)
+    images = decoder.render(decoder.features(code), code, frames)
     (images * weights).sum().backward()
     learned = {name: value.grad for name, value in decoder.named_parameters()}
     return {"images": images.detach(), "code": code.grad, "frames": frames.grad} | learned
@@ -63,7 +63,7 @@ def test_threads_do_not_change_bits():
         for threads in (1, 2):
             torch.set_num_threads(threads)
             rotated = decoder.features(code).detach().requires_grad_()
-            image = decoder.render(rotated, frames)
+            image = decoder.render(rotated, code, frames)
             found.append((image.detach(), *torch.autograd.grad((image * weights).sum(), rotated)))
     finally:
         torch.set_num_threads(before)

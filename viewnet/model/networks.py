@@ -160,8 +160,9 @@ class HoloGANDecoder(nn.Module):
     """Appearance (N, A) and camera frames -> images with learned layers after the rotation (Table 2, last row).
 
     Features, a quarter of the image's side as in HoloGAN, are made as volumes are, rotated rigidly, and pass two 3-D
-    convolutions. Then their depth is folded into channels, and 2-D transposed convolutions make colours and mask:
-    nothing ties one view's pixels to another's.
+    convolutions. Then their depth is folded into channels, and 2-D transposed convolutions make colours and mask, with
+    AdaIN again: without it logits run away within thirty steps, and images stay empty. Nothing ties one view's pixels
+    to another's.
     """
 
     def __init__(self, config: ModelConfig):
@@ -181,9 +182,9 @@ class HoloGANDecoder(nn.Module):
         flat = thin * size  # channels once depth is folded into them
         self.fold = nn.Sequential(nn.Conv2d(flat, flat, 1), nn.ReLU())
         painted = [max(flat >> 2 * level, 16) for level in range(power_of_two(config.render_size // size, 1, "") + 1)]
-        self.paint = nn.Sequential()
-        for before, width in pairwise(painted):
-            self.paint.extend((nn.ConvTranspose2d(before, width, 4, 2, 1), nn.ReLU()))
+        self.paint = nn.ModuleList(
+            Stage(nn.ConvTranspose2d(a, b, 4, 2, 1, bias=False), config.appearance_size) for a, b in pairwise(painted)
+        )
         self.last = nn.Conv2d(painted[-1], 4, 3, padding=1)
         for painting in (self.fold, self.paint, self.last):
             painting.to(memory_format=torch.channels_last)
@@ -196,12 +197,15 @@ class HoloGANDecoder(nn.Module):
             x = stage(x, appearance)
         return F.pad(x[:, :, 1:-1, 1:-1, 1:-1], (1,) * 6)  # (N, C, s, s, s)
 
-    def render(self, features: Tensor, world_from_camera: Tensor) -> Tensor:
-        """Images (N, 4, S, S), RGB times mask and mask; N a multiple of the number of feature volumes (B, ...)."""
+    def render(self, features: Tensor, appearance: Tensor, world_from_camera: Tensor) -> Tensor:
+        """Images (N, 4, S, S), RGB times mask and mask, of feature volumes (B, ...) and appearances (B, A); N = K B."""
         views = _rotated(features, world_from_camera)  # (N, s, s, s, C), depth third
         x = self.seen(views.movedim(-1, 1))  # (N, c, s, s, s)
         x = self.fold(x.movedim(1, -1).flatten(3).movedim(-1, 1))  # (N, s c, s, s), of a pixel all depths and channels
-        colour, mask = torch.sigmoid(self.last(self.paint(x))).float().split((3, 1), 1)
+        appearance = appearance.repeat_interleave(len(x) // len(appearance), 0)  # (N, A)
+        for stage in self.paint:
+            x = stage(x, appearance)
+        colour, mask = torch.sigmoid(self.last(x)).float().split((3, 1), 1)
         return torch.cat([colour * mask, mask], 1)  # (N, 4, S, S)
 
 

@@ -126,5 +126,5 @@ class ViewNet(nn.Module):
         """
         size = self.config.render_size if size is None else size
         if isinstance(self.decoder, HoloGANDecoder):
-            return self.decoder.render(volumes, world_from_camera)
+            return self.decoder.render(volumes, code, world_from_camera)
         return volume.render(volumes, world_from_camera, self.focal, size, sparse=True)
