@@ -6,10 +6,12 @@ import pytest
 import torch
 from helpers.smoke_model import PLAIN, SMOKE, images, settings
 
+from viewnet.data.pairs import step_generator
 from viewnet.model.reconstruction import reconstruct
 from viewnet.model.viewnet import ViewNet
 from viewnet.recipes import make_config
 from viewnet.runtime.images import resize
+from viewnet.training.optimisers import make_optimisers
 from viewnet.training.step import step_loss
 
 
@@ -51,3 +53,23 @@ def test_the_cycle_teaches_the_viewpoint_network_only(model):
     for part in (model.appearance, model.decoder):
         assert all(p.grad is None for p in part.parameters())
     assert model.focal.grad is None
+
+
+def test_images_of_the_hologan_decoder_do_not_run_away_to_nothing():
+    torch.manual_seed(0)
+    config = make_config("hologan_decoder", batch_size=4)
+    model = ViewNet(config.model)
+    optimisers = make_optimisers(model, config.train)
+    target = torch.zeros(4, 4, 64, 64)
+    for image, corner in zip(target, (12, 18, 24, 30), strict=True):
+        image[:, corner : corner + 22, 16:48] = 1.0  # fills a sixth of the image, as cars do
+    appearance = target[::2]
+    for step in range(30):
+        terms = step_loss(model, (appearance, target, target), config.train, None, 0.5, step_generator(0, step))
+        model.zero_grad()
+        torch.stack(list(terms.values())).sum().backward()
+        for optimiser in optimisers:
+            optimiser.step()
+    with torch.no_grad():
+        rendered = reconstruct(model, appearance, resize(target, 32), target, config.train).rendered
+    assert rendered[:, 3].amax((1, 2)).min() > 0.5
