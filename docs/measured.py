@@ -112,27 +112,35 @@ def scores(
 
 
 def tables_1_and_2(metrics: Iterable[str] = ("acc30", "median"), interval: bool = False) -> str:
-    """Tables 1 and 2 as one Markdown table of measured (reported) values."""
-    files = {"ViewNet": "table1_shapenet.csv", "ViewNet + cycle": "table1_shapenet.csv"}
-    for row in frame("table2_ablation.csv").dropna(subset=["measured", "printed"])["row"]:
-        files.setdefault(row, "table2_ablation.csv")
+    """Tables 1 and 2 as one Markdown table of measured (reported) values, "n.d." where an alignment is not determined."""
+    files: dict[str, str] = {}
+    for file in ("table1_shapenet.csv", "table2_ablation.csv"):
+        measured = frame(file).dropna(subset="measured")
+        for row in measured.loc[measured["printed"].notna() | measured["recipe"].notna(), "row"]:
+            files.setdefault(row, file)
     header, columns = [""], []
     for metric in metrics:
         header += [f"{HEADINGS[metric]}: aeroplane", "car", "chair"]
         columns += [(metric, category) for category in ("aeroplane", "car", "chair")]
-    cells = (
-        [row, *(score(file, row, category, metric, interval=interval) for metric, category in columns)]
-        for row, file in files.items()
-    )
-    return markdown(header, cells)
+
+    def cell(row: str, file: str, metric: str, category: str) -> str:
+        where = {"row": row, "category": category, "metric": metric}
+        if value(file, "degenerate", **where):
+            return f"n.d. ({frame(file, **where)['printed'].item()})".removesuffix(" (nan)")
+        return score(file, row, category, metric, interval=interval)
+
+    body = [[row.replace(" (matting)", ""), *(cell(row, file, *column) for column in columns)]
+            for row, file in files.items()]  # fmt: skip
+    return markdown(header, body)
 
 
-def recipes_compared(files: Mapping[str, str], row: str = "ViewNet") -> Table:
-    """One table of a row by several recipes: name of a recipe -> JSON file of the table it was measured in."""
+def recipes_compared(files: Mapping[str, Sequence[str]], row: str = "ViewNet") -> Table:
+    """One table of a row by several recipes: name of a recipe -> JSON files of the tables with its seeds."""
     entries = [
         replace(entry, origin=entry.origin | {"recipe": recipe})
-        for recipe, file in files.items()
-        for entry in remade(file).entries
+        for recipe, names in files.items()
+        for name in names
+        for entry in remade(name).entries
         if entry.row == row
     ]
     return Table.of("table2_ablation", entries)
