@@ -18,6 +18,7 @@ from viewnet.data.store import tally
 from viewnet.data.synthetic import objectron_standin
 from viewnet.data.synthetic.objectron_standin import ObjectronStandIn
 from viewnet.errors import ViewnetError
+from viewnet.runtime import image_files
 
 NAME = "chair/batch-1/0"
 TALL = 0.75  # width of an image by its height
@@ -319,10 +320,10 @@ def test_frames_without_a_image_or_with_a_broken_one(tmp_path):
     # The frame is the second image, whose place counts from 0.
     assert [frame.number for frame in clip.frames] == [0, 1]
     assert clip.frames[1].azimuth == pytest.approx(45, abs=1e-3)
-    where = f"annotations/{NAME}.pbdata"
+    where, formats = f"annotations/{NAME}.pbdata", ", ".join(image_files.FORMATS)
     assert sorted(rejected) == [
         (f"{NAME}/1", where, "no such image"),
-        (f"{NAME}/3", where, "image does not decode (UnidentifiedImageError)"),
+        (f"{NAME}/3", where, f"image does not decode (no known format: save it as one of {formats})"),
         (f"{NAME}/4", where, "image is not rotated as its annotation"),
     ]
 

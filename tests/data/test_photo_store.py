@@ -19,6 +19,7 @@ from viewnet.data.readers import pascal3d, photo_folder
 from viewnet.data.store import ViewStore
 from viewnet.data.synthetic.pascal3d_standin import Pascal3DStandIn
 from viewnet.errors import ViewnetError
+from viewnet.runtime import image_files
 
 SMALL = PhotoConfig("bus", models=2, count=6, size=32)  # twelve photographs of four models
 
@@ -103,7 +104,7 @@ def test_boxes_outside_of_the_image_are_refused():
 
 def test_grey_of_16_bits_keeps_its_brightness():
     ramp = np.linspace(0, 65535, 16).astype(np.uint16)[None].repeat(16, axis=0)
-    small = cut(Image.fromarray(ramp), None, Crop(16))
+    small = cut(image_files.read(Image.fromarray(ramp)), None, Crop(16))
     assert small[0, :, 0].tolist() == pytest.approx(np.linspace(0, 255, 16).tolist(), abs=1.5)
 
 

@@ -20,8 +20,8 @@ from viewnet.data.readers.image_folder import list_images
 from viewnet.data.store import filled_once, identity_of
 from viewnet.data.synthetic import scenes
 from viewnet.errors import ViewnetError
+from viewnet.runtime import image_files
 from viewnet.runtime.files import load_array
-from viewnet.runtime.image_files import opened
 from viewnet.runtime.progress import bar
 from viewnet.runtime.splits import seeded_generator, seeded_rank
 
@@ -117,10 +117,7 @@ def _balanced(listed: list[tuple[str, int]], seed: int) -> list[tuple[str, int]]
 
 def random_square(path: Path, size: int, rng: np.random.Generator) -> np.ndarray:
     """A random square of an image, 0.7 to 1 of its shorter side wide: (size, size, 3)."""
-    with opened(path) as image:
-        # A large JPEG is decoded at a fraction of its size: much faster.
-        image.draft("RGB", (3 * size, 3 * size))
-        whole = image.convert("RGB")
+    whole = image_files.read(path, enough=3 * size).convert("RGB")
     side = min(whole.size) * rng.uniform(0.7, 1)
     left, upper = rng.random(2) * (np.array(whole.size) - side)
     box = (left, upper, left + side, upper + side)

@@ -53,7 +53,7 @@ def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None
     if (right - left) * (lower - upper) > MOST_PIXELS:
         raise ViewnetError(f"box is too large to be cut ({right - left} x {lower - upper} pixels with its margin)")
     part = (max(left, 0), max(upper, 0), min(right, width), min(lower, height))
-    inside, place = rgb(image.crop(part)), (part[0] - left, part[1] - upper)
+    inside, place = image.crop(part).convert("RGB"), (part[0] - left, part[1] - upper)
     exact = (seen[0] - left, seen[1] - upper, seen[2] - left, seen[3] - upper)
     if mask is not None:
         inside.putalpha(Image.fromarray(mask).crop(part))
@@ -106,26 +106,3 @@ def inside(mask: np.ndarray, box: Box) -> np.ndarray:
     clipped = np.zeros_like(mask)
     clipped[rows, columns] = mask[rows, columns]
     return clipped
-
-
-def coverage(mask: Image.Image) -> np.ndarray:
-    """The alpha (H, W) uint8 of a mask's image.
-
-    Pixels are coverage from black to white, or class numbers: in images with a palette, and where no value is above 1,
-    everything but 0 is the object.
-    """
-    if mask.mode == "P":
-        return (np.array(mask) > 0).astype(np.uint8) * 255
-    if mask.mode.startswith("I"):
-        values = np.array(mask).astype(np.int64)
-        values = values if values.max(initial=0) <= 1 else values // 257
-    else:
-        values = np.array(mask.convert("L")).astype(np.int64)
-    return (values * 255 if values.max(initial=0) <= 1 else values).clip(0, 255).astype(np.uint8)
-
-
-def rgb(image: Image.Image) -> Image.Image:
-    """An image in three channels; 16-bit grey is scaled to 8 bits, where `convert` would clip it."""
-    if image.mode.startswith("I;16") or image.mode == "I":
-        image = Image.fromarray((np.asarray(image).astype(np.int64) // 257).clip(0, 255).astype(np.uint8))
-    return image.convert("RGB")

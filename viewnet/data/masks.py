@@ -18,11 +18,10 @@ from scipy import ndimage
 from torch import nn
 
 from viewnet.config import CATEGORIES, known
+from viewnet.data import mask_files
 from viewnet.data.clips import Clip
-from viewnet.data.crop import coverage
 from viewnet.errors import ViewnetError
 from viewnet.runtime import torchvision_weights
-from viewnet.runtime.image_files import opened
 
 VERSION = 1  # raise it when a change alters masks: it is part of every store's identity
 NETWORKS = {"maskrcnn": "maskrcnn_resnet50_fpn", "deeplabv3": "deeplabv3_resnet50"}
@@ -50,7 +49,7 @@ class MaskSource:
 
 
 def from_files() -> MaskSource:
-    """PNG files (see `crop.coverage`) in each clip's folder of masks, named like its images, or by frame number.
+    """PNG files (see mask_files) in each clip's folder of masks, named like its images, or by frame number.
 
     Its follower raises ViewnetError for a mask that is missing.
     """
@@ -61,11 +60,10 @@ def from_files() -> MaskSource:
             file = next((path for path in files if path.is_file()), None)
             if file is None:
                 raise ViewnetError("mask is missing")
-            with opened(file, "mask") as mask:
-                if mask.size != image.size:
-                    raise ViewnetError(f"mask has another size than its image ({mask.width} x {mask.height})")
-                mask.load()
-                return coverage(mask)
+            mask = mask_files.read(file)
+            if mask.shape != (image.height, image.width):
+                raise ViewnetError(f"mask has another size than its image ({mask.shape[1]} x {mask.shape[0]})")
+            return mask
 
         return read
 

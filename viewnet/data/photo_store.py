@@ -15,12 +15,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from PIL import ImageOps
 
 from viewnet.data.crop import Box, Crop, cut
 from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, tally, write_store
 from viewnet.errors import ViewnetError
-from viewnet.runtime.image_files import opened
+from viewnet.runtime import image_files
 from viewnet.runtime.parallel import cores
 from viewnet.runtime.progress import bar
 
@@ -127,9 +126,7 @@ def _crop_and_digest(photograph: Photograph, crop: Crop, upright: bool) -> tuple
     except (OSError, ValueError) as error:
         return ViewnetError(f"image cannot be read ({type(error).__name__})")
     try:
-        with opened(io.BytesIO(content)) as image:
-            image.load()
-            whole = ImageOps.exif_transpose(image) if upright else image.copy()
-        return cut(whole, photograph.box, crop), hashlib.sha256(content).digest()
+        image = image_files.read(io.BytesIO(content), upright=upright)
+        return cut(image, photograph.box, crop), hashlib.sha256(content).digest()
     except ViewnetError as error:
         return error

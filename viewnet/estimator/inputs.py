@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import Image
 from torch import Tensor
 
-from viewnet.data.crop import Box, bounds, coverage, inside
+from viewnet.data import mask_files
+from viewnet.data.crop import Box, bounds, inside
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
@@ -105,13 +106,8 @@ def read_image(image: ImageLike, mask: Any = None, box: Box | None = None) -> In
 def _decode(image: ImageLike) -> Image.Image:
     if isinstance(image, ARRAYS):
         return Image.fromarray(_pixels(image))
-    if isinstance(image, (str, os.PathLike)):
-        return image_files.read(Path(image))
-    if isinstance(image, Image.Image):
-        try:
-            return ImageOps.exif_transpose(image)
-        except (OSError, ValueError, SyntaxError) as error:  # of an image that PIL has not decoded yet
-            raise ViewnetError(f"image does not decode ({type(error).__name__})") from None
+    if isinstance(image, FILES):
+        return image_files.read(image if isinstance(image, Image.Image) else Path(image))
     raise ViewnetError(f"got {type(image).__name__}: expected a PIL image, a path, a numpy array or a torch tensor")
 
 
@@ -141,17 +137,13 @@ def _eight_bits(image: np.ndarray) -> np.ndarray:
 
 
 def _decode_mask(mask: Any) -> np.ndarray:
-    """(H, W) uint8, see viewnet.data.crop.coverage."""
-    if isinstance(mask, (str, os.PathLike)):
-        with image_files.opened(Path(mask), f"mask {mask}") as file:
-            file.load()
-            return coverage(file)
+    """(H, W) uint8, see viewnet.data.mask_files."""
     if isinstance(mask, Image.Image):
-        return coverage(mask)
+        return mask_files.read(mask)
+    if isinstance(mask, (str, os.PathLike)):
+        return mask_files.read(Path(mask), f"mask {mask}")
     array = mask.detach().cpu().numpy() if isinstance(mask, Tensor) else np.asarray(mask)
     array = array.squeeze(0) if array.ndim == 3 and len(array) == 1 else array  # (H, W)
     if array.ndim != 2:
         raise ViewnetError(f"mask is {array.shape}: expected (H, W)")
-    if array.dtype == bool:
-        return array.astype(np.uint8) * 255
-    return coverage(Image.fromarray(np.ascontiguousarray(_eight_bits(array))))
+    return mask_files.coverage(array)

@@ -136,11 +136,8 @@ def read_texture(obj: Path, folder: Path, file: Path) -> np.ndarray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with image_files.opened(file, f"texture '{name}'", FORMATS) as image:
-                image.draft("RGB", (TEXTURE_SIZE, TEXTURE_SIZE))
-                alpha = "A" in image.getbands() or "transparency" in image.info
-                small = image.convert("RGBA" if alpha else "RGB")
-                small.thumbnail((TEXTURE_SIZE, TEXTURE_SIZE), Image.Resampling.BOX)
-                return np.array(small)
+            image = image_files.read(file, f"texture '{name}'", FORMATS, enough=TEXTURE_SIZE)
+            image.thumbnail((TEXTURE_SIZE, TEXTURE_SIZE), Image.Resampling.BOX)
+            return np.array(image)
     except ViewnetError as error:
         raise UnusableModel(obj, f"broken {error}") from None

@@ -133,7 +133,7 @@ def _read_image(
     path, image_path = (locate(root, category, subset, image) for locate in (annotation_file, image_file))
     name, where = f"{subset}/{image}", within(image_path, root)
     try:
-        size = image_files.size(image_path)
+        size = image_files.size(image_path, upright=False)
         where = within(path, root)
         objects, annotated = _record(path)
     except ViewnetError as error:

@@ -25,8 +25,8 @@ from viewnet.data.synthetic.stand_in import StandIn, add_shadow, as_image, built
 from viewnet.errors import ViewnetError
 from viewnet.render import render_cameras
 from viewnet.render.camera import look_from
+from viewnet.runtime import image_files
 from viewnet.runtime.files import write_text
-from viewnet.runtime.image_files import opened
 from viewnet.runtime.splits import seeded_generator
 
 MODEL_SEED = 1000  # added to the seed, so that models differ from those of a training with the same one
@@ -188,8 +188,7 @@ def _background(backgrounds: Sequence[Path], rng: np.random.Generator) -> Image.
         return Image.fromarray(scenes.sample(rng, *SIZE))
     path = backgrounds[int(rng.integers(len(backgrounds)))]
     try:
-        with opened(path) as source:
-            image = source.convert("RGB")
+        image = image_files.read(path).convert("RGB")
     except ViewnetError as error:
         raise ViewnetError(f"{path}: {error}: remove it from the backgrounds") from None
     scale = min(image.width / SIZE[0], image.height / SIZE[1]) * rng.uniform(0.7, 1)

@@ -15,6 +15,7 @@ import numpy as np
 from gradio.processing_utils import save_bytes_to_cache
 from PIL import Image
 
+from viewnet.data import mask_files
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator, volume_mesh
 from viewnet.estimator.demo import analysis, compass_svg
@@ -23,7 +24,6 @@ from viewnet.estimator.demo.box_picker import BoxPicker, format_box, parse_box
 from viewnet.estimator.demo.examples import Example
 from viewnet.estimator.templating import rendered
 from viewnet.model.reconstruction import Encoded
-from viewnet.runtime import image_files
 
 LIFETIME = 3600  # seconds after which files that visitors sent, and what was made of them, are deleted
 WAITING = "<p>Choose an image, say where its object is, and press <b>Find the viewpoint</b>.</p>"
@@ -162,7 +162,7 @@ class Page:
             if picker is None:
                 raise ViewnetError("no image: drop, paste or take one, or choose an example")
             file = _file_of(mask)
-            alpha = None if file is None else image_files.read(file[0], f"mask {file[1]}")
+            alpha = None if file is None else mask_files.read(file[0], f"mask {file[1]}")
             result = analysis.analyse(self.estimator, picker.image(), alpha, parse_box(box))
         except ViewnetError as error:
             raise _toast(error) from None

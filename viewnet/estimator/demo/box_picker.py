@@ -5,7 +5,7 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageOps
 
-from viewnet.data.crop import Box, rgb
+from viewnet.data.crop import Box
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
@@ -29,8 +29,7 @@ class BoxPicker:
     def of(cls, path: Path, name: str) -> "BoxPicker":
         """Read a file. ViewnetError, which calls it `name`, if it is not an image that can be read."""
         image = image_files.read(path, f"image {name}")
-        display = image.convert("RGBA") if image.has_transparency_data else rgb(image)
-        display = ImageOps.contain(display, (SHOWN, SHOWN))
+        display = ImageOps.contain(image, (SHOWN, SHOWN))
         if display.mode == "RGBA":
             display = Image.alpha_composite(Image.new("RGBA", display.size, "white"), display)
         return cls(path, name, image.size, display.convert("RGB"))
