@@ -246,12 +246,12 @@ def test_images_of_a_folder_are_turned_as_their_camera_says(tmp_path):
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        ("0.png,abc,0,val", "row 2: azimuth_deg 'abc'"),
-        ("0.png,0,,val", "row 2: elevation_deg nan"),
-        ("0.png,0,91,val", "row 2: elevation_deg 91"),
-        ("0.png,0,0,train", r"row 2: split 'train'"),
-        ("../0.png,0,0,val", r"row 2: file '\.\./0\.png'"),
-        (",0,0,val", "row 2: file nan"),
+        ("0.png,abc,0,val", "line 3: azimuth_deg 'abc'"),
+        ("0.png,0,,val", "line 3: elevation_deg ''"),
+        ("0.png,0,91,val", "line 3: elevation_deg 91"),
+        ("0.png,0,0,train", r"line 3: split 'train'"),
+        ("../0.png,0,0,val", r"line 3: file '\.\./0\.png'"),
+        (",0,0,val", "line 3: file ''"),
     ],
 )
 def test_a_wrong_row_is_named(tmp_path, row, message):
@@ -265,7 +265,7 @@ def test_a_wrong_list_is_named(tmp_path):
     header = "file,azimuth_deg,elevation_deg,split,x0,y0,x1"
     with pytest.raises(ViewnetError, match="only x0, y0, x1 of a box"):
         photo_folder.read(folder(tmp_path / "f", "1.png,0,0,val,1,1,2", header=header), "car")
-    with pytest.raises(ViewnetError, match="row 1: y1 nan: expected a number"):
+    with pytest.raises(ViewnetError, match="line 2: y1 '': expected a number"):
         photo_folder.read(folder(tmp_path / "f", "1.png,0,0,val,1,1,2,", header=f"{header},y1"), "car")
     with pytest.raises(ViewnetError, match="lists no photograph"):
         photo_folder.read(folder(tmp_path / "f"), "car")

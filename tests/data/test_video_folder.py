@@ -44,7 +44,7 @@ def test_splits_are_given_listed_or_seeded(tmp_path):
     assert {clip.id: clip.split for clip in clips} == {"a": "train", "b": "val", "c": "train"}
     assert rejected == [("d", "d", "in no split")]
     (tmp_path / "splits.csv").write_text("clip,split\na,half\n")
-    with pytest.raises(ViewnetError, match=r"splits\.csv: row 1: split 'half'"):
+    with pytest.raises(ViewnetError, match=r"splits\.csv: line 2: split 'half'"):
         read(tmp_path, "car")
     (tmp_path / "splits.csv").write_text("clip,split\na,val\na,val\n")
     with pytest.raises(ViewnetError, match="clip 'a' is listed twice"):

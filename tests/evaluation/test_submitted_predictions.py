@@ -118,8 +118,8 @@ def test_parquet_is_held_to_the_same(said, frame, tmp_path):
         ("said.csv", None, "said.csv: no such file"),
         ("said.npz", b"", r"said.npz: expected a file"),
         ("said.parquet", b"no parquet", "said.parquet: not a readable"),
-        ("said.csv", b"", "said.csv: not a readable csv file"),
-        ("said.csv", b"\xff\xfe\x00", "said.csv: not a readable csv file"),
+        ("said.csv", b"", "said.csv: not a readable CSV file"),
+        ("said.csv", b"\xff\xfe\x00", "said.csv: not a readable CSV file"),
     ],
 )
 def test_what_is_no_such_file_is_told(said, tmp_path, name, content, message):

@@ -10,9 +10,10 @@ from viewnet.config import CATEGORIES
 from viewnet.data.store import in_words
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import read_csv
+from viewnet.runtime.lists import read_list
 
 REQUIRED = ("category", "azimuth_deg", "elevation_deg")
-OPTIONAL = {"subset": "all", "split": "val", "easy": 0, "annotated": 1}
+OPTIONAL = {"subset": "all", "split": "val", "easy": "0", "annotated": "1"}
 """Columns that a list may lack, and their values for all rows then."""
 
 
@@ -23,10 +24,11 @@ def read(path: Path) -> tuple[pd.DataFrame, dict[str, int]]:
     Returns the usable rows, with azimuth in [0, 360), and the number of rejected rows by reason. Raises ViewnetError
     for a file that cannot be read, a missing column, and a list without usable rows.
     """
-    table = read_csv(path, REQUIRED, dtype={"category": str, "subset": str, "split": str})
+    numeric = ("azimuth_deg", "elevation_deg", "annotated", "easy")
+    table = read_list(path, REQUIRED, numeric.__contains__)
     for name, value in OPTIONAL.items():
-        table[name] = table[name].fillna(value) if name in table.columns else value
-    for name in ("azimuth_deg", "elevation_deg", "annotated", "easy"):
+        table[name] = table[name].replace("", value) if name in table.columns else value
+    for name in numeric:
         table[name] = pd.to_numeric(table[name], errors="coerce").astype(np.float64)
     reasons = {
         "of another category": ~table["category"].isin(CATEGORIES),

@@ -19,7 +19,6 @@ array([[1., 0., 0.],
        [0., 1., 0.]])
 """
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import UNIT_TOLERANCE, Floats, Predictions, is_text
+from viewnet.runtime.lists import read_list
 
 IMAGE = ["category", "model_id", "view"]
 ANGLE_TOLERANCE = 0.01  # degrees by which a file's angles may differ from the store's: it may have rounded them
@@ -64,16 +64,17 @@ def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
 
 def _frame(path: Path) -> pd.DataFrame:
     """The file's rows, numbered from 1."""
-    # CSV as text, or ids lose leading zeros.
-    readers = {".parquet": pd.read_parquet, ".csv": partial(pd.read_csv, dtype=str, keep_default_na=False)}
-    if path.suffix not in readers:
-        raise ViewnetError(f"{path}: expected a file of predictions, {' or '.join(readers)}")
-    try:
-        frame = readers[path.suffix](path)
-    except FileNotFoundError:
-        raise ViewnetError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:  # the readers' own errors are ValueErrors
-        raise ViewnetError(f"{path}: not a readable {path.suffix[1:]} file ({type(error).__name__})") from error
+    if path.suffix not in (".parquet", ".csv"):
+        raise ViewnetError(f"{path}: expected a file of predictions, .parquet or .csv")
+    if path.suffix == ".csv":
+        frame = read_list(path, (*IMAGE, "h0_x"), lambda name: name not in ("category", "model_id", "split"))
+    else:
+        try:
+            frame = pd.read_parquet(path)
+        except FileNotFoundError:
+            raise ViewnetError(f"{path}: no such file") from None
+        except (OSError, ValueError) as error:  # the readers' own errors are ValueErrors
+            raise ViewnetError(f"{path}: not a readable parquet file ({type(error).__name__})") from error
     return frame.set_axis(pd.RangeIndex(1, len(frame) + 1))  # as a reader of the file counts them
 
 

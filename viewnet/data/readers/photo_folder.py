@@ -11,15 +11,15 @@ from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from viewnet.config import CATEGORIES, PhotoConfig, known
 from viewnet.data.photo_store import SPLITS, Photograph, Photographs
 from viewnet.data.readers.reader import Contents, Reader
 from viewnet.errors import ViewnetError
-from viewnet.runtime.files import read_csv
+from viewnet.runtime.lists import one_form, read_list
 
 LIST = "viewpoints.csv"
+_ANGLES = ("azimuth_deg", "elevation_deg")
 _CORNERS = ("x0", "y0", "x1", "y1")
 
 
@@ -30,42 +30,58 @@ def read(root: Path, category: str) -> list[Photograph]:
     x1, y1, the edges of the object's box in pixels from the upright image's left upper corner, unless an image
     shows just the object. All other columns are ignored. A file may have several rows, one for each object.
 
-    Raises ViewnetError for a missing list, column or value, naming the row (the first after the header is 1).
+    Raises ViewnetError for a missing list, column or value, naming the line.
     """
     known(category, CATEGORIES, "category")
     path = Path(root) / LIST
-    table = read_csv(path, ("file", "azimuth_deg", "elevation_deg", "split"), dtype={"file": str, "split": str})
+    table = read_list(path, ("file", *_ANGLES, "split"), (*_ANGLES, *_CORNERS).__contains__)
     corners = [name for name in _CORNERS if name in table.columns]
     if 0 < len(corners) < len(_CORNERS):
         raise ViewnetError(f"{path}: only {', '.join(corners)} of a box: expected {', '.join(_CORNERS)}, or none")
     if table.empty:
         raise ViewnetError(f"{path}: lists no photograph")
     photographs: list[Photograph] = []
-    times = Counter[str]()
-    for number, row in enumerate(table.to_dict("records"), start=1):
-        where = f"{path}: row {number}"
-        file, split = str(row["file"]), row["split"]
-        if not isinstance(row["file"], str) or PurePath(file).is_absolute() or ".." in PurePath(file).parts:
-            raise ViewnetError(f"{where}: file {row['file']!r}: expected the name of an image in images/")
+    times = Counter[Path]()
+    there: dict[str, Path] = {}
+    for number, row in zip(table.index, table.to_dict("records"), strict=True):
+        where = f"{path}: line {number}"
+        file, split = row["file"], row["split"]
+        if not file or PurePath(file).is_absolute() or ".." in PurePath(file.replace("\\", "/")).parts:
+            raise ViewnetError(f"{where}: file {file!r}: expected the name of an image in images/")
         if split not in SPLITS:
             raise ViewnetError(f"{where}: split {split!r}: expected val (calibrated on) or test (scored)")
-        azimuth, elevation = (_value(row, name, where) for name in ("azimuth_deg", "elevation_deg"))
+        azimuth, elevation = (_value(row, name, where) for name in _ANGLES)
         if abs(elevation) > 90:
             raise ViewnetError(f"{where}: elevation_deg {elevation:g}: expected -90 to 90")
         box = None
-        if corners and not all(pd.isna(row[name]) for name in _CORNERS):
+        if corners and not all(row[name].lower() in ("", "nan", "na") for name in _CORNERS):
             x0, y0, x1, y1 = (_value(row, name, where) for name in _CORNERS)
             box = (x0, y0, x1, y1)
-        name, image = f"{file}/{times[file]}" if times[file] else file, Path(root) / "images" / file
-        times[file] += 1
+        image = _image(Path(root) / "images", file, there)
+        name = f"{file}/{times[image]}" if times[image] else file
+        times[image] += 1
         photographs.append(Photograph(name, category, split, image, box, azimuth % 360, elevation))
     return photographs
+
+
+def _image(folder: Path, file: str, there: dict[str, Path]) -> Path:
+    """The image that a list means, by its name in the folder or with the folder's, in any form of Unicode.
+
+    `there` is filled where it is needed: the folder's images by the one form of their names.
+    """
+    names = dict.fromkeys((file, file.replace("\\", "/"), file.replace("\\", "/").removeprefix("images/")))
+    for name in names:
+        if (folder / name).is_file():
+            return folder / name
+    if not there:
+        there |= {one_form(path.relative_to(folder).as_posix()): path for path in folder.rglob("*")}
+    return next((there[one_form(name)] for name in names if one_form(name) in there), folder / file)
 
 
 def _value(row: dict[Any, Any], name: str, where: str) -> float:
     try:
         value = float(row[name])
-    except (TypeError, ValueError):
+    except ValueError:
         value = np.nan
     if not np.isfinite(value):
         raise ViewnetError(f"{where}: {name} {row[name]!r}: expected a number")
@@ -94,8 +110,8 @@ def _count(root: Path, contents: Contents) -> None:
     uses = {"val": "calibrate", "test": "score"}
     missing = ["no such image"] * (len(photographs) - len(there))
     contents.add("", [f"objects to {uses[photograph.split]}" for photograph in there], missing)
-    there_of = {photograph.split for photograph in there}
-    contents.problems += [f"{LIST}: no row of split {split}" for split in uses if split not in there_of]
+    listed = {photograph.split for photograph in photographs}
+    contents.problems += [f"{LIST}: no row of split {split}" for split in uses if split not in listed]
 
 
 READER = Reader(

@@ -16,7 +16,7 @@ from viewnet.data.readers.reader import Contents, Reader, read_text
 from viewnet.errors import ViewnetError
 from viewnet.render.mesh import Mesh, UnusableModel
 from viewnet.render.obj import read_obj
-from viewnet.runtime.files import read_csv
+from viewnet.runtime.lists import read_list
 from viewnet.runtime.splits import SPLITS, seeded_rank, seeded_splits
 
 Layout = Literal["v1", "v2"]
@@ -145,8 +145,7 @@ def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
 
 def _read_csv(file: Path, synset: str) -> dict[str, str]:
     """Model id -> split of one category of an official list."""
-    # Ids and synsets are text: numbers have no leading zeros, and "1e5" is an id.
-    table = read_csv(file, ("synsetId", "modelId", "split"), dtype=str, keep_default_na=False)
+    table = read_list(file, ("synsetId", "modelId", "split"))
     table = table[table["synsetId"] == synset]
     if wrong := sorted(set(table["split"]) - set(SPLITS)):
         raise ViewnetError(f"{file}: split {wrong[0][:60]!r}: expected one of {', '.join(SPLITS)}")

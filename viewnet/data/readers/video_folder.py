@@ -15,7 +15,7 @@ from viewnet.data.clips import Clip, Frame, Pick, frame_count, is_video, pick_fr
 from viewnet.data.readers.reader import Reader
 from viewnet.data.store import Rejected
 from viewnet.errors import ViewnetError
-from viewnet.runtime.files import read_csv
+from viewnet.runtime.lists import one_form, read_list
 from viewnet.runtime.splits import SPLITS, seeded_splits
 
 LIST = "splits.csv"
@@ -55,15 +55,15 @@ def read(
             rejected.append((name, path.name, str(error)))
         else:
             frames[name] = pick_frames(total, count, pick, name, seed)
-    chosen = _listed(root) or seeded_splits(frames, seed, {"val": 1, "test": 2})
+    chosen = _listed(root) or seeded_splits(map(one_form, frames), seed, {"val": 1, "test": 2})
     clips: list[Clip] = []
     for name, numbers in frames.items():
-        if name not in chosen:
+        if one_form(name) not in chosen:
             rejected.append((name, sources[name].name, "in no split"))
             continue
         masks = root / MASKS / name
         place = (sources[name], tuple(map(Frame, numbers)), masks if masks.is_dir() else None)
-        clips.append(Clip(name, category, known(chosen[name], SPLITS, "split"), *place))
+        clips.append(Clip(name, category, known(chosen[one_form(name)], SPLITS, "split"), *place))
     if not clips:
         first = f" (the first that was left out: {': '.join(rejected[0][1:])})" if rejected else ""
         raise ViewnetError(f"{root}: no usable video or folder of frames{first}")
@@ -75,13 +75,17 @@ def _listed(root: Path) -> dict[str, str]:
     path = root / LIST
     if not path.is_file():
         return {}
-    table = read_csv(path, ("clip", "split"), dtype=str, keep_default_na=False)
-    for number, row in enumerate(table.itertuples(), start=1):
+    table = read_list(path, ("clip", "split"))
+    listed: dict[str, str] = {}
+    for row in table.itertuples():
         if row.split not in SPLITS:
-            raise ViewnetError(f"{path}: row {number}: split {row.split[:60]!r}: expected one of {', '.join(SPLITS)}")
-    if (again := table["clip"].duplicated()).any():
-        raise ViewnetError(f"{path}: clip {table['clip'][again].iloc[0][:60]!r} is listed twice")
-    return dict(zip(table["clip"], table["split"], strict=True))
+            raise ViewnetError(
+                f"{path}: line {row.Index}: split {row.split[:60]!r}: expected one of {', '.join(SPLITS)}"
+            )
+        if one_form(row.clip) in listed:
+            raise ViewnetError(f"{path}: clip {row.clip[:60]!r} is listed twice")
+        listed[one_form(row.clip)] = row.split
+    return listed
 
 
 READER = Reader(
