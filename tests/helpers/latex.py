@@ -15,6 +15,7 @@ def assert_tabular(text: str) -> None:
     known = {"begin", "end", "toprule", "midrule", "bottomrule", "cmidrule", "multicolumn", "textbf", "uparrow"}
     known |= {"downarrow", "circ", "footnotesize", "textbackslash", "textasciitilde", "textit", "quad", "parbox"}
     known |= {"smallskip", "noindent", "linewidth", "raggedright", "setlength", "tabcolsep"}
+    known |= {"textless", "textgreater", "textbar", "textasciicircum"}
     assert set(re.findall(r"\\([a-zA-Z]+)", text)) <= known
     lines = [line for line in text.split("\\end{tabular}")[0].splitlines() if line.endswith("\\\\")]
     assert lines

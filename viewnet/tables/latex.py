@@ -1,5 +1,6 @@
 """Tables as LaTeX (booktabs), to \\input as they stand."""
 
+import re
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -11,8 +12,11 @@ from viewnet.tables.layouts import Layout
 # The paper's short names of categories.
 SHORT = {"aeroplane": "airplane", "bicycle": "bike", "diningtable": "table", "motorbike": "mbike", "tvmonitor": "tv"}
 NAMED = {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}"}
-# Special characters of LaTeX -> how they are written.
-SPECIAL = str.maketrans(NAMED | {character: f"\\{character}" for character in "&%$#_{}"})
+NAMED |= {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}"}  # other characters in TeX's old fonts
+# Special characters of LaTeX -> how they are written; what may be an option of the \\ before it is kept apart.
+SPECIAL = str.maketrans(
+    NAMED | {c: f"\\{c}" for c in "&%$#_{}"} | {c: f"{{{c}}}" for c in "[]"} | dict.fromkeys("\t\n\v\f\r", " ")
+)
 WIDE = 4  # with more categories than this, a measured number stands below the reported one and not beside it
 
 
@@ -103,8 +107,9 @@ def spanned(labels: Sequence[str], spans: Sequence[int]) -> str:
 
 
 def escape(plain: str) -> str:
-    """Plain text for LaTeX."""
-    return plain.translate(SPECIAL)
+    """Plain text for LaTeX, at any place: it prints as it is written."""
+    apart = re.sub(r"([-'`,])(?=\1)", r"\1{}", plain.translate(SPECIAL))  # two of them are another character
+    return re.sub(r"^(\s*)\*", r"\1{*}", apart)
 
 
 def _heading(latex: str, width: int) -> str:

@@ -271,13 +271,13 @@ class Table:
         lines = [line for line in (f"ours: {self.note}" if self.note else "", *self.remarks) if line]
         return (latex.blocks if self.layout.blocks else latex.side_by_side)(self.cells, self.layout, lines)
 
-    def write(self, folder: Path) -> list[Path]:
+    def write(self, folder: Path | str) -> list[Path]:
         """`<name>.tex`, `.csv` (every cell, with interval), `.json` (where each number comes from) and `.parquet`.
 
         The last has the predictions behind the table, in single precision: viewnet.tables.kept_predictions makes the
         table from it again.
         """
-        cells = self.cells.round(4)
+        folder, cells = Path(folder), self.cells.round(4)
         write_text(tex := folder / f"{self.name}.tex", self.latex())
         csv = write_csv(folder / f"{self.name}.csv", cells)
         about = {
