@@ -153,7 +153,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_used(tmp_path):
     assert [(row.model_id, row.path, row.reason.split(" (")[0]) for row in store.rejected.itertuples()] == [
         ("x", "x", "no reason"),
         ("gone", "gone.mp4", "video cannot be read"),
-        ("good/1", "good", "image does not decode"),
+        ("good/1", "good", "frame does not decode"),
         ("half/0", "half", "mask is missing"),
         ("half/2", "half", "mask is empty"),
         ("lone/0", "lone", "mask is missing"),

@@ -43,7 +43,7 @@ def test_damaged_files_cost_what_is_damaged(tmp_path):
     (tmp_path / "clip/1.png").write_bytes((tmp_path / "clip/1.png").read_bytes()[:60])
     first, second, beyond = read_frames(tmp_path / "clip", [0, 1, 2])
     assert isinstance(first[2], Image.Image)
-    assert "image does not decode" in str(second[2]) and "no such frame" in str(beyond[2])
+    assert "frame does not decode" in str(second[2]) and "no such frame" in str(beyond[2])
 
     write_video(tmp_path / "b.mkv", [20 * k for k in range(12)], noise=40)
     whole = (tmp_path / "b.mkv").read_bytes()
@@ -71,9 +71,9 @@ def test_frames_are_picked_by_seed_and_name_or_evenly():
         pick_frames(100, 0, "random", "a")
 
 
-def test_a_quarter_turn_counter_clockwise():
+def test_a_quarter_turn_by_the_display_matrix():
     image = Image.new("L", (3, 2), 0)
-    image.putpixel((2, 0), 255)  # the upper right corner becomes the upper left one
-    turned = upright(image, -270)
-    assert turned.size == (2, 3) and turned.getpixel((0, 0)) == 255
-    assert upright(image, 0) == image
+    image.putpixel((2, 0), 255)  # the upper right corner becomes the lower right one
+    turned = upright(image, np.array([0, 65536, 0, -65536, 0, 0, 0, 0, 2**30]))
+    assert turned.size == (2, 3) and turned.getpixel((1, 2)) == 255
+    assert upright(image, np.array([65536, 0, 0, 0, 65536, 0, 0, 0, 2**30])) == image

@@ -44,7 +44,8 @@ def run(options: Options) -> None:
         if store["backgrounds"]:
             lines.append(f"  {store['backgrounds']} backgrounds")
         if store["rejected"]:
-            lines.append(f"  {len(store['rejected'])} models left out: {Path(store['folder']) / 'rejected.csv'}")
+            kind = "models" if configs[0].data.video is None else "frames and clips"
+            lines.append(f"  {len(store['rejected'])} {kind} left out: {Path(store['folder']) / 'rejected.csv'}")
     shared.print_results(options, stores, *lines)
 
 

@@ -5,11 +5,11 @@ import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import av
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
 from viewnet.data.crop import Box
 from viewnet.errors import ViewnetError
@@ -72,15 +72,12 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def frame_count(source: Path) -> int:
-    """The images of a folder, or packets of a video, not decoded. ViewnetError for unreadable videos, and for none."""
+    """The images of a folder, or frames that a video decodes to. ViewnetError for unreadable videos, and for none."""
     if source.is_dir():
         total = len(images_in(source))
     else:
         with _open_video(source) as container:
-            try:
-                total = sum(packet.size > 0 for packet in container.demux(container.streams.video[0]))
-            except (av.FFmpegError, OSError) as error:
-                raise ViewnetError(f"video cannot be read ({type(error).__name__})") from None
+            total = sum(1 for _ in _decode(container))  # packets may hold several frames, or one that is not shown
     if not total:
         raise ViewnetError("no frames in it")
     return total
@@ -103,7 +100,7 @@ def pick_frames(total: int, count: int | None, how: Pick, name: str, seed: int =
 
 
 def read_frames(source: Path, numbers: Collection[int]) -> Iterator[Still]:
-    """The frames with these numbers, ascending, upright as their camera recorded; a video is decoded up to the last.
+    """The frames with these numbers, ascending, as players show them; a video is decoded up to the last.
 
     A frame that does not decode or does not exist comes as a ViewnetError; a video that cannot be opened raises one.
     """
@@ -118,7 +115,7 @@ def _from_folder(folder: Path, numbers: list[int]) -> Iterator[Still]:
             yield number, f"{number:06d}", ViewnetError("no such frame")
             continue
         try:
-            image: Image.Image | ViewnetError = read(files[number])
+            image: Image.Image | ViewnetError = read(files[number], "frame")
         except ViewnetError as error:
             image = error
         yield number, files[number].stem, image
@@ -166,11 +163,20 @@ def _decode(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
 
 def _to_image(frame: av.VideoFrame) -> Image.Image | ViewnetError:
     try:
-        return upright(frame.to_image(), frame.rotation)
+        matrix: Any = frame.side_data.get("DISPLAYMATRIX")
+        image = frame.to_image()
+        return image if matrix is None else upright(image, np.frombuffer(bytes(matrix), np.int32))
     except (av.FFmpegError, ValueError, MemoryError) as error:  # of a form or size that cannot be converted
         return ViewnetError(f"frame does not decode ({type(error).__name__})")
 
 
-def upright(image: Image.Image, rotation: float) -> Image.Image:
-    """A frame rotated as its video's display matrix records: `rotation` degrees counter-clockwise, by quarter turns."""
-    return image.rotate(round(rotation / 90) * 90, expand=True)
+def upright(image: Image.Image, matrix: np.ndarray) -> Image.Image:
+    """A frame as players show it: turned by quarters and mirrored by its video's display matrix, (9,) as FFmpeg's.
+
+    A point goes to x' = a x + c y and y' = b x + d y; the matrix is a, b, 0, c, d and what does not matter here.
+    """
+    a, b, _, c, d = (int(value) for value in matrix[:5])
+    if abs(b) + abs(c) > abs(a) + abs(d):
+        image, a, d = image.transpose(Image.Transpose.TRANSPOSE), c, b
+    image = ImageOps.mirror(image) if a < 0 else image
+    return ImageOps.flip(image) if d < 0 else image
