@@ -305,9 +305,28 @@ def test_a_wrong_checksum_of_something_else_does_not_hide_the_orientation():
 
 
 def test_damaged_pixels_are_refused_all_the_same(tmp_path):
-    (tmp_path / "a.png").write_bytes(png(0, 8, ROWS)[:60])
-    with pytest.raises(ViewnetError, match=r"^image does not decode"):
-        read_image(tmp_path / "a.png")
+    transparent = png(0, 8, ROWS, (b"tRNS", b"\0\0"), spoilt=b"tRNS")
+    for content in (png(0, 8, ROWS)[:60], transparent):
+        (tmp_path / "a.png").write_bytes(content)
+        with pytest.raises(ViewnetError, match=r"^image does not decode"):
+            read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("compression", [None, "tiff_lzw", "tiff_deflate", "packbits"])
+@pytest.mark.parametrize("pixels", [GREY, COLOURS, WORD], ids=["8 bits", "colours", "16 bits"])
+def test_a_turned_tiff_of_any_compression(compression, pixels, tmp_path):
+    Image.fromarray(pixels).save(tmp_path / "a.tif", compression=compression, tiffinfo={274: 5})
+    found = np.asarray(read_image(tmp_path / "a.tif").image)
+    expected = GREY[..., None] if pixels is WORD else pixels.reshape(HIGH, WIDE, -1)
+    assert (found == ORIENTATIONS[5](expected)).all()
+    assert image_files.size(tmp_path / "a.tif") == (HIGH, WIDE)
+
+
+def test_the_size_of_a_header_is_that_of_the_upright_image(tmp_path):
+    for orientation in ORIENTATIONS:
+        (tmp_path / "a.jpg").write_bytes(in_jpeg(exif=ROTATED.tobytes().replace(b"\x00\x06", bytes([0, orientation]))))
+        assert image_files.size(tmp_path / "a.jpg") == image_files.read(tmp_path / "a.jpg").size
+        assert image_files.size(tmp_path / "a.jpg", upright=False) == (WIDE, HIGH)
 
 
 @pytest.mark.parametrize(

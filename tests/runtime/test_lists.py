@@ -61,6 +61,7 @@ def test_a_list_is_read_as_any_spreadsheet_writes_it(name, form, tmp_path):
         (["a.jpg,250,5,25,5,val"], r"line 2: 6 values in 4 columns: put values with ',' in them into quotes"),
         ([PLAIN[1], '"b.jpg","10,125","5",val'], r"line 3: azimuth_deg '10,125': may mean thousands or thousandths"),
         (['"a.jpg,1,2,val', PLAIN[1], PLAIN[2]], r"line 2: not a readable CSV file"),
+        (["\\etc\\a.jpg,1,2,val"], r"line 2: file '/etc/a.jpg': expected the name of an image in images/"),
         (["", "a.jpg,1.234,5°,val"], r"line 3: elevation_deg '5°': expected a number"),
     ],
 )

@@ -17,8 +17,7 @@ def read(source: image_files.Source, what: str = "mask") -> np.ndarray:
     entries, where black and entry 0 are beside the object. Raises ViewnetError, which calls it `what`, for an image
     that cannot be read or whose meaning is ambiguous.
     """
-    with image_files.opened(image_files.decoded(source, what), what) as image:
-        return coverage(_values(image, what), what)
+    return coverage(_values(image_files.read(source, what, own_mode=True), what), what)
 
 
 def coverage(values: np.ndarray, what: str = "mask") -> np.ndarray:

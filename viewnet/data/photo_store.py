@@ -6,7 +6,6 @@ A photograph has no mask, so its alpha is 1 throughout; what lies beyond its edg
 """
 
 import hashlib
-import io
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
@@ -120,13 +119,8 @@ def _check_apart(photographs: Sequence[Photograph]) -> None:
 def _crop_and_digest(photograph: Photograph, crop: Crop, upright: bool) -> tuple[np.ndarray, bytes] | ViewnetError:
     """The crop and a digest of the image's file, or why it cannot be used."""
     try:
-        content = photograph.image_path.read_bytes()
-    except FileNotFoundError:
-        return ViewnetError("no such image")
-    except (OSError, ValueError) as error:
-        return ViewnetError(f"image cannot be read ({type(error).__name__})")
-    try:
-        image = image_files.read(io.BytesIO(content), upright=upright)
-        return cut(image, photograph.box, crop), hashlib.sha256(content).digest()
+        image = image_files.read(photograph.image_path, upright=upright)
+        digest = hashlib.sha256(photograph.image_path.read_bytes()).digest()
+        return cut(image, photograph.box, crop), digest
     except ViewnetError as error:
         return error

@@ -63,13 +63,18 @@ def opened(source: Source, what: str = "image", formats: tuple[str, ...] = FORMA
         raise ViewnetError(f"{what} does not decode ({type(error).__name__})") from None
 
 
-def decoded(
-    source: Source, what: str = "image", formats: tuple[str, ...] = FORMATS, upright: bool = True, enough: int = 0
+def read(
+    source: Source,
+    what: str = "image",
+    formats: tuple[str, ...] = FORMATS,
+    upright: bool = True,
+    enough: int = 0,
+    own_mode: bool = False,
 ) -> Image.Image:
-    """An image in its own mode, `upright` by its EXIF data, the first of several frames.
+    """The `colours` of an image or, in its `own_mode`, itself; `upright` by its EXIF data, the first of several frames.
 
     Where `enough` pixels a side are, a large JPEG is decoded at a fraction of its size, much faster.
-    Raises ViewnetError as `opened` does, which calls the image `what`.
+    Raises ViewnetError as `opened` and `colours` do, which call the image `what`.
     """
     with opened(source, what, formats) as image:
         # The further frames of an MPO, which many cameras write, are previews.
@@ -80,15 +85,8 @@ def decoded(
         _scale_transparent_colour(image)
         image.load()
         turn = TURNS.get(_orientation(image)) if upright else None
-        return image if turn is None else image.transpose(turn)
-
-
-def read(
-    source: Source, what: str = "image", formats: tuple[str, ...] = FORMATS, upright: bool = True, enough: int = 0
-) -> Image.Image:
-    """The `colours` of what is `decoded`. Raises ViewnetError as these do."""
-    with opened(decoded(source, what, formats, upright, enough), what) as image:
-        return colours(image, what)
+        turned = image if turn is None else image.transpose(turn)
+        return turned if own_mode else colours(turned, what)
 
 
 def colours(image: Image.Image, what: str = "image") -> Image.Image:
@@ -109,7 +107,7 @@ def colours(image: Image.Image, what: str = "image") -> Image.Image:
 def size(source: Path, upright: bool = True) -> tuple[int, int]:
     """Width and height of an image, `upright` or as it is stored, from its header. ViewnetError as `opened`."""
     with opened(source) as image:
-        sideways = upright and "exif" in image.info and _orientation(image) >= 5
+        sideways = upright and "exif" in image.info and _orientation(image) in range(5, 9)
         return (image.height, image.width) if sideways else image.size
 
 
@@ -165,11 +163,11 @@ def _open(file: IO[bytes], what: str, formats: tuple[str, ...]) -> Image.Image:
 
 
 def _whole_chunks(content: bytes) -> Iterator[bytes]:
-    """The chunks of a PNG without the damaged ones, and those of no use, among what is beside the pixels."""
+    """The chunks of a PNG that its pixels need, and its orientation where it is not damaged."""
     start = 0
     while chunk := content[start : start + 12 + int.from_bytes(content[start : start + 4])]:
         kind, whole = chunk[4:8], zlib.crc32(chunk[4:-4]) == int.from_bytes(chunk[-4:])
-        if kind[:1].isupper() or (whole and kind in (b"tRNS", b"eXIf")):
+        if kind[:1].isupper() or kind == b"tRNS" or (whole and kind == b"eXIf"):
             yield chunk
         start += len(chunk)
 

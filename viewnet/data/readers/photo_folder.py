@@ -45,8 +45,8 @@ def read(root: Path, category: str) -> list[Photograph]:
     there: dict[str, Path] = {}
     for number, row in zip(table.index, table.to_dict("records"), strict=True):
         where = f"{path}: line {number}"
-        file, split = row["file"], row["split"]
-        if not file or PurePath(file).is_absolute() or ".." in PurePath(file.replace("\\", "/")).parts:
+        file, split = row["file"].replace("\\", "/"), row["split"]
+        if not file or PurePath(file).is_absolute() or ".." in PurePath(file).parts:
             raise ViewnetError(f"{where}: file {file!r}: expected the name of an image in images/")
         if split not in SPLITS:
             raise ViewnetError(f"{where}: split {split!r}: expected val (calibrated on) or test (scored)")
@@ -69,10 +69,9 @@ def _image(folder: Path, file: str, there: dict[str, Path]) -> Path:
 
     `there` is filled where it is needed: the folder's images by the one form of their names.
     """
-    names = dict.fromkeys((file, file.replace("\\", "/"), file.replace("\\", "/").removeprefix("images/")))
-    for name in names:
-        if (folder / name).is_file():
-            return folder / name
+    names = (file, file.removeprefix("images/"))
+    if found := next((folder / name for name in names if (folder / name).is_file()), None):
+        return found
     if not there:
         there |= {one_form(path.relative_to(folder).as_posix()): path for path in folder.rglob("*")}
     return next((there[one_form(name)] for name in names if one_form(name) in there), folder / file)
