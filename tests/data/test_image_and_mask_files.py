@@ -329,6 +329,14 @@ def test_the_size_of_a_header_is_that_of_the_upright_image(tmp_path):
         assert image_files.size(tmp_path / "a.jpg", upright=False) == (WIDE, HIGH)
 
 
+def test_a_known_format_of_an_unknown_kind_is_told(tmp_path):
+    tags = {256: 2, 257: 2, 258: 32, 259: 1, 262: 2, 277: 3, 339: 3}  # three channels of floating point
+    fields = b"".join(struct.pack("<HHIHH", tag, 3, 1, value, 0) for tag, value in tags.items())
+    (tmp_path / "a.tif").write_bytes(b"II*\0\x08\0\0\0" + struct.pack("<H", len(tags)) + fields + bytes(60))
+    with pytest.raises(ViewnetError, match=r"^image does not decode \(TIFF, damaged or of an unknown kind\)"):
+        read_image(tmp_path / "a.tif")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "kind"),
     [
@@ -464,10 +472,31 @@ def test_an_ambiguous_mask_is_refused_with_what_is_in_it(mask, found, tmp_path):
         read_image(Image.new("RGB", mask.size), tmp_path / "m.tif")
 
 
+@pytest.mark.parametrize("kind", [Image.Resampling.BOX, Image.Resampling.BILINEAR, Image.Resampling.LANCZOS])
+@pytest.mark.parametrize("size", [(9, 7), (30, 20), (100, 70)])
+def test_soft_edges_of_a_resized_mask_stay(kind, size):
+    large = np.zeros((210, 300), np.uint8)
+    large[40:150, 60:222] = 255
+    small = Image.fromarray(large).resize(size, kind)
+    assert (mask_files.read(small) == np.asarray(small)).all()
+
+
+@pytest.mark.parametrize("quality", [30, 60, 95])
+@pytest.mark.parametrize("kind", [kind for kind in ("JPEG", "WEBP", "AVIF") if kind in image_files.FORMATS])
+def test_a_mask_in_a_lossy_file_is_that_mask(kind, quality, tmp_path):
+    large = np.zeros((210, 300), bool)
+    large[40:150, 60:222] = large[20:60, 200:280] = True
+    Image.fromarray(white_on_black(large)).save(tmp_path / "m", kind, quality=quality)
+    assert ((mask_files.read(tmp_path / "m") > 127) == large).mean() > 0.99
+
+
 def test_arrays_of_numbers_are_masks_too():
     photograph = Image.fromarray(COLOURS)
     for mask in (OBJECT, OBJECT.astype(int), LABELS.astype(np.int64), OBJECT.astype(float), OBJECT * 255.0):
         assert (read_image(photograph, mask).mask == OBJECT * 255).all()
+    for kind in (np.float16, np.float32, np.float64):
+        assert (mask_files.coverage((TRIMAP / 255).astype(kind)) == TRIMAP).all()
+    assert (mask_files.coverage(TRIMAP.astype(">u2") * 257) == TRIMAP).all()
     with pytest.raises(ViewnetError, match="mask is ambiguous"):
         read_image(photograph, np.where(OBJECT, 0.5, np.nan))
 

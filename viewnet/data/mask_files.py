@@ -2,6 +2,7 @@
 
 import numpy as np
 from PIL import Image
+from scipy import ndimage
 
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
@@ -40,12 +41,13 @@ def coverage(values: np.ndarray, what: str = "mask") -> np.ndarray:
     if marked or (few and low == 0 and high <= white / 2 and not shares):
         return (values > 0).astype(np.uint8) * 255
     dark, light = white / 16, white * 15 / 16  # lossy files do not have just black and white
+    lossy = ((found > light) & (found < white)).any()
     if (few and high < light) or high <= white / 2 or dark < low < light:
         raise _ambiguous(found, what)
-    # Few values that are hardly shades: classes beside a number that stands for none, or for the objects' edges.
-    inner = found[(found > 0) & (found < white)]
-    shaded, lit = ((values > dark) & (values < light)).sum(), (values >= light).sum()
-    if few and len(inner) and (inner[-1] <= white / 4 or shaded > lit):
+    # Dark areas are no soft edges: they are classes beside a number that stands for none, or for the objects' edges.
+    plain = values.astype(np.float32)  # of what kinds of numbers filters take
+    flat = ndimage.maximum_filter(plain, 3) == ndimage.minimum_filter(plain, 3)
+    if few and not lossy and (flat & (plain > 0) & (plain < white / 2)).sum() > 0.1 * (plain >= light).sum():
         raise _ambiguous(found, what)
     return values.astype(np.uint8) if white == 255 else (values * (255 / white)).round().astype(np.uint8)
 

@@ -58,7 +58,7 @@ class Reader:
 def read_text(path: Path, expected: str) -> str:
     """The content of a text file. ViewnetError, which says what was `expected`, where it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise ViewnetError(f"{path}: cannot be read ({error}): expected {expected}") from None
 
