@@ -26,7 +26,7 @@ from viewnet.runtime.progress import bar
 from viewnet.runtime.splits import seeded_generator, seeded_rank
 
 SYNTHETIC = "drawn"  # the source that needs no images
-VERSION = 1  # raise it when a change alters how images are chosen or cropped
+VERSION = 2  # raise it when a change alters how images are chosen or cropped
 LARGEST = 1024  # pixels along a side
 
 

@@ -23,7 +23,7 @@ from viewnet.data.clips import Clip
 from viewnet.errors import ViewnetError
 from viewnet.runtime import torchvision_weights
 
-VERSION = 1  # raise it when a change alters masks: it is part of every store's identity
+VERSION = 2  # raise it when a change alters masks: it is part of every store's identity
 NETWORKS = {"maskrcnn": "maskrcnn_resnet50_fpn", "deeplabv3": "deeplabv3_resnet50"}
 """Our name -> torchvision's. Mask R-CNN separates the objects of a class; DeepLabV3 does not, so each connected region
 counts as one."""
