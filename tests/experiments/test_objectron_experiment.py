@@ -11,8 +11,8 @@ from viewnet.config import PhotoConfig, VideoConfig
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.experiments import experiment
-from viewnet.experiments.objectron import ObjectronExperiment
 from viewnet.experiments.request import accepted
+from viewnet.experiments.videos import ObjectronExperiment
 from viewnet.tables.table import named
 
 ROWS = ("Constant", "ShapeNet", "+ Objectron, supervised masks", "+ Objectron, weak masks")

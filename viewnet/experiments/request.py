@@ -47,7 +47,7 @@ ON_CAD = ("cad", "test_sets")
 class Design:
     """What a notebook shows unless its parameters say otherwise.
 
-    kind    what is trained on and scored on: cad, test_sets, photos, videos, objectron or own_method (a module each)
+    kind    what is trained on and scored on: cad, test_sets, photos, videos, objectron or own_method (a class each)
     tables  to which a notebook of own methods adds rows
     fixed   values of parameters that it does not take
     """

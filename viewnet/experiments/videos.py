@@ -1,18 +1,23 @@
-"""Experiments on videos: trained on videos of cars, scored on photographs (section 4.4, Freiburg table).
+"""Experiments on videos: trained on them, scored on photographs (section 4.4, tables of Freiburg cars and Objectron).
 
-ViewNet sees no viewpoints of the videos. A linear regression fitted on those viewpoints is scored beside it.
+ViewNet sees no viewpoints of the videos. On Freiburg cars a linear regression fitted on those viewpoints is scored
+beside it. For Objectron ViewNet is trained on CAD models, and from there on ten frames of every video: once cut out by
+masks of a network that was trained on masks, once by those of one that was trained on class names only.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from viewnet.config import RunConfig, VideoConfig
-from viewnet.data import build, clip_store
+from viewnet.data import build, clip_store, photo_store
 from viewnet.data.store import ViewStore
+from viewnet.data.synthetic.objectron_standin import WEAK
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, features
 from viewnet.evaluation.predictions import Predictions
@@ -21,12 +26,22 @@ from viewnet.experiments.parameters import SHAPENET
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.recipes import make_config
 from viewnet.runs.run_store import ensure
+from viewnet.tables.layouts import LAYOUTS
+from viewnet.tables.table import Entry
 
-SMOKE_SIZE = 32
-SMOKE: dict[str, Any] = {"sequences": (1, 2, 3, 4), "frames": 8, "size": SMOKE_SIZE}
-"""The stand-in for videos at the smallest profile."""
+SMOKE_CARS: dict[str, Any] = {"sequences": (1, 2, 3, 4), "frames": 8, "size": 32}
+"""The stand-in for Freiburg cars at the smallest profile."""
 REGRESSED_FRAMES = 24
 """Of every clip, for the view regression: frames 15 degrees apart."""
+OBJECTRON_FRAMES = 10
+"""Of every video, sampled at random, as reported."""
+OBJECTRON: dict[str, Any] = {"videos": 160, "frames": 30}
+SMOKE_OBJECTRON: dict[str, Any] = {"videos": 6, "frames": 6, "size": 32}
+"""The stand-ins for Objectron."""
+_NAMES = {row.label: row.name for row in LAYOUTS["objectron"].rows_of("viewnet")}
+"""Label -> name without the alignment."""
+_ROWS = tuple(dict.fromkeys(_NAMES.values()))
+"""CAD models, supervised masks, weak masks."""
 
 
 class VideoExperiment(PhotoExperiment):
@@ -44,7 +59,7 @@ class VideoExperiment(PhotoExperiment):
     def video(self) -> VideoConfig:
         """The videos, of the first category."""
         settings: dict[str, Any] = {"kind": "freiburg", "split_rule": self.split_rule, "masks": self.masks}
-        return VideoConfig(self.categories[0], self.video_root, **settings, **(SMOKE if self.smoke else {}))
+        return VideoConfig(self.categories[0], self.video_root, **settings, **(SMOKE_CARS if self.smoke else {}))
 
     @property
     def videos(self) -> tuple[VideoConfig, ...]:
@@ -118,3 +133,62 @@ class VideoExperiment(PhotoExperiment):
         photographs = self.photo_config(self.categories[0])
         cut: dict[str, Any] = {"margin": photographs.margin, "square": photographs.square, "size": features.SIZE}
         return replace(self.video, masks="none", count=REGRESSED_FRAMES, pick="evenly", **cut)
+
+
+class ObjectronExperiment(VideoExperiment):
+    """`masks` are the supervised ones, `weak_masks` the others. Raises ViewnetError for these without `video_root`."""
+
+    def __post_init__(self) -> None:
+        if self.weak_masks and self.video_root is None:
+            raise ViewnetError(
+                f"weak_masks {self.weak_masks}: the stand-in has masks of its own: give video_root, or leave it"
+            )
+
+    @property
+    def video(self) -> VideoConfig:
+        """The videos with their supervised masks."""
+        settings: dict[str, Any] = {"kind": "objectron", "count": OBJECTRON_FRAMES, "masks": self.masks}
+        settings |= SMOKE_OBJECTRON if self.smoke else OBJECTRON
+        return VideoConfig(self.categories[0], self.video_root, **settings)
+
+    @property
+    def videos(self) -> tuple[VideoConfig, ...]:
+        """The videos by their supervised masks and, where there are any, by the weakly supervised ones."""
+        folder = self.weak_masks or (WEAK if self.video_root is None else "")
+        return (self.video, replace(self.video, masks="files", mask_folder=folder)) if folder else (self.video,)
+
+    @property
+    def configs(self) -> list[RunConfig]:
+        """The trainings on CAD models, then those on videos; see VideoExperiment.configs."""
+        return [*self.starts, *super().configs]
+
+    def run(self, progress: bool = True) -> list[Run]:
+        """Every run of the experiment, the trainings on CAD models first."""
+        return [*ensure(self.starts, self.workers, progress), *super().run(progress)]
+
+    @property
+    def note(self) -> str:
+        """What the numbers were measured on, in one line."""
+        videos = "a stand-in for Objectron" if self.video_root is None else "Objectron"
+        return f"{self.scored_on}; trained on {self.trained_on}, then on {videos}, {self.settings}"
+
+    def remarks(self, stores: dict[str, ViewStore]) -> list[str]:
+        """Lines under the table: how the constant is fitted, and the frames and photographs left out."""
+        lines = ["aligned, and the constant fitted, on all calibration photographs"]
+        for kind, video in zip(("supervised", "weak"), self.videos, strict=False):
+            source = f"{video.masks} in {Path(video.mask_folder).name}" if video.masks == "files" else video.masks
+            lines.append(f"{kind} masks ({source}): {self.video_summary(video)}")
+        return [*lines, *map(photo_store.summary, stores.values())]
+
+    @property
+    def unmeasured_rows(self) -> tuple[str, ...]:
+        """The rows of weak masks where there are none."""
+        return () if len(self.videos) > 1 else tuple(label for label, row in _NAMES.items() if row == _ROWS[2])
+
+    def entries(self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
+        """As PhotoExperiment.entries; all trained rows are of one variant, and told apart by the videos trained on."""
+        trainings = (None, *self.videos)
+        rows = {run.key: _ROWS[trainings.index(run.config.data.video)] for run in runs}
+        # The key of a run in another alignment is followed by that: "key/linear".
+        keyed = [(rows.get(e.key.partition("/")[0]), e) for e in super().entries(runs, stores, name)]
+        return [entry for row, entry in keyed if row in (None, _NAMES.get(entry.row))]
