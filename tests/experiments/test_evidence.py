@@ -222,7 +222,7 @@ def test_tables_without_predictions_have_no_verdict(tmp_path):
 
 def test_what_a_run_makes_is_shown_from_its_files(monkeypatch, capsys):
     files = [TABLES / "table1_shapenet.json"]
-    monkeypatch.setattr(show.outputs, "write", lambda request, submissions: files)
+    monkeypatch.setattr(show, "write", lambda request, submissions: files)
     show.live(type("Request", (), {"name": "table1_shapenet"})())
     text = capsys.readouterr().out
     assert text.startswith("built-in models, ") and text.endswith(f"files: {Path(files[0])}\n")

@@ -14,7 +14,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Predictions, true_vectors
 from viewnet.geometry import view_vector
-from viewnet.tables import failures
+from viewnet.tables import image_grids
 
 
 def vectors(azimuths, elevations) -> np.ndarray:
@@ -36,15 +36,15 @@ def vectors(azimuths, elevations) -> np.ndarray:
     ],
 )
 def test_causes(angles, cause):
-    assert failures.causes(vectors([angles[0]], [angles[1]]), vectors([65.0], [10.0])).tolist() == [cause]
+    assert image_grids.causes(vectors([angles[0]], [angles[1]]), vectors([65.0], [10.0])).tolist() == [cause]
 
 
 def test_from_the_front_a_mirror_is_half_a_turn():
-    assert failures.causes(vectors([180.0], [0.0]), vectors([5.0], [0.0])).tolist() == ["half a turn"]
+    assert image_grids.causes(vectors([180.0], [0.0]), vectors([5.0], [0.0])).tolist() == ["half a turn"]
 
 
 def test_from_the_side_a_mirror_is_no_cause_for_an_elevation():
-    assert failures.causes(vectors([91.0], [36.0]), vectors([80.0], [-16.0])).tolist() == ["elevation"]
+    assert image_grids.causes(vectors([91.0], [36.0]), vectors([80.0], [-16.0])).tolist() == ["elevation"]
 
 
 def test_failures_come_by_cause_worst_first():
@@ -56,7 +56,7 @@ def test_failures_come_by_cause_worst_first():
     for row, off in ((3, 40.0), (1, 170.0), (5, 178.0), (7, 75.0)):
         line = predicted.ids.iloc[test[row]]
         hypotheses[test[row], 0] = vectors([line["azimuth"] + off], [line["elevation"]])[0]
-    groups = failures.by_cause(align(Predictions(predicted.ids, hypotheses, predicted.logits), "none"))
+    groups = image_grids.by_cause(align(Predictions(predicted.ids, hypotheses, predicted.logits), "none"))
     assert next(iter(groups)) == "half a turn"
     assert groups.pop("half a turn") == [5, 1]
     assert sorted(row for rows in groups.values() for row in rows) == [3, 7]
@@ -69,10 +69,10 @@ def store(tmp_path):
 
 def test_gallery_tells_both_viewpoints(store, tmp_path):
     run = untrained_run(tmp_path / "run")
-    figure = failures.gallery(run, lambda run: store, count=3)
+    figure = image_grids.failures(run, lambda run: store, count=3)
     shown = images(figure)
-    (renderer,) = failures.renderers([run], lambda run: store)
-    groups = failures.by_cause(renderer.aligned)
+    (renderer,) = image_grids.renderers([run], lambda run: store)
+    groups = image_grids.by_cause(renderer.aligned)
     labels = [axes.get_ylabel().replace("\n", " ") for axes in figure.axes if axes.get_ylabel()]
     assert labels == [f"{cause} {len(rows)} of 16" for cause, rows in groups.items()]
     assert [len(line) for line in shown] == [2 * min(3, len(rows)) for rows in groups.values()]
@@ -85,6 +85,6 @@ def test_gallery_tells_both_viewpoints(store, tmp_path):
 def test_no_failures_are_nothing_to_show(store, tmp_path, monkeypatch):
     ids = store.index[store.index["split"] != "train"]
     right = Predictions(ids, true_vectors(ids)[:, None], np.zeros((len(ids), 1)))
-    monkeypatch.setattr(failures, "renderers", lambda runs, stores: [SimpleNamespace(aligned=align(right))])
+    monkeypatch.setattr(image_grids, "renderers", lambda runs, stores: [SimpleNamespace(aligned=align(right))])
     with pytest.raises(ViewnetError, match="no error of 30 degrees or more"):
-        failures.gallery(untrained_run(tmp_path / "run"), lambda run: store)
+        image_grids.failures(untrained_run(tmp_path / "run"), lambda run: store)

@@ -1,5 +1,7 @@
 """Image grids of finished runs: figure 3 (d); the supplement's reconstructions, views around an object and volumes.
 
+Failures are shown by cause: how far a wrong viewpoint is explained by a flip, with images of the worst.
+
 Every function takes runs and `stores`, which gives the views of a run (by default its own), or photographs. Rendered
 images are on white, but those of the HoloGAN decoder on its own black.
 """
@@ -14,12 +16,15 @@ import torch
 from matplotlib.figure import Figure
 
 from viewnet.errors import ViewnetError
+from viewnet.evaluation import metrics
+from viewnet.evaluation.evaluate import Aligned
+from viewnet.evaluation.predictions import Floats
 from viewnet.evaluation.run import Run, run_name
 from viewnet.geometry import look_at, view_vector
 from viewnet.model.reconstruction import compare
 from viewnet.runtime.images import resize
+from viewnet.tables import plots
 from viewnet.tables.layouts import LABELS
-from viewnet.tables.plots import STYLE
 from viewnet.tables.run_renderer import RunRenderer, Stores, own_views, renderers
 
 CELL = 0.78  # inches: the side of an image in a grid
@@ -27,6 +32,9 @@ AZIMUTHS = tuple(range(0, 360, 45))  # degrees, of views around an object
 ELEVATION = 20.0  # the same: low enough to tell front from rear, high enough to see the top
 VIEWPOINT = (40.0, 25.0)  # annotated azimuth and elevation that volumes are shown from
 ACROSS = 7  # volumes in a line
+# Degrees: an error of this size or more is a failure, and a cause explains an azimuth to within less than this.
+THRESHOLD = 30.0
+CAUSES = ("half a turn", "front and back mirrored", "elevation", "other")
 
 
 def reconstructions(runs: Sequence[Run], stores: Stores = own_views, count: int = 3) -> Figure:
@@ -126,7 +134,51 @@ def candidates(renderer: RunRenderer, rows: list[int]) -> tuple[np.ndarray, np.n
     return errors.cpu().numpy(), images.reshape(*errors.shape, *images.shape[1:])
 
 
-@matplotlib.rc_context(STYLE)
+def causes(predicted: Floats, truth: Floats) -> np.ndarray:
+    """The cause (N,), one of CAUSES, of each error of aligned view vectors (N, 3); "" where the error is below 30.
+
+    The first that explains the predicted azimuth to within 30 degrees: the true azimuth a (then the elevation is
+    wrong), a + 180 (half a turn), or 180 - a (front and back mirrored).
+    """
+    azimuth, estimate = plots.angles(truth)[0], plots.angles(predicted)[0]
+    # Differences of azimuths in degrees, the short way round.
+    near = [np.abs((estimate - a + 180) % 360 - 180) < THRESHOLD for a in (azimuth, azimuth + 180, 180 - azimuth)]
+    cause = np.select(near, [CAUSES[2], CAUSES[0], CAUSES[1]], default=CAUSES[3])
+    return np.where(metrics.geodesic_error(predicted, truth) < THRESHOLD, "", cause)
+
+
+def by_cause(aligned: Aligned) -> dict[str, list[int]]:
+    """Cause -> the rows of test views that fail by it, the worst first; of CAUSES those that occur, in their order."""
+    why = causes(aligned.selected, aligned.predictions.truth)
+    order = np.argsort(-aligned.selected_errors, kind="stable")  # the worst first, equal ones in the order of the store
+    return {cause: [int(i) for i in order if why[i] == cause] for cause in CAUSES if cause in why}
+
+
+def failures(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
+    """The `count` worst failures of each cause: image, and its reconstruction at the selected viewpoint.
+
+    The true azimuth and elevation stand under an image, the predicted ones under its reconstruction. Raises
+    ViewnetError for a run without failures.
+    """
+    (renderer,) = renderers([run], stores)
+    groups = by_cause(renderer.aligned)
+    if not groups:
+        raise ViewnetError(f"{run.name}: no error of {THRESHOLD:g} degrees or more: there is nothing to show")
+    truth, predicted = renderer.aligned.predictions.truth, renderer.aligned.selected
+    kinds = {"true": plots.angles(truth), "predicted": plots.angles(predicted)}
+    lines, captions, labels = [], [], []
+    for cause, failed in groups.items():
+        rows = failed[:count]  # all are counted in the label
+        pairs = zip(renderer.test_images(rows), renderer.displayed(renderer.reconstruct(rows)), strict=True)
+        each = itertools.product(rows, kinds.items())
+        texts = (f"{kind}\n{round(a[row]) % 360}°, {round(e[row])}°" for row, (kind, (a, e)) in each)
+        lines.append(list(itertools.chain.from_iterable(pairs)))
+        captions.append(list(texts))
+        labels.append(f"{cause}\n{len(failed)} of {len(renderer)}")
+    return image_grid(lines, labels, captions=captions, gaps=range(2, 2 * count, 2))  # between image and next image
+
+
+@matplotlib.rc_context(plots.STYLE)
 def image_grid(
     lines: Sequence[Sequence[np.ndarray | None]],
     rows: Sequence[str] = (),
