@@ -1,7 +1,6 @@
 """Several runs side by side: on worker processes of this machine, on any executor, or each by all of a torchrun."""
 
 import contextlib
-import csv
 import itertools
 import os
 import signal
@@ -17,6 +16,8 @@ from typing import Any, TypeVar
 
 import torch
 
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.run import read_log
 from viewnet.runs.make_run import Job, Steps, attempt, make, one_line
 from viewnet.runtime import distributed, parallel
 from viewnet.runtime.parallel import environment, follow_parent
@@ -132,17 +133,14 @@ def _is_running(future: Future[Any], job: Job, started: float) -> bool:
 
 def progress_line(job: Job) -> str:
     """A job and the last row of its log in some words: epoch, loss, Acc@30 on validation views."""
-    config, last = job.config, dict[str, Any]()
+    config = job.config
     line = f"{config.variant} {config.category} {config.seed}"
     # A damaged log is reported where it is read for results.
-    with contextlib.suppress(OSError, ValueError, csv.Error), (job.folder / "log.csv").open(newline="") as file:
-        last = [{}, *csv.DictReader(file)][-1]
-    if "epoch" not in last:
-        return line
-    line += f" {str(last['epoch'])[:9].strip()}/{config.train.epochs}"
-    for column, label in (("loss", "loss"), ("val_accuracy", "acc")):
-        with contextlib.suppress(KeyError, TypeError, ValueError):
-            line += f" {label} {float(last[column]):.3g}"
+    with contextlib.suppress(ViewnetError, LookupError):
+        last = read_log(job.folder / "log.csv").iloc[-1].dropna()
+        line += f" {last['epoch']:.9g}/{config.train.epochs}"
+        for column, label in (("loss", "loss"), ("val_accuracy", "acc")):
+            line += f" {label} {last[column]:.3g}" if column in last else ""
     return line
 
 
@@ -178,60 +176,51 @@ class LocalPool(futures.ThreadPoolExecutor):
         super().shutdown(wait, cancel_futures=cancel_futures)
         if wait:
             for worker in self._workers:
-                worker.close()
+                worker.executor.shutdown()
 
     def terminate_workers(self) -> None:
         """End all processes, whatever they are doing."""
         self.shutdown(wait=False, cancel_futures=True)
         for worker in self._workers:
-            worker.terminate()
+            if worker.process:
+                worker.process.terminate()
 
 
 _starting = threading.Lock()
 
 
-class _Worker:
-    """A process for one task at a time, started when needed and again when it has died."""
+class _Worker(SpawnContext):
+    """A process for one task at a time, started when needed and again when it has died.
 
-    def __init__(self, gpu: str | None):
-        self._gpu, self._context = gpu, _Context()
-        self._executor: futures.ProcessPoolExecutor | None = None
-
-    def call(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> T:
-        """The result of a function in the process. WorkerDied where the process ends before it returns."""
-        if self._executor is None:
-            self._executor = futures.ProcessPoolExecutor(1, self._context, _initialise, (self._gpu,))
-        try:
-            # Pages of 2 MiB make a step some per cent faster. The C library reads this when the process starts.
-            with _starting, environment(GLIBC_TUNABLES=os.environ.get("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")):
-                future = self._executor.submit(fn, *args, **kwargs)
-            return future.result()
-        except BrokenExecutor:
-            self.close()
-            code = self._context.process.exitcode if self._context.process else None
-            ending = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
-            raise WorkerDied(f"its process was ended ({ending})") from None
-
-    def close(self) -> None:
-        """Wait until the process has ended, after its task."""
-        if self._executor is not None:
-            self._executor.shutdown()
-            self._executor = None
-
-    def terminate(self) -> None:
-        """End the process at once."""
-        if self._context.process:
-            self._context.process.terminate()
-
-
-class _Context(SpawnContext):
-    """Remembers the last process that it has spawned: executors do not tell how theirs ended."""
+    It is its executor's context, so as to remember the process: executors do not tell how theirs ended.
+    """
 
     process: SpawnProcess | None = None
+
+    def __init__(self, gpu: str | None):
+        self._gpu = gpu
+        self._renew()
+
+    def _renew(self) -> None:
+        self.executor = futures.ProcessPoolExecutor(1, self, _initialise, (self._gpu,))
 
     def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
         self.process = SpawnProcess(*args, **kwargs)
         return self.process
+
+    def call(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> T:
+        """The result of a function in the process. WorkerDied where the process ends before it returns."""
+        try:
+            # Pages of 2 MiB make a step some per cent faster. The C library reads this when the process starts.
+            with _starting, environment(GLIBC_TUNABLES=os.environ.get("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")):
+                future = self.executor.submit(fn, *args, **kwargs)
+            return future.result()
+        except BrokenExecutor:
+            self.executor.shutdown()  # waits until the process has ended
+            self._renew()
+            code = self.process.exitcode if self.process else None
+            ending = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+            raise WorkerDied(f"its process was ended ({ending})") from None
 
 
 def _initialise(gpu: str | None) -> None:
