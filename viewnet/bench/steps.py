@@ -282,7 +282,10 @@ def needs(step: Step, progress: float) -> dict[str, Need]:
     seen = targets * (settings.photo.views_per_target if step.backgrounds is not None else 1) + objects * cycle
     result = _networks(step, seen, objects) | {OPTIMISERS: _optimisers(step)}
     if step.perceptual is not None:
-        result[PERCEPTUAL] = _perceptual(step.perceptual, targets, model.render_size, step.device)
+        network, images = step.perceptual, torch.zeros(targets, 3, size, size, device=step.device)
+        three = network_need(network, lambda: network(images.clone().requires_grad_(), images), 0, 1.0)
+        # Features of images and targets, and the images' gradients: three passes for an image, one for its target.
+        result[PERCEPTUAL] = replace(three, layer_values=three.layer_values * 2 / 3)
     if model.decoder == "hologan":
         return result
     voxels, pixels = objects * model.volume_size**3, targets * size**2
@@ -324,13 +327,6 @@ def _networks(step: Step, seen: int, objects: int) -> dict[str, Need]:
     weights = sum(weight.numel() for weight in model.parameters())  # read twice, and their gradients written
     # Normalising reads and writes; backward it reads two and writes one.
     return {LAYERS: layers + Need(layer_values=3.0 * weights), NORMS: Need(layer_values=5.0 * normalised)}
-
-
-def _perceptual(network: PerceptualLoss, targets: int, size: int, device: torch.device) -> Need:
-    """Features of as many images as targets, and the images' gradients."""
-    images = torch.zeros(targets, 3, size, size, device=device)
-    need = network_need(network, lambda: network(images.clone().requires_grad_(), images), 0, 1.0)
-    return replace(need, layer_values=need.layer_values * 2 / 3)  # three passes for an image, one for its target
 
 
 def _optimisers(step: Step) -> Need:

@@ -20,17 +20,14 @@ LIBRARIES = ("torch", "numpy", "scipy", "pandas", "numba", "safetensors", "trime
 
 @functools.cache
 def code_identity(modules: tuple[str, ...]) -> str:
-    """12 hex digits of the `statements` in modules of this package (paths below it), in any order.
+    """12 hex digits of the top-level statements in modules of this package (paths below it), in any order.
 
-    Documenting, formatting or moving code keeps finished runs valid, editing a statement does not.
+    Comments, docstrings, imports and format do not count: documenting, formatting or moving code keeps finished runs
+    valid, editing a statement does not.
     """
-    texts = [text for module in modules for text in statements(PACKAGE.joinpath(module).read_text(encoding="utf-8"))]
-    return hashlib.sha256("\n\n".join(sorted(texts)).encode()).hexdigest()[:12]
-
-
-def statements(source: str) -> list[str]:
-    """The top-level statements of Python source without comments, docstrings, imports and format."""
-    return [ast.unparse(statement) for statement in _Bare().visit(ast.parse(source)).body]
+    trees = (_Bare().visit(ast.parse(PACKAGE.joinpath(module).read_text(encoding="utf-8"))) for module in modules)
+    texts = sorted(ast.unparse(statement) for tree in trees for statement in tree.body)
+    return hashlib.sha256("\n\n".join(texts).encode()).hexdigest()[:12]
 
 
 class _Bare(ast.NodeTransformer):

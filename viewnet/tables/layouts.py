@@ -40,7 +40,6 @@ class Layout:
     reported: bool = True  # whether the paper has it: its numbers are in the file of published/ with its name
     reported_as: dict[str, str] = field(default_factory=dict)  # label -> row of that file, where they differ
     blocks: bool = False  # whether metrics stand one below the other instead of side by side
-    videos: str = ""  # the data set of videos that its rows are trained on: "freiburg", "objectron" or none
 
     @property
     def variants(self) -> tuple[str, ...]:
@@ -132,7 +131,7 @@ LAYOUTS = {
             Row("VGG view, videos", "video_regression"),  # not in the paper: fitted on the videos' viewpoints
             Row("VpDR-Net + FrC"), Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
         ),
-        categories=("car",), blocks=True, videos="freiburg",
+        categories=("car",), blocks=True,
     ),
     "objectron": Layout(
         "Trained on Objectron, evaluated on PASCAL3D+",
@@ -140,7 +139,7 @@ LAYOUTS = {
             Row("Constant", "constant"),  # not in the paper
             *_aligned("ShapeNet"), *_aligned("+ Objectron, supervised masks"), *_aligned("+ Objectron, weak masks"),
         ),
-        categories=("chair",), blocks=True, videos="objectron",
+        categories=("chair",), blocks=True,
     ),
     "table5_dva": Layout(
         "Discretized viewpoint accuracy",

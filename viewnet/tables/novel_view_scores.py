@@ -89,6 +89,7 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None) -> Floa
     size they were trained at, enlarged to the input size, so that none has an advantage in sharpness.
     """
     reader = judge or renderer
+    model = reader.network.config
     low, high = renderer.config.data.elevation_range
     # One seed for all: every network is shown its objects from the same viewpoints.
     angles = torch.from_numpy(np.random.default_rng(0).uniform((0, low), (360, high), (len(renderer), 2)))
@@ -96,7 +97,10 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None) -> Floa
     vectors, up_vectors = [], []
     for rows in map(Tensor.tolist, torch.arange(len(renderer)).split(BATCH)):
         rendered = renderer.render(renderer.encode(rows), look_at(truth[rows]))  # level, as the views are
-        hypotheses = reader.network.viewpoint(_as_input(rendered, renderer, reader))
+        images = F.interpolate(rendered, (model.input_size, model.input_size), mode="bilinear")
+        if model.crop != "none":
+            images = tight_crop(images, model.input_size, model.crop == "stretched")
+        hypotheses = reader.network.viewpoint(reader.network.composite(images))
         heads = hypotheses.logits.argmax(1)
         vectors.append(hypotheses.of_heads(heads).double().cpu().numpy())
         if hypotheses.ups is not None:
@@ -112,16 +116,6 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None) -> Floa
         half_ups = None if ups is None else ups[half] @ rotation.T
         errors[half] = metrics.geodesic_error(predicted[half] @ rotation.T, true[half], half_ups)
     return errors
-
-
-def _as_input(rendered: Tensor, renderer: RunRenderer, reader: RunRenderer) -> Tensor:
-    """Rendered views (N, 4, S, S) as inputs (N, 3, s, s) of the reader's viewpoint network."""
-    model = reader.network.config
-    # No sharper for larger ones.
-    images = F.interpolate(rendered, (model.input_size, model.input_size), mode="bilinear")
-    if model.crop != "none":
-        images = tight_crop(images, model.input_size, model.crop == "stretched")
-    return reader.network.composite(images)
 
 
 def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -> pd.DataFrame:

@@ -16,7 +16,7 @@ import json
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -37,8 +37,6 @@ KEEP = ("all", "easy", "first")
 LISTS = Path("Image_sets")
 VOC = Path("PASCAL/VOCdevkit/VOC2012/ImageSets/Main")
 
-Keep = Literal["all", "easy", "first"]
-
 # These words are counted in a view store's description, and so are part of its identity: they may not change.
 OTHER_SCALE = "box in another scale than its picture"
 BEYOND_EDGES = "box beyond the picture's edges"
@@ -56,7 +54,7 @@ class Report:
     others: int = 0  # objects of other categories in the same images
 
 
-def read(root: Path, category: str, subset: str, split: str, keep: Keep = "all") -> tuple[list[Photograph], Report]:
+def read(root: Path, category: str, subset: str, split: str, keep: str = "all") -> tuple[list[Photograph], Report]:
     """The objects of `category` in the split of a subset ("imagenet", "pascal" or "both"), in the order of its list.
 
     `keep`: all objects; the easy ones; or the first of each image, as the released code has it. Objects whose viewpoint
@@ -127,7 +125,7 @@ def image_file(root: Path, category: str, subset: str, image: str) -> Path:
 
 
 def _read_image(
-    root: Path, category: str, subset: str, split: str, image: str, keep: Keep, report: Report
+    root: Path, category: str, subset: str, split: str, image: str, keep: str, report: Report
 ) -> list[Photograph]:
     """The objects of one image that are requested and can be used; all others go to the report."""
     path, image_path = (locate(root, category, subset, image) for locate in (annotation_file, image_file))
