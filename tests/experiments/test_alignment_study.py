@@ -115,7 +115,7 @@ def found(index):
     mine = [Predictor(name, "car", 0, lambda c, s, p=p: p, False) for name, p in said.items()]
     fitted = Predictor("Constant", "car", 0, lambda c, s: baselines.constant(index, source="val"), True)
     scores = pd.DataFrame([row for p in (*mine, fitted) for row in score_rows(p, (16, 64), 2)])
-    return Study("made up", scores, pd.DataFrame([row for p in mine for row in collapse_rows(p)]))
+    return Study(scores, pd.DataFrame([row for p in mine for row in collapse_rows(p)]))
 
 
 def test_the_study_reads_as_tables(found, tmp_path):

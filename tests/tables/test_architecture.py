@@ -57,4 +57,3 @@ def test_files_hold_a_tabular_and_the_same_layers(paper, tmp_path):
         assert [f.name for f in files] == [f"architecture_{part.part}.tex", f"architecture_{part.part}.csv"]
         assert_tabular(files[0].read_text())
         assert files[0].read_text().count("Conv") == part.layers["layer"].str.contains("Conv").sum()
-        assert part.learned > 1e6

@@ -67,7 +67,6 @@ class Study:
               a share of the true viewpoints': 0 is a constant), acc30 and dva by either and of the constant
     """
 
-    note: str
     scores: pd.DataFrame
     collapse: pd.DataFrame
 
@@ -121,7 +120,7 @@ def study_alignment(experiment: PhotoExperiment, runs: Sequence[Run]) -> Study:
     rows = list(predictors(experiment, runs))
     scores = pd.DataFrame([line for predictor in rows for line in score_rows(predictor)])
     collapse = pd.DataFrame([line for predictor in rows if not predictor.fitted for line in collapse_rows(predictor)])
-    return Study(experiment.note, scores, collapse)
+    return Study(scores, collapse)
 
 
 def predictors(experiment: PhotoExperiment, runs: Sequence[Run]) -> Iterator[Predictor]:

@@ -9,7 +9,7 @@ from torch import nn
 
 from viewnet.config import ModelConfig
 from viewnet.model.fast_layers import FixedCodeDeconv
-from viewnet.model.networks import AdaIN, Stage, parameters
+from viewnet.model.networks import AdaIN, Stage
 from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import write_csv, write_text
 from viewnet.tables import reported
@@ -34,7 +34,6 @@ class Architecture:
 
     part: str  # "encoder" or "generator"
     layers: pd.DataFrame
-    learned: int  # number of weights
 
     def comparison(self) -> pd.DataFrame:
         """Reported and present layers side by side, lined up from the top; `same` says where they agree."""
@@ -60,10 +59,7 @@ def architectures(config: ModelConfig) -> list[Architecture]:
     model = ViewNet(config)
     viewpoint, appearance = layers(model.viewpoint.encoder), layers(model.appearance)
     encoder = viewpoint.where(viewpoint == appearance, viewpoint + " or " + appearance)  # only the last layers differ
-    return [
-        Architecture("encoder", encoder, parameters(model.viewpoint) + parameters(model.appearance)),
-        Architecture("generator", layers(model.decoder), parameters(model.decoder)),
-    ]
+    return [Architecture("encoder", encoder), Architecture("generator", layers(model.decoder))]
 
 
 def layers(network: nn.Module) -> pd.DataFrame:

@@ -98,7 +98,7 @@ def novel_views(files: Files) -> Content:
 
 def study(files: Files) -> Content:
     """Of the CSV files that viewnet.experiments.alignment_study.Study.write writes."""
-    result = Study("", *(read_csv(files[f"alignment_study_{name}.csv"]) for name in ("scores", "collapse")))
+    result = Study(*(read_csv(files[f"alignment_study_{name}.csv"]) for name in ("scores", "collapse")))
     names = {"acc30": "accuracy, %", "median": "median error, degrees", "dva": "DVA, %", "per_angle": "per angle"}
     gains = {"spread_linear": "spread left", "acc30_gain": "accuracy added", "dva_gain": "DVA added"}
     question = "Does the linear alignment collapse? Rank correlations with one-sidedness"
@@ -142,7 +142,7 @@ def architecture(files: Files) -> Content:
             layers = read_csv(files[name], dtype=str, keep_default_na=False)
             if tuple(layers.columns) != COLUMNS:
                 raise ViewnetError(f"{files[name]}: columns are not {', '.join(COLUMNS)}: make it again")
-            compared = Architecture(part, layers, 0).comparison()
+            compared = Architecture(part, layers).comparison()
             # Words: a colour alone would not tell everybody.
             compared["same"] = compared["same"].map({True: "yes", False: "no"})
             above = [*["print"] * len(COLUMNS), *["ours"] * len(COLUMNS), ""]  # a heading over each half
