@@ -64,10 +64,8 @@ def configurations(options: Options, seed: int = 0) -> list[RunConfig]:
 
     settings = dict(_setting(text) for text in options.set)
     root, splits = (folder_named(getattr(options, name) or "", name) for name in ("data_root", "splits"))
-    return [
-        make_config(options.variant, name, options.profile, options.recipe, seed, root, splits, **settings)
-        for name in options.categories
-    ]
+    how = (options.profile, options.recipe, seed, root, splits)
+    return [make_config(options.variant, name, *how, **settings) for name in options.categories]
 
 
 def _setting(text: str) -> tuple[str, Any]:

@@ -211,10 +211,8 @@ class ViewpointEstimator(Pretrained, ObjectRenderer):
         if path is not None:
             turntable.check(Path(path))
         prepared = self._one(image, mask, box)
-        pixels = rendering.to_uint8(prepared.images)[0]
-        frames = turntable.animate(
-            self, pixels, self.encode(prepared), self._predicted_poses(prepared)[0], steps, hold, size
-        )
+        pixels, pose = rendering.to_uint8(prepared.images)[0], self._predicted_poses(prepared)[0]
+        frames = turntable.animate(self, pixels, self.encode(prepared), pose, steps, hold, size)
         if path is not None:
             turntable.save(frames, Path(path), rate)
         return frames

@@ -131,9 +131,7 @@ class OwnMethodExperiment(Experiment):
     def tables(self) -> dict[str, Experiment]:
         """Table -> the experiment that makes it."""
         # As plain values: "" and 0 for None.
-        own = {
-            name: getattr(self, name) or PARAMETERS[name].default for name in accepted(self.name) if name != "output"
-        }
+        own = {key: getattr(self, key) or PARAMETERS[key].default for key in accepted(self.name) if key != "output"}
         tables: dict[str, Experiment] = {}
         for table in DESIGNS[self.name].tables:
             if DESIGNS[table].kind == "photos":

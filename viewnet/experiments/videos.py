@@ -140,9 +140,8 @@ class ObjectronExperiment(VideoExperiment):
 
     def __post_init__(self) -> None:
         if self.weak_masks and self.video_root is None:
-            raise ViewnetError(
-                f"weak_masks {self.weak_masks}: the stand-in has masks of its own: give video_root, or leave it"
-            )
+            remedy = "the stand-in has masks of its own: give video_root, or leave it"
+            raise ViewnetError(f"weak_masks {self.weak_masks}: {remedy}")
 
     @property
     def video(self) -> VideoConfig:

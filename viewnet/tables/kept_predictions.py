@@ -65,9 +65,7 @@ def differences(path: Path) -> pd.DataFrame:
     """
     keys = ["row", "category", "metric"]
     again = remade(path).cells
-    printed = pd.DataFrame(read_json(path)["cells"])[[*keys, *NUMBERS]].melt(
-        keys, var_name="what", value_name="printed"
-    )
+    printed = pd.DataFrame(read_json(path)["cells"])[[*keys, *NUMBERS]].melt(keys, NUMBERS, "what", "printed")
     both = printed.merge(again.melt(keys, NUMBERS, "what", "remade"), how="left", on=[*keys, "what"])
     both = both.astype({"printed": float, "remade": float})
     was, now = both["printed"], both["remade"]

@@ -205,9 +205,8 @@ class Table:
 
     def interval(self, row: str, reference: str, category: str) -> tuple[float, float] | None:
         """95 % interval of Acc@30 of a row minus that of another, over seeds and objects; None where one is missing."""
-        (mine, objects), (other, other_objects) = (
-            self._hits.get((label, category), ([], [])) for label in (row, reference)
-        )
+        mine, objects = self._hits.get((row, category), ([], []))
+        other, other_objects = self._hits.get((reference, category), ([], []))
         return metrics.mean_interval(mine, objects + other_objects, minus=other) if mine and other else None
 
     @functools.cached_property

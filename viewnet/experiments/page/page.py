@@ -65,9 +65,7 @@ class Section:
     settings: tuple[Setting, ...] = ()
 
 
-KINDS = [
-    Section(**rule) for rule in tomllib.loads((TEMPLATES / "sections.toml").read_text(encoding="utf-8"))["section"]
-]
+KINDS = [Section(**rule) for rule in tomllib.loads((TEMPLATES / "sections.toml").read_text("utf-8"))["section"]]
 
 
 def write(folder: Path) -> Path:
