@@ -21,6 +21,7 @@ from viewnet.bench import contestants
 from viewnet.bench.contestants import BOTH, EXACT, FORWARD, STEP, VIEWS, Work
 from viewnet.bench.roofline import Need, Rates, lit_samples, render_need, step_need
 from viewnet.config import RunConfig
+from viewnet.data.build import view_store
 from viewnet.errors import ViewnetError
 from viewnet.model import volume
 from viewnet.model.kernels import volume_cpu
@@ -29,6 +30,7 @@ from viewnet.runtime import provenance
 from viewnet.runtime.parallel import cores
 from viewnet.runtime.progress import bar
 from viewnet.tables.benchmark import CONTESTANTS
+from viewnet.training.train import train
 
 SCHEMA = 1
 GOALS = {"car": (80, 90), "aeroplane": (80,)}
@@ -235,9 +237,6 @@ def time_to_accuracy(settings: "Settings", device: torch.device, progress: bool)
 
 def training_log(config: RunConfig, threads: int, progress: bool) -> pd.DataFrame:
     """The log of a training that is thrown away."""
-    from viewnet.data.build import view_store
-    from viewnet.training.train import train
-
     views = view_store(config.data, progress=progress)
     with tempfile.TemporaryDirectory() as folder:
         train(config, views, Path(folder), threads=threads, progress=progress)

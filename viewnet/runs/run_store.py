@@ -21,6 +21,7 @@ from pathlib import Path
 
 from viewnet import paths
 from viewnet.config import DataConfig, ModelConfig, RunConfig, TrainConfig, VideoConfig, known
+from viewnet.data import augment
 from viewnet.data.rendered_store import WORTH_PROCESSES
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
@@ -129,7 +130,5 @@ def _plan(
 
 def _backgrounds_identity(config: RunConfig, progress: bool) -> str:
     """The identity of the backgrounds that a run is trained with, "" for none. Makes them where they are missing."""
-    from viewnet.data import augment
-
     backgrounds = augment.made(config.data, config.model.input_size, progress)
     return "" if backgrounds is None else backgrounds.identity

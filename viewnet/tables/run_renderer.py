@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from viewnet.config import RunConfig
-from viewnet.data import augment
+from viewnet.data import augment, build
 from viewnet.data.pairs import Views, model_views
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
@@ -115,15 +115,13 @@ class RunRenderer(ObjectRenderer):
 
 def own_views(run: Run) -> ViewStore:
     """The views that a run was trained and scored on."""
-    from viewnet.data.build import view_store
-
-    return view_store(run.config.data, progress=False)
+    return build.view_store(run.config.data, progress=False)
 
 
 Stores = Callable[[Run], ViewStore]  # the views to use of a run: its own (`own_views`), or photographs
 
 
-def renderers(runs: Sequence[Run], stores: Stores = own_views) -> "list[RunRenderer]":
+def renderers(runs: Sequence[Run], stores: Stores = own_views) -> list[RunRenderer]:
     """A renderer for each run. ViewnetError for no runs, and for a run that was not trained."""
     if not runs:
         raise ViewnetError("no runs to render: train some first")
