@@ -73,13 +73,11 @@ class Need:
 
     def seconds(self, rates: "Rates") -> float:
         """At a machine's rates, layers in the faster precision: arithmetic or memory, whichever takes longer."""
-        return min(
-            max(
-                self.products / rate + self.samples / rates.float32,
-                (width * self.layer_values + 4 * self.values) / rates.copy,
-            )
-            for rate, width in ((rates.float32, 4), (rates.bfloat16, 2))
-        )
+        times = []
+        for rate, width in ((rates.float32, 4), (rates.bfloat16, 2)):
+            arithmetic = self.products / rate + self.samples / rates.float32
+            times.append(max(arithmetic, (width * self.layer_values + 4 * self.values) / rates.copy))
+        return min(times)
 
 
 def network_need(networks: nn.Module, run: Callable[[], Tensor], parameters: int, scale: float) -> "Need":

@@ -21,16 +21,13 @@ from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES
 
 PROFILE = f"{', '.join(PROFILES)}, for every notebook that trains (default: each notebook's own)"
+AGAIN = "run nothing: compute every table again from the predictions beside it, and compare"
 ARGUMENTS = (
     argument("--profile", PROFILE),
     argument("--seeds", "how many (3), or which (0,2), for every notebook that takes them", metavar="N"),
     argument("--only", "these and no others", nargs="+", metavar="NOTEBOOK"),
     argument("--page", "run nothing: write the page from what is there", action="store_true"),
-    argument(
-        "--from-predictions",
-        "run nothing: compute every table again from the predictions beside it, and compare",
-        action="store_true",
-    ),
+    argument("--from-predictions", AGAIN, action="store_true"),
     CLUSTER,
     argument("--json", "what was made, and what failed, as JSON", action="store_true"),
 )

@@ -131,10 +131,8 @@ def _predictions(run: Run, data: ScoredData, steps: Steps) -> tuple[str, Predict
             views = steps.views(other)  # rendered as the model's own, so that only the objects differ
             return f"all models of {name}", other_views.transferred(_own(run, steps), views, steps), False
         if kind not in ("pascal3d", "photographs"):
-            raise ViewnetError(
-                f"data_root {data.data_root}: is {kind}, whose viewpoints are not scored: name PASCAL3D+, a folder "
-                "with images/ and viewpoints.csv, or a ShapeNetCore folder"
-            )
+            expected = "name PASCAL3D+, a folder with images/ and viewpoints.csv, or a ShapeNetCore folder"
+            raise ViewnetError(f"data_root {data.data_root}: is {kind}, whose viewpoints are not scored: {expected}")
     square = config.model.crop != "stretched"  # photographs are cut as the network was trained on views
     smoke = root is None and config.profile == "smoke"
     store = photo_views(photos.photographs(config.category, root, square, smoke, subset=data.subset))

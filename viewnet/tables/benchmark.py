@@ -63,19 +63,15 @@ def machine(result: Mapping[str, Any]) -> str:
     """Hardware, PyTorch and commit of a measurement."""
     hardware, git = result["hardware"], result["git"]
     commit = (git["commit"] or "none")[:12] + (" with changes" if git["dirty"] else "")  # which no commit has
-    return (
-        f"{hardware['gpu'] or hardware['processor']}, CPU threads: {hardware['threads']}; "
-        f"PyTorch {result['versions']['torch']}; commit {commit}"
-    )
+    where = hardware["gpu"] or hardware["processor"]
+    return f"{where}, CPU threads: {hardware['threads']}; PyTorch {result['versions']['torch']}; commit {commit}"
 
 
 def rates(result: Mapping[str, Any]) -> str:
     """The rates of a measurement's machine."""
-    values = {name: f"{value / 1e9:.3g}" for name, value in result["rates"].items()}
-    return (
-        f"{values['float32_multiply_adds_per_s']} G/s in float32, {values['bfloat16_multiply_adds_per_s']} G/s in "
-        f"bfloat16, {values['copy_bytes_per_s']} GB/s"
-    )
+    names = ("float32_multiply_adds_per_s", "bfloat16_multiply_adds_per_s", "copy_bytes_per_s")
+    full, half, copying = (f"{result['rates'][name] / 1e9:.3g}" for name in names)
+    return f"{full} G/s in float32, {half} G/s in bfloat16, {copying} GB/s"
 
 
 def aligned(lines: Sequence[Sequence[str]], left: int) -> list[str]:

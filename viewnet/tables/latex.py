@@ -119,13 +119,11 @@ def _heading(latex: str, width: int) -> str:
 def _pairs(cells: pd.DataFrame) -> dict[Key, tuple[str, str]]:
     """(row, category, metric) -> reported and measured number, the best of each in bold."""
     top = best(cells, lambda metric: METRICS[metric].digits)  # of numbers as they are printed
-    return {
-        key: (
-            _bold(cell["printed"] or DASH, cell["bold"]),
-            _bold(text(cell["measured"], key[2], cell["degenerate"]), key in top),
-        )
-        for key, cell in by_key(cells).items()
-    }
+    pairs = {}
+    for key, cell in by_key(cells).items():
+        ours = _bold(text(cell["measured"], key[2], cell["degenerate"]), key in top)
+        pairs[key] = _bold(cell["printed"] or DASH, cell["bold"]), ours
+    return pairs
 
 
 def _bold(number: str, bold: bool) -> str:

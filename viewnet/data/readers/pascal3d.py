@@ -265,9 +265,8 @@ def settings(config: PhotoConfig) -> dict[str, Any]:
 
 def _read_both_splits(config: PhotoConfig, root: Path) -> Photographs:
     """Viewpoints are calibrated on the data set's "train" and scored on its "val"."""
-    (first, calibrated), (second, scored) = (
-        read(root, config.category, config.subset, split, config.keep) for split in SPLITS
-    )
+    which = (config.category, config.subset)
+    (first, calibrated), (second, scored) = (read(root, *which, split, config.keep) for split in SPLITS)
     usable = [replace(photograph, split="val") for photograph in first]
     usable += [replace(photograph, split="test") for photograph in second]
     mended = tally(what for _, what in calibrated.mended + scored.mended)
