@@ -66,12 +66,12 @@ def drawn(name: str, files: Sequence[Path]) -> list[Shown]:
 
     Raises ViewnetError for a file that this version does not write.
     """
-    content, origins = page.read(name, files)
+    content = page.read(name, files)
     images = [path for path in files if path.suffix == ".png"]
     tables = [path for path in files if path.suffix == ".json" and path.with_suffix(".parquet").is_file()]
     notes = list(dict.fromkeys(map(_note, images)))
     above = int(any(path.suffix == ".json" for path in files))  # the note of what a table was measured on
-    shown = [_text([line for line in (*content.notes[:above], page.summary(origins), *notes) if line])]
+    shown = [_text([line for line in (*content.notes[:above], page.summary(content.runs.values()), *notes) if line])]
     blocks = page.ENVIRONMENT.get_template("overview_blocks.html").module
     for block in content.blocks:
         html = str(blocks.measured(block) if hasattr(block, "parts") else blocks.plain(block))  # type: ignore[attr-defined]

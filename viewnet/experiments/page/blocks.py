@@ -1,7 +1,7 @@
 """What the overview page shows of a section's files: tables of reported and measured numbers, and plain tables."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from viewnet.tables import benchmark
 from viewnet.tables.architecture import COLUMNS, Architecture
 from viewnet.tables.columns import Column, best, by_key, column_of
 from viewnet.tables.kept_predictions import NUMBERS, cells_of
+from viewnet.tables.table import run_of
 
 # End of a CSV file's name beside a table -> its title.
 BESIDE = {
@@ -23,6 +24,7 @@ BESIDE = {
     "nearest": "How near test models are to those trained on: IoU of silhouettes with the most alike",
 }
 Files = Mapping[str, Path]  # name -> file
+Runs = Mapping[str, dict[str, str]]  # a run's key -> its `origin`, {} where that stands elsewhere
 
 
 @dataclass(frozen=True)
@@ -53,24 +55,39 @@ class Content:
 
     blocks: tuple[Block, ...] = ()
     notes: tuple[str, ...] = ()
-    origins: Mapping[str, dict[str, Any]] | None = None  # a run's key -> its origin, as in a table's JSON
+    runs: Runs = field(default_factory=dict)
 
 
 def tables(files: Files) -> Content:
     """Of the JSON files that viewnet.tables.table.Table.write writes."""
     blocks: list[Block] = []
     notes: list[str] = []
-    origins: dict[str, dict[str, Any]] = {}
+    runs: dict[str, dict[str, str]] = {}
     for path in files.values():
         if path.suffix == ".json":
             table = read_json(path)
             blocks.append(metric_table(cells_of(table), table["title"]))
             # Shown once, however many tables.
             notes += [table["measured on"], *table.get("remarks", ()), table["error"], table["interval"]]
-            origins |= table["runs"]
+            runs |= {run_of(key): origin(run) for key, run in table["runs"].items()}
         if path.suffix == ".csv" and (title := BESIDE.get(path.stem.rpartition("_")[2])):
             blocks.append(plain_table(title, read_csv(path).round(3), folded=True, index=False))
-    return Content(tuple(blocks), tuple(dict.fromkeys(notes)), origins)
+    return Content(tuple(blocks), tuple(dict.fromkeys(notes)), runs)
+
+
+def origin(run: Mapping[str, Any]) -> dict[str, str]:
+    """A run's origin as the page shows it; "" for unknown values."""
+    training = run.get("training") or {}
+    git, hardware = training.get("git") or run.get("git") or {}, training.get("hardware") or {}
+    return {
+        "what": " ".join(str(run[name]) for name in ("variant", "category") if name in run),
+        **{name: str(run.get(name, "")) for name in ("seed", "profile", "recipe")},
+        "commit": (git.get("commit") or "")[:7] + (" (changed)" if git.get("dirty") else ""),
+        "date": (training.get("finished") or "")[:10],  # the day, of an ISO time
+        "minutes": f"{training['seconds'] / 60:.1f}" if "seconds" in training else "",
+        "machine": hardware.get("gpu") or hardware.get("processor") or "",
+        "threads": str(hardware.get("threads", "")),
+    }
 
 
 def metric_table(cells: pd.DataFrame, title: str) -> MetricTable:
@@ -90,7 +107,7 @@ def novel_views(files: Files) -> Content:
     """Of the CSV file that viewnet.tables.novel_view_scores.write writes."""
     cells = read_csv(files["novel_views.csv"], keep_default_na=False, na_values=dict.fromkeys(NUMBERS, ""))
     # Keys alone: where a run is from stands in the JSON files of tables that have it, too.
-    keys: dict[str, dict[str, Any]] = {key: {} for keys in cells["runs"] for key in keys.split()}
+    keys: Runs = {key: {} for keys in cells["runs"] for key in keys.split()}
     note = "intervals: 95 % percentile bootstrap over seeds and objects"
     table = metric_table(cells.assign(printed="", bold=False, degenerate=0), "Scores of rendered novel views")
     return Content((table,), (note,), keys)

@@ -24,7 +24,7 @@ from viewnet.experiments import notebooks
 from viewnet.experiments.page import blocks
 from viewnet.experiments.page.images import SUFFIXES, TEMPLATES, EmbeddedImage, embedded
 from viewnet.experiments.request import DESIGNS
-from viewnet.runtime.files import read_json, write_text
+from viewnet.runtime.files import write_text
 from viewnet.runtime.progress import bar
 
 log = logging.getLogger(__name__)
@@ -95,14 +95,19 @@ def sections(folder: Path, widest: int = WIDTHS[0]) -> list[Section]:
     files = found(folder)
     if not files:
         raise ViewnetError(f"{folder}: no tables and no figures: make some first (viewnet tables)")
-    origins = _origins(itertools.chain.from_iterable(p for settings in files.values() for p in settings.values()))
+    parts = [(name, setting) for name, settings in files.items() for setting in settings]
+    contents = {(name, setting): read(name, files[name][setting]) for name, setting in parts}
+    # A run may be told of elsewhere, and more fully.
+    known = {key: run for content in contents.values() for key, run in content.runs.items() if run}
     kinds = {kind.name: kind for kind in reversed(KINDS)}  # of several of one name the first has its title
     result = []
-    with bar(True, total=sum(map(len, files.values())), desc=NAME, unit="part", leave=False) as progress:
+    with bar(True, total=len(parts), desc=NAME, unit="part", leave=False) as progress:
         for name in dict.fromkeys(kind.name for kind in KINDS if kind.name in files):
             settings = []
             for setting, paths in sorted(files[name].items()):  # the default, "", comes first
-                settings.append(_setting(name, setting, paths, folder, origins, widest))
+                content = contents[name, setting]
+                runs = {key: known.get(key) or blocks.origin({}) for key in sorted(content.runs)}
+                settings.append(_setting(setting, content, runs, paths, folder, widest))
                 progress.update()
             result.append(replace(headed(kinds[name]), settings=tuple(settings)))
     return result
@@ -132,31 +137,23 @@ def _place(path: Path) -> tuple[str, str]:
 
 
 def _setting(
-    name: str, setting: str, paths: list[Path], folder: Path, known: Mapping[str, dict[str, Any]], widest: int
+    name: str, content: blocks.Content, runs: blocks.Runs, paths: list[Path], folder: Path, widest: int
 ) -> Setting:
-    content, origins = read(name, paths, known)
     figures = []
     for image in [path for path in paths if path.suffix in SUFFIXES]:
         same = [path for path in paths if path.stem == image.stem and path.suffix in (".pdf", image.suffix)]
         figures.append(embedded(image, widest, [path.relative_to(folder) for path in same]))
     shown = {file for figure in figures for file in figure.files}  # linked below their figure
     files = tuple(p.as_posix() for p in (path.relative_to(folder) for path in paths) if p not in shown)
-    return Setting(setting, content, origins, summary(origins), tuple(figures), files)
+    origins = tuple({"key": key, **run} for key, run in runs.items())
+    return Setting(name, content, origins, summary(origins), tuple(figures), files)
 
 
-def read(
-    name: str, paths: Iterable[Path], known: Mapping[str, dict[str, Any]] | None = None
-) -> tuple[blocks.Content, tuple[dict[str, str], ...]]:
-    """The content of a section's files and its runs, whose origins may be `known` elsewhere.
-
-    ViewnetError for files that this version does not write.
-    """
+def read(name: str, paths: Iterable[Path]) -> blocks.Content:
+    """The content of a section's files. ViewnetError for files that this version does not write."""
     files = {path.name: path for path in paths}
     try:
-        content = blocks.READERS.get(name, blocks.tables)(files)
-        by_key = {key.partition("/")[0]: origin for key, origin in (content.origins or {}).items()}
-        origins = sorted(by_key.items())
-        return content, tuple({"key": key, **_origin((known or {}).get(key, origin))} for key, origin in origins)
+        return blocks.READERS.get(name, blocks.tables)(files)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, ViewnetError):  # which names its file already
             raise
@@ -165,36 +162,11 @@ def read(
         raise ViewnetError(f"{names}: {reason}: make it again") from error
 
 
-def _origins(paths: Iterable[Path]) -> dict[str, dict[str, Any]]:
-    """Key -> origin of every run in a table's JSON."""
-    origins: dict[str, dict[str, Any]] = {}
-    for path in paths:
-        table = read_json(path) if path.suffix == ".json" else None
-        if isinstance(table, dict) and isinstance(runs := table.get("runs"), dict):
-            origins |= runs
-    return origins
-
-
-def _origin(origin: Mapping[str, Any]) -> dict[str, str]:
-    """A run's origin as the page shows it; "" for unknown values."""
-    training = origin.get("training") or {}
-    git, hardware = training.get("git") or origin.get("git") or {}, training.get("hardware") or {}
-    return {
-        "what": " ".join(str(origin[name]) for name in ("variant", "category") if name in origin),
-        **{name: str(origin.get(name, "")) for name in ("seed", "profile", "recipe")},
-        "commit": (git.get("commit") or "")[:7] + (" (changed)" if git.get("dirty") else ""),
-        "date": (training.get("finished") or "")[:10],  # the day, of an ISO time
-        "minutes": f"{training['seconds'] / 60:.1f}" if "seconds" in training else "",
-        "machine": hardware.get("gpu") or hardware.get("processor") or "",
-        "threads": str(hardware.get("threads", "")),
-    }
-
-
 def summary(origins: Iterable[Mapping[str, str]]) -> str:
     """Profiles, recipes, dates, machines and commits of runs, in a line."""
     origins, parts = list(origins), []
     for name in ("profile", "recipe", "date", "machine", "commit"):
-        values = sorted({origin[name] for origin in origins if origin[name]})
+        values = sorted({origin[name] for origin in origins if origin.get(name)})
         if values and name == "date":
             parts.append("trained " + " to ".join(dict.fromkeys((values[0], values[-1]))))  # ISO dates sort by time
         elif values:
