@@ -84,7 +84,7 @@ def test_side_by_side_there_are_as_many_runs_as_their_threads_leave_cores_for(mo
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
     for asked, workers, expected in (("", None, (8, 1)), ("2", None, (4, 2)), ("", 3, (3, 2)), ("4", 3, (3, 4))):
         monkeypatch.setenv("OMP_NUM_THREADS", asked)
-        with LocalPool(workers) as pool:
+        with LocalPool(workers or parallel.room()) as pool:
             assert (pool._max_workers, pool.threads) == expected
 
 

@@ -95,8 +95,7 @@ def _note(path: Path) -> str:
 
 
 def _display(shown: Sequence[Shown]) -> None:
-    from IPython.display import HTML, display
-    from IPython.display import Image as Picture
+    from IPython.display import HTML, Image, display
 
     for part in shown:
         if part.kind == "text/plain":
@@ -104,7 +103,7 @@ def _display(shown: Sequence[Shown]) -> None:
         elif part.kind == "text/html":
             display(HTML(part.content))
         else:
-            display(Picture(base64.b64decode(part.content), alt=part.about))
+            display(Image(base64.b64decode(part.content), alt=part.about))
 
 
 def write(request: Any, submissions: Sequence[Submission] = ()) -> list[Path]:

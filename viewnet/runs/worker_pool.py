@@ -147,13 +147,11 @@ def progress_line(job: Job) -> str:
 class LocalPool(futures.ThreadPoolExecutor):
     """Spawned processes of this machine, each with `threads` threads and, where there are GPUs, one of them in turn.
 
-    By default as many as GPUs, or without any as there are cores for (viewnet.runtime.parallel.room). A process that
-    dies fails its job with WorkerDied and is replaced.
+    A process that dies fails its job with WorkerDied and is replaced.
     """
 
-    def __init__(self, workers: int | None = None):
+    def __init__(self, workers: int):
         gpus = torch.cuda.device_count()
-        workers = workers or gpus or parallel.room()
         super().__init__(workers, initializer=self._begin)  # a thread for each process, which waits for it
         self.threads = parallel.threads(workers)
         # As CUDA_VISIBLE_DEVICES names them.
