@@ -14,18 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from viewnet.commands import options as shared
-from viewnet.commands.options import Options, argument
 from viewnet.config import RunConfig
 
 ARGUMENTS = (
     *shared.CONFIGURATION,
-    argument("--workers", "processes that render (default: the machine's cores)", type=int, metavar="N"),
+    shared.argument("--workers", "processes that render (default: the machine's cores)", type=int, metavar="N"),
     shared.CLUSTER,
     shared.JSON,
 )
 
 
-def run(options: Options) -> None:
+def run(options: shared.Options) -> None:
     """Render what is missing and print what is there."""
     from viewnet.runs import dask_cluster, make_run
 

@@ -13,19 +13,18 @@ Examples:
 """
 
 from viewnet.commands import options as shared
-from viewnet.commands.options import Options, argument
 
 ARGUMENTS = (
     *shared.CONFIGURATION,
-    argument("--seed", type=int, default=0, metavar="N"),
-    argument("--workers", "runs side by side (default: what there is room for)", type=int, metavar="N"),
+    shared.argument("--seed", type=int, default=0, metavar="N"),
+    shared.argument("--workers", "runs side by side (default: what there is room for)", type=int, metavar="N"),
     shared.THREADS,
     shared.CLUSTER,
     shared.JSON,
 )
 
 
-def run(options: Options) -> None:
+def run(options: shared.Options) -> None:
     """Train what is missing and print the runs; of several processes the first one prints."""
     shared.choose_resources(options)
     from viewnet.evaluation.run import NOT_SCORED

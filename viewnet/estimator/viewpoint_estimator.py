@@ -31,12 +31,10 @@ from viewnet.errors import ViewnetError
 from viewnet.estimator import hub, preprocess, pretrained
 from viewnet.estimator.inputs import ImageLike, ImagesLike, as_list
 from viewnet.estimator.preprocess import Framing, Prepared
-from viewnet.estimator.pretrained import Pretrained
 from viewnet.estimator.viewpoints import Viewpoints
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
 from viewnet.model.reconstruction import Encoded
-from viewnet.model.rendering import ObjectRenderer
 from viewnet.model.viewnet import Hypotheses
 from viewnet.runtime.images import tight_crop
 
@@ -49,7 +47,7 @@ Images = ImagesLike | Prepared
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class ViewpointEstimator(Pretrained, ObjectRenderer):
+class ViewpointEstimator(pretrained.Pretrained, rendering.ObjectRenderer):
     """A trained network with methods for images from anywhere.
 
     Predicted viewpoints are in the annotated frame if the network's own was aligned to it on annotated validation

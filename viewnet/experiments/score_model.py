@@ -29,7 +29,6 @@ from viewnet.experiments.parameters import SUBSETS, folder_named
 from viewnet.model import checkpoint
 from viewnet.recipes import make_config
 from viewnet.runs import make_run, other_views
-from viewnet.runs.make_run import Steps
 from viewnet.runtime.files import read_json, write_json
 from viewnet.tables.benchmark import aligned
 
@@ -49,7 +48,7 @@ class ScoredData:
 
 
 def scores(
-    where: str, data: ScoredData | None = None, calibration: int | None = None, steps: Steps | None = None
+    where: str, data: ScoredData | None = None, calibration: int | None = None, steps: make_run.Steps | None = None
 ) -> dict[str, Any]:
     """The scores of a model as JSON values; `where` is a run's key or folder, or what pretrained.load takes.
 
@@ -117,7 +116,7 @@ def _moved(config: RunConfig, cad_root: str | None) -> RunConfig:
     return replace(config, data=replace(config.data, root=root))
 
 
-def _predictions(run: Run, data: ScoredData, steps: Steps) -> tuple[str, Predictions, bool]:
+def _predictions(run: Run, data: ScoredData, steps: make_run.Steps) -> tuple[str, Predictions, bool]:
     """What is scored, in words; the predictions, of "val" to align on and "test" to score; whether of photographs."""
     config, root, description = run.config, None, "a stand-in for photographs"
     if data.data_root is None and not data.stand_in:
@@ -139,7 +138,7 @@ def _predictions(run: Run, data: ScoredData, steps: Steps) -> tuple[str, Predict
     return description, other_views.on_photographs(run, store, steps), True
 
 
-def _own(run: Run, steps: Steps) -> Run:
+def _own(run: Run, steps: make_run.Steps) -> Run:
     """The same run, with predictions of its own views: made where it was laid out from a saved model."""
     if run.scored and not (run.folder / "predictions.parquet").is_file():
         views = steps.views(run.config.data)

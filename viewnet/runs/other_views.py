@@ -8,10 +8,9 @@ from viewnet.evaluation.predictions import Predictions, joined
 from viewnet.evaluation.run import Run
 from viewnet.model import checkpoint
 from viewnet.runs import make_run
-from viewnet.runs.make_run import Steps, code_identities
 
 
-def transferred(run: Run, views: Any, steps: Steps | None = None) -> Predictions:
+def transferred(run: Run, views: Any, steps: make_run.Steps | None = None) -> Predictions:
     """The run's own validation predictions and, as split "test", its predictions of all views of another store.
 
     Raises ViewnetError for the views it was trained on, and for models it was trained or validated on.
@@ -33,7 +32,7 @@ def transferred(run: Run, views: Any, steps: Steps | None = None) -> Predictions
     return joined([validation, scored])
 
 
-def on_photographs(run: Run, store: Any, steps: Steps | None = None) -> Predictions:
+def on_photographs(run: Run, store: Any, steps: make_run.Steps | None = None) -> Predictions:
     """A trained run's predictions for a store of photographs: its splits "val", to align on, and "test", to score.
 
     Cached in the run's folder as `predictions-<store's identity>-<code's>-<checkpoint's>.parquet`. Raises ViewnetError
@@ -47,7 +46,7 @@ def on_photographs(run: Run, store: Any, steps: Steps | None = None) -> Predicti
         weights = hashlib.sha256(file.read_bytes()).hexdigest()[:12]
     except OSError as error:
         raise ViewnetError(f"{file}: cannot be read ({error.strerror}): train it again") from error
-    path = run.folder / f"predictions-{store.identity}-{code_identities()['predicting']}-{weights}.parquet"
+    path = run.folder / f"predictions-{store.identity}-{make_run.code_identities()['predicting']}-{weights}.parquet"
     if path.is_file():
         return Predictions.from_parquet(path)
     predictions = (steps or make_run.default_steps()).predict(run.folder, store, splits=("val", "test"))

@@ -28,7 +28,6 @@ from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.run import Run
 from viewnet.model import checkpoint
 from viewnet.runs import dask_cluster, make_run
-from viewnet.runs.make_run import Job, Steps
 from viewnet.runs.worker_pool import make_together, run_all
 from viewnet.runtime import distributed, provenance
 from viewnet.runtime.parallel import cores, pool
@@ -78,7 +77,7 @@ def ensure(
     configs: Sequence[RunConfig],
     workers: int | None = None,
     progress: bool = True,
-    steps: Steps | None = None,
+    steps: make_run.Steps | None = None,
     executor: Executor | None = None,
 ) -> list[Run]:
     """The runs of `configs`, in their order; missing ones are trained first.
@@ -107,8 +106,8 @@ def ensure(
 
 
 def _plan(
-    configs: Sequence[RunConfig], workers: int | None, progress: bool, steps: Steps, executor: Executor | None
-) -> tuple[dict[RunConfig, Path], list[Job]]:
+    configs: Sequence[RunConfig], workers: int | None, progress: bool, steps: make_run.Steps, executor: Executor | None
+) -> tuple[dict[RunConfig, Path], list[make_run.Job]]:
     """Each configuration's folder, and the runs that are not finished. Makes the views of all."""
     unique = list(dict.fromkeys(configs))
     data = dict.fromkeys(config.data for config in unique)
@@ -124,7 +123,7 @@ def _plan(
     for config in missing:  # with absolute paths, since another machine's process has another working directory
         start = config.train.start and str(checkpoint.locate(config.train.start))
         same = replace(config, train=replace(config.train, start=start))
-        jobs.append(Job(same, folders[config].absolute(), Path(stores[config.data].folder).absolute()))
+        jobs.append(make_run.Job(same, folders[config].absolute(), Path(stores[config.data].folder).absolute()))
     return folders, jobs
 
 

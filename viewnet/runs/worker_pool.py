@@ -20,7 +20,6 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.run import read_log
 from viewnet.runs.make_run import Job, Steps, attempt, make, one_line
 from viewnet.runtime import distributed, parallel
-from viewnet.runtime.parallel import environment, follow_parent
 from viewnet.runtime.progress import bar as progress_bar
 
 T = TypeVar("T")
@@ -210,7 +209,8 @@ class _Worker(SpawnContext):
         """The result of a function in the process. WorkerDied where the process ends before it returns."""
         try:
             # Pages of 2 MiB make a step some per cent faster. The C library reads this when the process starts.
-            with _starting, environment(GLIBC_TUNABLES=os.environ.get("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")):
+            tunables = os.environ.get("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")
+            with _starting, parallel.environment(GLIBC_TUNABLES=tunables):
                 future = self.executor.submit(fn, *args, **kwargs)
             return future.result()
         except BrokenExecutor:
@@ -223,7 +223,7 @@ class _Worker(SpawnContext):
 
 def _initialise(gpu: str | None) -> None:
     """Prepare a worker process."""
-    follow_parent()
+    parallel.follow_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, which then ends its workers
     if gpu is not None:
         os.environ["CUDA_VISIBLE_DEVICES"] = gpu  # takes effect as long as CUDA has not been initialised

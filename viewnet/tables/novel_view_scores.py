@@ -30,7 +30,6 @@ from viewnet.geometry import look_at, view_vector
 from viewnet.runtime.files import write_csv, write_text
 from viewnet.runtime.images import tight_crop
 from viewnet.tables import columns, latex
-from viewnet.tables.columns import FIDELITY, HEADLINE
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, renderers
 
@@ -77,7 +76,7 @@ def compare(rendered: Tensor, target: Tensor) -> pd.DataFrame:
         union = (mask | true_mask).sum()
         # Two empty masks are equal.
         lines.append({"psnr": psnr, "ssim": float(ssim), "iou": (mask & true_mask).sum() / union if union else 1.0})
-    return pd.DataFrame(lines, columns=list(FIDELITY))
+    return pd.DataFrame(lines, columns=list(columns.FIDELITY))
 
 
 @torch.no_grad()
@@ -161,12 +160,12 @@ def _lines(
     """Every metric of a row: `scored` is `fidelity` of each seed, `errors` its `consistency` by kind of network."""
     objects = [scores["model_id"].to_numpy() for scores in scored]
     values: dict[str, tuple[list[float], tuple[float, float] | None]] = {}
-    for metric in FIDELITY:
+    for metric in columns.FIDELITY:
         each = [scores[metric].to_numpy() for scores in scored]
         values[metric] = [float(e.mean()) for e in each], metrics.mean_interval(each, objects, draws)
     for kind, seeds in errors.items():
         bounds = metrics.bootstrap_intervals(seeds, objects, np.random.default_rng(0), draws)
-        for statistic in HEADLINE:
+        for statistic in columns.HEADLINE:
             values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in seeds], bounds[statistic]
     parts = {m: columns.measured(*values.get(m, ([np.nan], None)), objects) for m in columns.NOVEL_VIEWS}
     return [{**about, "metric": metric, **part, "runs": keys} for metric, part in parts.items()]

@@ -7,8 +7,6 @@ import numpy as np
 import torch
 
 from viewnet.estimator import ViewpointEstimator, inputs, preprocess, templating
-from viewnet.estimator.inputs import ImageLike
-from viewnet.estimator.preprocess import Prepared
 from viewnet.estimator.viewpoints import Viewpoint
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
@@ -22,7 +20,7 @@ class Analysis:
     """What a network predicts and renders for one image."""
 
     viewpoint: Viewpoint
-    prepared: Prepared  # the image as the network sees it
+    prepared: preprocess.Prepared  # the image as the network sees it
     reconstruction: np.ndarray  # (S, S, 3) uint8, rendered from the predicted viewpoint
     encoded: Encoded  # the object, for `novel_view`
     notes: tuple[str, ...]  # reasons not to trust the prediction, a sentence each
@@ -33,7 +31,7 @@ class Analysis:
         return rendering.to_uint8(self.prepared.images)[0]
 
 
-def analyse(estimator: ViewpointEstimator, image: ImageLike, mask: Any = None, box: Any = None) -> Analysis:
+def analyse(estimator: ViewpointEstimator, image: inputs.ImageLike, mask: Any = None, box: Any = None) -> Analysis:
     """Analyse one image. ViewnetError for an image, mask or box that cannot be used."""
     framing = estimator.framing
     given = inputs.read_image(image, mask, inputs.boxes_of([box], 1)[0])

@@ -19,7 +19,6 @@ from viewnet.data import mask_files
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator, volume_mesh
 from viewnet.estimator.demo import analysis, compass_svg
-from viewnet.estimator.demo.analysis import Analysis
 from viewnet.estimator.demo.box_picker import BoxPicker, format_box, parse_box
 from viewnet.estimator.demo.examples import Example
 from viewnet.estimator.templating import rendered
@@ -196,7 +195,7 @@ def _file_of(sent: dict[str, Any] | None) -> tuple[Path, str] | None:
     return Path(sent["path"]), sent.get("orig_name") or Path(sent["path"]).name
 
 
-def answer(result: Analysis, notes: Sequence[str]) -> str:
+def answer(result: analysis.Analysis, notes: Sequence[str]) -> str:
     """HTML: the viewpoint in numbers, in words if it is in the annotated frame, and on two compasses."""
     one = result.viewpoint
     above, side = compass_svg.from_above(one), compass_svg.from_the_side(one)
