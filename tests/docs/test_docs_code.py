@@ -128,7 +128,7 @@ def run_command(words: list[str], world: Path, monkeypatch) -> None:
         monkeypatch.setattr(f"viewnet.bench.report.{name}", lambda found: "measured")
     for name in ("write", "write_steps"):
         monkeypatch.setattr(f"viewnet.bench.report.{name}", lambda found, folder: [folder])
-    monkeypatch.setattr("viewnet.experiments.score_model.photo_views", lambda _: photographs(world))
+    monkeypatch.setattr("viewnet.data.build.photo_views", lambda *_, **__: photographs(world))
     # The last value of an option counts: two images of a turntable instead of 48.
     words, output = (words[:-2], words[-1]) if ">" in words else (words, os.devnull)
     if "--scores" in words:

@@ -26,8 +26,7 @@ from viewnet.errors import ViewnetError
 from viewnet.model import volume
 from viewnet.model.kernels import volume_cpu
 from viewnet.recipes import make_config
-from viewnet.runtime import provenance
-from viewnet.runtime.parallel import cores
+from viewnet.runtime import parallel, provenance
 from viewnet.runtime.progress import bar
 from viewnet.tables.benchmark import CONTESTANTS
 from viewnet.training.train import train
@@ -84,7 +83,7 @@ class Settings:
         if given.get("quick", False):
             defaults = {"sizes": (8, 16), "batch": 4, "repeat": 2}
         given = {name: value for name, value in given.items() if value is not None}
-        return cls(**{"threads": cores(), **defaults, **given})
+        return cls(**{"threads": parallel.cores(), **defaults, **given})
 
     @property
     def volumes(self) -> int:

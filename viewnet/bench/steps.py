@@ -29,8 +29,7 @@ from viewnet.bench.contestants import camera_frames
 from viewnet.bench.measure import Row, Settings, recorded
 from viewnet.bench.roofline import COUNTED, Need, Rates, lit_samples, network_need, render_need, seconds
 from viewnet.config import RunConfig
-from viewnet.data import augment
-from viewnet.data.build import view_store
+from viewnet.data import augment, build
 from viewnet.data.pairs import model_views, sample_pairs, step_generator
 from viewnet.estimator import pretrained
 from viewnet.model.losses import PerceptualLoss
@@ -120,7 +119,7 @@ class Step:
             config = replace(config, train=replace(config.train, perceptual="none", pixel_weight=1.0))
         self.config, self.device, self.number = config, device, 0
         side = max(config.model.input_size, config.model.render_size)
-        self.views = model_views(view_store(config.data, progress=False), "train", side, config.model)
+        self.views = model_views(build.view_store(config.data, progress=False), "train", side, config.model)
         self.backgrounds = augment.load(config.data, config.model.input_size, device)
         torch.manual_seed(config.seed)
         self.model = ViewNet(config.model)

@@ -18,8 +18,7 @@ from scipy.spatial.transform import Rotation
 from viewnet import geometry
 from viewnet.data.annotated_viewpoints import read, sample
 from viewnet.errors import ViewnetError
-from viewnet.evaluation import metrics
-from viewnet.evaluation.baselines import mean_vector
+from viewnet.evaluation import baselines, metrics
 from viewnet.evaluation.predictions import Floats, true_vectors
 from viewnet.runtime.files import write_csv
 from viewnet.tables import reported
@@ -123,7 +122,7 @@ def lattice() -> pd.DataFrame:
 
 def mean_view(truth: Floats) -> Floats:
     """The level camera frame (3, 3) of the mean of view vectors (N, 3). ViewnetError where they cancel out."""
-    return level_frames(mean_vector(truth))
+    return level_frames(baselines.mean_vector(truth))
 
 
 def mean_rotation(truth: Floats) -> Floats:

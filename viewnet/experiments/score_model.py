@@ -16,8 +16,7 @@ from safetensors.torch import save_file
 
 from viewnet import paths
 from viewnet.config import RunConfig, known
-from viewnet.data import catalogue
-from viewnet.data.build import photo_views
+from viewnet.data import build, catalogue
 from viewnet.errors import ViewnetError
 from viewnet.estimator import pretrained
 from viewnet.estimator.model_card import METRICS, with_interval
@@ -134,7 +133,7 @@ def _predictions(run: Run, data: ScoredData, steps: make_run.Steps) -> tuple[str
             raise ViewnetError(f"data_root {data.data_root}: is {kind}, whose viewpoints are not scored: {expected}")
     square = config.model.crop != "stretched"  # photographs are cut as the network was trained on views
     smoke = root is None and config.profile == "smoke"
-    store = photo_views(photos.photographs(config.category, root, square, smoke, subset=data.subset))
+    store = build.photo_views(photos.photographs(config.category, root, square, smoke, subset=data.subset))
     return description, other_views.on_photographs(run, store, steps), True
 
 

@@ -27,8 +27,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.run import Run
 from viewnet.model import checkpoint
-from viewnet.runs import dask_cluster, make_run
-from viewnet.runs.worker_pool import make_together, run_all
+from viewnet.runs import dask_cluster, make_run, worker_pool
 from viewnet.runtime import distributed, provenance
 from viewnet.runtime.parallel import cores, pool
 
@@ -99,8 +98,8 @@ def ensure(
         folders, jobs = distributed.first(lambda: _plan(configs, workers, progress, steps, executor))
         # A torchrun is for one run at a time; its processes end together, so that the first failure ends all.
         if distributed.size() > 1:
-            make_together(jobs, steps, progress)
-        elif failures := run_all(jobs, steps, workers, progress, executor):
+            worker_pool.make_together(jobs, steps, progress)
+        elif failures := worker_pool.run_all(jobs, steps, workers, progress, executor):
             raise ViewnetError(f"{len(failures)} of {len(folders)} runs failed: {'; '.join(failures)}")
     return [Run(config, folders[config]) for config in configs]
 

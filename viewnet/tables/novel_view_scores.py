@@ -22,8 +22,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
 from viewnet.errors import ViewnetError
-from viewnet.evaluation import metrics
-from viewnet.evaluation.alignment import fit_rotation
+from viewnet.evaluation import alignment, metrics
 from viewnet.evaluation.predictions import Floats, true_vectors
 from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
@@ -111,7 +110,7 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None) -> Floa
     errors, even = np.empty(len(predicted)), renderer.views.objects.numpy() % 2 == 0  # halves of objects, not of views
     # Each half is aligned by a fit on the other, so that no object decides on its own score.
     for half in (even, ~even):
-        rotation = fit_rotation(predicted[~half], true[~half])
+        rotation = alignment.fit_rotation(predicted[~half], true[~half])
         half_ups = None if ups is None else ups[half] @ rotation.T
         errors[half] = metrics.geodesic_error(predicted[half] @ rotation.T, true[half], half_ups)
     return errors

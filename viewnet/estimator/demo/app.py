@@ -17,11 +17,10 @@ from PIL import Image
 
 from viewnet.data import mask_files
 from viewnet.errors import ViewnetError
-from viewnet.estimator import ViewpointEstimator, volume_mesh
+from viewnet.estimator import ViewpointEstimator, templating, volume_mesh
 from viewnet.estimator.demo import analysis, compass_svg
 from viewnet.estimator.demo.box_picker import BoxPicker, format_box, parse_box
 from viewnet.estimator.demo.examples import Example
-from viewnet.estimator.templating import rendered
 from viewnet.model.reconstruction import Encoded
 
 LIFETIME = 3600  # seconds after which files that visitors sent, and what was made of them, are deleted
@@ -200,7 +199,7 @@ def answer(result: analysis.Analysis, notes: Sequence[str]) -> str:
     one = result.viewpoint
     above, side = compass_svg.from_above(one), compass_svg.from_the_side(one)
     words = compass_svg.words(one.azimuth, one.elevation)
-    return rendered("answer.html", one=one, words=words, above=above, side=side, notes=notes)
+    return templating.rendered("answer.html", one=one, words=words, above=above, side=side, notes=notes)
 
 
 def _toast(error: ViewnetError) -> gr.Error:

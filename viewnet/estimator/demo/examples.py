@@ -7,8 +7,7 @@ from PIL import Image
 
 from viewnet.config import CATEGORIES
 from viewnet.data.crop import Box, bounds
-from viewnet.data.synthetic import scenes
-from viewnet.data.synthetic.stand_in import built_in_mesh
+from viewnet.data.synthetic import scenes, stand_in
 from viewnet.estimator import ViewpointEstimator
 from viewnet.render import render_mesh
 
@@ -36,7 +35,7 @@ def rendered(estimator: ViewpointEstimator) -> list[Example]:
         return []
     examples = []
     for number, (azimuth, elevation) in enumerate(VIEWPOINTS):
-        mesh = built_in_mesh(category, number, SEED)
+        mesh = stand_in.built_in_mesh(category, number, SEED)
         view = render_mesh(mesh, np.array([azimuth]), np.array([elevation]), SIZE, 2)[0]
         image, box = Image.fromarray(view), None
         if not estimator.framing.cutout:
