@@ -46,16 +46,12 @@ class Experiment(Request):
                 found |= dict.fromkeys(self._config(variant, *run, recipe=recipe) for run in runs)
         return list(found)
 
-    def _config(
-        self, variant: str, category: str, seed: int, *, recipe: str | None = None, **overrides: Any
-    ) -> RunConfig:
+    def _config(self, variant: str, category: str, seed: int, recipe: str = "", **overrides: Any) -> RunConfig:
         """A run on CAD models, of the first recipe unless another is named."""
-        trained, recipe = variant, recipe or self.recipe
         if variant in UNTRAINED:
-            trained, recipe = "viewnet", self.recipe
+            return untrained(variant, self._config("viewnet", category, seed, **overrides))
         place = (self.cad_collection, self.splits)
-        config = make_config(trained, category, self.profile, recipe, seed, *place, **overrides)
-        return untrained(variant, config) if variant in UNTRAINED else config
+        return make_config(variant, category, self.profile, recipe or self.recipe, seed, *place, **overrides)
 
     @property
     def trained_on(self) -> str:
