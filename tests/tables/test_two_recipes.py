@@ -68,6 +68,7 @@ def test_rows_are_compared_only_where_a_difference_is_measured(table):
     same = table.comparison("ViewNet (matting)", "ViewNet (matting)", "car")
     assert same.startswith("no difference measured [")
     assert table.comparison("No Shape Prior", "ViewNet (paper)", "car") is None
+    assert table.comparison("Single-head (matting)", "ViewNet (matting)", "car") == "no score"
 
 
 def test_the_reference_of_a_row_is_of_its_own_recipe(table):

@@ -222,11 +222,14 @@ class Table:
     def comparison(self, row: str, reference: str, category: str) -> str | None:
         """In words, how many points of Acc@30 a row is above or below another one, with the interval in brackets.
 
-        "no difference measured" where the interval includes 0. None where one of them was not measured.
+        "no difference measured" where the interval includes 0, "no score" where the predictions of one determine no
+        alignment. None where one of them was not measured.
         """
         if (interval := self.interval(row, reference, category)) is None:
             return None
         cells = self.cells[(self.cells["category"] == category) & (self.cells["metric"] == "acc30")].set_index("row")
+        if cells.loc[[row, reference], "degenerate"].any():
+            return "no score"
         points = cells.at[row, "measured"] - cells.at[reference, "measured"]
         low, high = interval
         what = "no difference measured"
