@@ -266,7 +266,7 @@ def test_holes_of_a_texture_show_what_is_behind(backend: str) -> None:
 
 def test_vertex_colours_blend_across_a_face(backend: str) -> None:
     colours = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
-    mesh = Mesh(SQUARE[:3], np.array([[0, 1, 2]], np.int32), np.zeros(1, np.int32), (Material(),), None, colours)
+    mesh = Mesh(SQUARE[:3], np.array([[0, 1, 2]], np.int32), np.zeros(1, np.int32), (Material(),), None, colours[None])
     (image,) = render_mesh(mesh, np.zeros(1), np.zeros(1), 128, backend=backend)
     (place,) = project(SQUARE[:3].mean(axis=0, keepdims=True), look_from(np.zeros(1), np.zeros(1)))[0]
     assert np.allclose(colour_at(image, place[1], place[0]), 1 / 3, atol=0.03)

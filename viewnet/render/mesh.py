@@ -25,14 +25,13 @@ class UnusableModel(ViewnetError):
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """Diffuse colour (3,) in 0..1, opacity 0..1 and, where given, a texture (h, w, 3 or 4) uint8, top row first.
+    """Diffuse colour (3,) in 0..1 and, where given, a texture (h, w, 3 or 4) uint8, top row first.
 
     A texture replaces the diffuse colour (exporters often write it black beside a texture).
     """
 
     name: str = ""
     diffuse: tuple[float, float, float] = GREY
-    opacity: float = 1.0
     texture: np.ndarray | None = field(default=None, repr=False)
 
 
@@ -41,7 +40,7 @@ class Mesh:
     """Triangles: vertices (V, 3) float64, faces (F, 3) int32, material (F,) int32 into `materials`.
 
     `uv` (F, 3, 2) float32 are the texture coordinates of each face's corners (origin at the lower left, repeating) or
-    None; `colours` (V, 3) float32 in 0..1 are vertex colours or None, used on faces without a material (material 0).
+    None; `colours` (F, 3, 3) float32 in 0..1 are the corners' colours or None, used on faces without a texture.
     """
 
     vertices: np.ndarray

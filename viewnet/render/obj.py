@@ -1,8 +1,9 @@
 """Wavefront OBJ files as triangle meshes: all that CAD collections hold, read by array operations.
 
-trimesh, in contrast, ignores missing libraries and textures, opacity and texture options, and is slower.
+`benchmarks/obj_readers.py` compares it with trimesh and tinyobjloader (docs/decisions.md has the counts).
 """
 
+import contextlib
 import re
 import warnings
 from pathlib import Path
@@ -10,84 +11,74 @@ from pathlib import Path
 import numpy as np
 
 from viewnet.render.mesh import Material, Mesh, UnusableModel
-from viewnet.render.mtl import Entry, read_libraries, read_texture
+from viewnet.render.mtl import Entry, Home, named, read_libraries, read_lines, read_texture
+from viewnet.render.polygons import triangles
 
 MAX_BYTES = 512 * 2**20
 MAX_FACES = 2_000_000
 MAX_TEXTURED = 1000
-MAX_COLOUR = 65536.0  # of a vertex, as exporters write it: 0 to 1, or to 255 or 65535
+_CORNER = re.compile(rb"[^/]+(/[^/]*){0,2}")
+COLOUR_RANGES = ((2.0, 1.0), (255.0, 255.0), (65535.0, 65535.0))
+"""Up to which largest value colours of vertices have which range; rounding leaves a little more than 1."""
 MAX_UV = 1e30  # of a texture coordinate: times a texture's scale it is still finite in single precision
-MIN_OPACITY = 0.05  # faces less opaque than this are left out; the others are rendered opaque
 
 
 def read_obj(path: Path, folder: Path | None = None) -> Mesh:
-    """The visible faces of an OBJ file as it stands (no change of frame or scale), polygons triangulated as fans.
+    """The visible faces of an OBJ file as it stands (no change of frame or scale), polygons as triangles.
 
-    Faces without area and (almost) transparent ones are left out; faces without a defined material are light grey.
+    Faces without area and invisible ones are left out (see `_hidden`); those without a defined material are light grey.
     Libraries and textures must lie in `folder` (default: the file's own). Raises UnusableModel with the reason: a file
-    that is missing, empty or unreadable, no faces, NaN or infinite vertices, a broken or missing library or texture, a
-    path that leads out of the folder, more than MAX_FACES faces or MAX_BYTES bytes.
+    that is missing, empty or unreadable, no faces, a line that cannot be understood, a broken or missing library or
+    texture, a path that leads out of the folder, more than MAX_FACES faces or MAX_BYTES bytes.
     """
-    folder = path.parent if folder is None else folder
-    lines = _Lines(path)
-    values, counts = lines.numbers("v", lines.text("v"))
-    if len(counts) == 0:
-        raise UnusableModel(path, "no vertices")
-    if counts.min() < 3:
-        raise UnusableModel(path, "a vertex with fewer than three coordinates")
-    vertices = values[(np.cumsum(counts) - counts)[:, None] + np.arange(3)]
-    if not np.isfinite(vertices).all():
-        raise UnusableModel(path, "a vertex is NaN or infinite")
-    coloured = counts.min() == counts.max() and counts[0] in (6, 7)
-    colours = values.reshape(len(counts), -1)[:, 3:6] if coloured else None
-    if colours is not None and not (np.abs(colours) <= MAX_COLOUR).all():
-        raise UnusableModel(path, "a vertex's colour is out of range")
-
+    home = Home(path, folder or path.parent)
+    lines = _Lines(home)
+    values = lines.table("v", least=3, most=6)
+    vertices = values[:, :3]
     corner_v, corner_t, sizes = _corners(lines, len(vertices))
-    corners, owner = _fans(path, sizes)
+    corners, owner = triangles(vertices, corner_v, sizes)
+    if not len(corners):
+        raise home.refused("no faces")
     names, polygon_material = _assign(lines.words("usemtl"), len(sizes))
-    library = read_libraries(path, folder, dict.fromkeys(name for _, name in lines.words("mtllib")))
+    library = read_libraries(home, [name for _, name in lines.words("mtllib")])
+    entries = [Entry(), *(named(library.get, name) or Entry() for name in names)]
     faces, material = corner_v[corners], polygon_material[owner]
 
     edge, other = (vertices[faces[:, i]] - vertices[faces[:, 0]] for i in (1, 2))
     with np.errstate(over="ignore", invalid="ignore"):  # the normalisation of the mesh rejects what is too large
         keep = (np.cross(edge, other) != 0).any(axis=1)
-    opacity = np.array([1.0, *(library[name].shown if name in library else 1.0 for name in names)])
-    if (visible := keep & (opacity >= MIN_OPACITY)[material]).any():
-        # Some exporters write opacity for transparency, so a file that hides everything means the opposite.
-        keep = visible
     if not keep.any():
-        raise UnusableModel(path, "no face has an area")
+        raise home.refused("no face has an area")
+    keep[keep] = ~_hidden(entries, material[keep])
     faces, material, corners = faces[keep], material[keep], corners[keep]
-    materials, uv = _materials(lines, folder, names, library, material, corner_t[corners])
-    shades = None if colours is None else colours.astype(np.float32)
-    return Mesh(vertices, faces.astype(np.int32), material.astype(np.int32), materials, uv, shades)
+    colours = _colours(lines, values[:, 3:], entries, faces, material)
+    materials, uv = _materials(lines, ["", *names], entries, material, corner_t[corners])
+    return Mesh(vertices, faces.astype(np.int32), material.astype(np.int32), materials, uv, colours)
+
+
+def files_of(path: Path, folder: Path) -> list[Path]:
+    """Every file that `read_obj` opens or looks for, there or not: the OBJ, its libraries, the textures these name."""
+    home = Home(path, folder)
+    with contextlib.suppress(UnusableModel):  # what was asked for until then decided that the model is unusable
+        read_libraries(home, [name for _, name in _Lines(home).words("mtllib")])
+    return [path, *home.asked]
 
 
 class _Lines:
     """The lines of an OBJ file by keyword."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            if (size := path.stat().st_size) > MAX_BYTES:
-                raise UnusableModel(path, f"{size} bytes, more than {MAX_BYTES}")
-            data = path.read_bytes()
-        except FileNotFoundError:
-            raise UnusableModel(path, "no such file") from None
-        except OSError as error:
-            raise UnusableModel(path, f"cannot be read ({error.strerror})") from None
-        if not data.strip():
-            raise UnusableModel(path, "empty file")
-        data = re.sub(rb"\\\r?\n", b" ", data).replace(b"\r", b"\n").replace(b"\t", b" ")
-        if b"\n " in data or data.startswith(b" "):
-            data = re.sub(rb"(?m)^ +", b"", data)
-        self.data = data + b"\n"
-        self.characters = np.frombuffer(self.data, np.uint8)
-        self.ends = np.flatnonzero(self.characters == 10) + 1
-        self.starts = np.append(0, self.ends[:-1])
-        second = np.minimum(self.starts + 1, len(self.characters) - 1)
-        self.key = self.characters[self.starts].astype(np.int32) << 8 | self.characters[second]
+    def __init__(self, home: Home) -> None:
+        self.home = home
+        self.data = read_lines(home, home.obj, MAX_BYTES)
+        if self.data.isspace():
+            raise home.refused("empty file")
+        self.characters, self.starts, self.ends = _split(self.data)
+        if (self.characters[self.starts] == 32).any():
+            self.data = re.sub(rb"(?m)^ +", b"", self.data)
+            self.characters, self.starts, self.ends = _split(self.data)
+        second = self.characters[np.minimum(self.starts + 1, len(self.characters) - 1)]
+        second = np.where(second <= 32, 32, second | 32)
+        self.key = (self.characters[self.starts] | 32).astype(np.int32) << 8 | second  # in small letters
 
     def of(self, keyword: str) -> np.ndarray:
         """(lines,) bool: which lines begin with `keyword` of one or two letters."""
@@ -95,25 +86,43 @@ class _Lines:
 
     def text(self, keyword: str) -> bytes:
         """The lines with this keyword, without it and without comments; each ends in a line feed."""
-        mine = self.of(keyword)
-        characters = self.characters.copy()
-        characters[self.starts[mine][:, None] + np.arange(len(keyword))] = 32
-        text = characters[np.repeat(mine, self.ends - self.starts)].tobytes()
-        return re.sub(rb"#[^\n]*", b"", text) if b"#" in text else text
+        mine, lengths = self.of(keyword), self.ends - self.starts
+        text = self.characters[np.repeat(mine, lengths)]
+        begins = np.cumsum(lengths[mine]) - lengths[mine]
+        text[begins[:, None] + np.arange(len(keyword))] = 32
+        return re.sub(rb"#[^\n]*", b"", text.tobytes()) if (text == 35).any() else text.tobytes()
+
+    def wrong(self, reason: str, keyword: str, row: int) -> UnusableModel:
+        """The error that names a line, by its number among those with its keyword."""
+        line = self.text(keyword).split(b"\n")[row].decode("utf-8", "replace")
+        return self.home.refused(f"{reason}: '{keyword} {' '.join(line.split())[:100]}'")
 
     def numbers(self, keyword: str, text: bytes, dtype: type = np.float64) -> tuple[np.ndarray, np.ndarray]:
         """All numbers of the `text` of the lines with this keyword in one array, and how many each line has."""
-        counts, _ = _word_counts(text)
-        with warnings.catch_warnings():
-            # NumPy only warns and stops at something that is not a number; the count is then wrong.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            try:
-                values: np.ndarray = np.fromstring(text, dtype, sep=" ")
-            except ValueError:
-                values = np.zeros(0, dtype)
+        counts = _word_counts(text)
+        values = _parsed(text, dtype)
         if len(values) != counts.sum():
-            raise UnusableModel(self.path, f"a '{keyword}' line holds something that is not a number")
+            rows = enumerate(text.split(b"\n"))
+            row = next((row for row, line in rows if len(_parsed(line, dtype)) != len(line.split())), 0)
+            raise self.wrong("not a number", keyword, row)
+        if dtype is np.float64 and not (finite := np.isfinite(values)).all():
+            row = np.searchsorted(np.cumsum(counts), finite.argmin(), side="right")
+            raise self.wrong("NaN or infinite", keyword, int(row))
         return values, counts
+
+    def table(self, keyword: str, least: int, most: int) -> np.ndarray:
+        """The first `most` numbers (lines, most) of the lines with this keyword, NaN where there are only `least`."""
+        values, counts = self.numbers(keyword, self.text(keyword))
+        if not len(counts):
+            raise self.home.refused("no vertices")
+        if (short := counts < least).any():
+            raise self.wrong(f"fewer than {least} numbers", keyword, int(short.argmax()))
+        counts_used = np.where(counts < most, least, most)
+        if (counts == counts[0]).all():
+            return values.reshape(len(counts), -1)[:, : counts_used[0]]
+        places = (np.cumsum(counts) - counts)[:, None] + np.arange(counts_used.max())
+        there = np.arange(counts_used.max()) < counts_used[:, None]
+        return np.where(there, values[np.minimum(places, len(values) - 1)], np.nan)
 
     def words(self, keyword: str) -> list[tuple[int, str]]:
         """What follows a longer keyword on each of its lines, and how many faces stand before it."""
@@ -122,78 +131,80 @@ class _Lines:
         words = []
         for line, faces in zip(lines, before, strict=True):
             word, _, rest = self.data[self.starts[line] : self.ends[line]].partition(b" ")
-            if word == keyword.encode():
+            if word.lower() == keyword.encode():
                 words.append((int(faces), rest.decode("utf-8", errors="surrogateescape").strip()))
         return words
 
 
-def _word_counts(text: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """The number of words on each line of `text`, and the position of each line's end."""
+def _split(data: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The characters of a text, and where each of its lines begins and ends."""
+    characters = np.frombuffer(data, np.uint8)
+    ends = np.flatnonzero(characters == 10) + 1
+    return characters, np.append(0, ends[:-1]), ends
+
+
+def _parsed(text: bytes, dtype: type) -> np.ndarray:
+    """The numbers of a text, up to the first word that is none."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        try:
+            values: np.ndarray = np.fromstring(text, dtype, sep=" ")
+        except ValueError:
+            values = np.zeros(0, dtype)
+    return values
+
+
+def _word_counts(text: bytes) -> np.ndarray:
+    """The number of words on each line of `text`."""
     characters = np.frombuffer(text, np.uint8)
-    inside = characters > 32
+    ends = np.flatnonzero(characters == 10)
+    return np.diff(np.searchsorted(np.flatnonzero(_begins(characters > 32)), ends), prepend=0)
+
+
+def _begins(inside: np.ndarray) -> np.ndarray:
+    """Where runs begin."""
     first = inside.copy()
     first[1:] &= ~inside[:-1]
-    ends = np.flatnonzero(characters == 10)
-    return _per_line(first, ends), ends
-
-
-def _per_line(marks: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """How many of the marked characters each line has."""
-    return np.diff(np.searchsorted(np.flatnonzero(marks), ends), prepend=0)
+    return first
 
 
 def _corners(lines: _Lines, vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """0-based vertex and texture indices of all corners (-1: no texture coordinate), and each polygon's corner count.
 
-    Polygons may differ in form (`v`, `v/t`, `v//n`, `v/t/n`); the corners of one may not.
+    A corner is `v`, `v/t`, `v//n` or `v/t/n`; what stands after a slash may be left out.
     """
-    path, text = lines.path, lines.text("f")
-    if not text:
-        raise UnusableModel(path, "no faces")
-    sizes, ends = _word_counts(text)
-    if len(sizes) > MAX_FACES:
-        raise UnusableModel(path, f"{len(sizes)} faces, more than {MAX_FACES}")
-    slash = np.frombuffer(text, np.uint8) == 47
-    slashes = _per_line(slash, ends)
-    doubles = _per_line(np.append(False, slash[1:] & slash[:-1]), ends)
-    values, counts = lines.numbers("f", text.replace(b"/", b" "), np.int64)
-    width = np.select(
-        [slashes == 0, (slashes == sizes) & (doubles == 0), (slashes == 2 * sizes) & (doubles == 0)],
-        [1, 2, 3],
-        default=2 * ((slashes == 2 * sizes) & (doubles == sizes)),
-    )
-    if (wrong := width * sizes != counts).any():
-        face = text.splitlines()[int(wrong.argmax())].decode().strip()
-        raise UnusableModel(path, f"cannot understand the face '{face}'")
-    step = np.repeat(width, sizes)
-    at = np.cumsum(step) - step
-    textured = np.repeat((slashes > 0) & (doubles == 0), sizes)
-    v, t, faces = values[at], values[at[textured] + 1], lines.of("f")
-    if v.min(initial=0) < 0:
-        v = np.where(v < 0, v + 1 + np.repeat(np.cumsum(lines.of("v"))[faces], sizes), v)
-    if t.min(initial=0) < 0:
-        t = np.where(t < 0, t + 1 + np.repeat(np.cumsum(lines.of("vt"))[faces], sizes)[textured], t)
-    if (wrong := (v < 1) | (v > vertices)).any():
-        raise UnusableModel(path, f"a face refers to vertex {v[wrong.argmax()]} of {vertices}")
-    coordinates = int(lines.of("vt").sum())
-    if (wrong := (t < 1) | (t > coordinates)).any():
-        raise UnusableModel(path, f"a face refers to texture coordinate {t[wrong.argmax()]} of {coordinates}")
-    every_t = np.full(len(v), -1)
-    every_t[textured] = t - 1
-    return v - 1, every_t, sizes
+    text = lines.text("f")
+    sizes = _word_counts(text)
+    if (count := int(np.maximum(sizes - 2, 0).sum())) > MAX_FACES:
+        raise lines.home.refused(f"{count} faces, more than {MAX_FACES}")
+    values, _ = lines.numbers("f", text.replace(b"/", b" "), np.int64)
+    characters = np.frombuffer(text, np.uint8)
+    at = np.flatnonzero(_begins((characters > 32) & (characters != 47)))
+    slash, second = (characters[at - back] == 47 for back in (1, 2))  # each line begins with a blank for its keyword
+    first = np.flatnonzero(~slash)  # of a corner's numbers
+    place = np.arange(len(at)) - np.repeat(first, np.diff(first, append=len(at)))
+    place += slash & second  # 0: vertex, 1: texture coordinate, 2: normal
+    if len(first) != sizes.sum() or place.max(initial=0) > 2:
+        rows = enumerate(text.split(b"\n"))
+        wrong = next(row for row, line in rows if not all(map(_CORNER.fullmatch, line.split())))
+        raise lines.wrong("cannot understand the face", "f", wrong)
+    faces = lines.of("f")
 
+    def checked(keyword: str, name: str, corner: np.ndarray, index: np.ndarray, total: int) -> np.ndarray:
+        """0-based numbers of what corners refer to; negative ones count back from where they stand."""
+        if index.min(initial=1) < 1 or index.max(initial=1) > total:
+            owner = np.repeat(np.arange(len(sizes)), sizes)[corner]
+            index = np.where(index < 0, index + 1 + np.cumsum(lines.of(keyword))[faces][owner], index)
+            if (wrong := (index < 1) | (index > total)).any():
+                reason = f"a face refers to {name} {index[wrong.argmax()]} of {total}"
+                raise lines.wrong(reason, "f", int(owner[wrong.argmax()]))
+        return index - 1
 
-def _fans(path: Path, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corner numbers (F, 3) of the triangles of polygons with `sizes` corners, and the polygon each belongs to."""
-    triangles = np.maximum(sizes - 2, 0)
-    if (count := int(triangles.sum())) == 0:
-        raise UnusableModel(path, "no faces")
-    if count > MAX_FACES:
-        raise UnusableModel(path, f"{count} faces, more than {MAX_FACES}")
-    owner = np.repeat(np.arange(len(sizes)), triangles)
-    step = np.arange(count) - np.repeat(np.cumsum(triangles) - triangles, triangles)
-    start = (np.cumsum(sizes) - sizes)[owner]
-    return np.stack([start, start + step + 1, start + step + 2], axis=1), owner
+    every_t = np.full(len(first), -1)
+    of_t = np.flatnonzero(place == 1)
+    corner_t = np.cumsum(~slash)[of_t] - 1
+    every_t[corner_t] = checked("vt", "texture coordinate", corner_t, values[of_t], int(lines.of("vt").sum()))
+    return checked("v", "vertex", np.arange(len(first)), values[first], vertices), every_t, sizes
 
 
 def _assign(uses: list[tuple[int, str]], polygons: int) -> tuple[list[str], np.ndarray]:
@@ -207,39 +218,60 @@ def _assign(uses: list[tuple[int, str]], polygons: int) -> tuple[list[str], np.n
     return list(numbers), material
 
 
+def _hidden(entries: list[Entry], material: np.ndarray) -> np.ndarray:
+    """(F,) bool: which faces are of materials that are (almost) transparent; all others are rendered opaque.
+
+    Some exporters write opacity for transparency. Where more faces would be hidden than are opaque, that is meant, and
+    nothing is hidden.
+    """
+    hidden, opaque = (np.array([getattr(entry, name) for entry in entries])[material] for name in ("hidden", "opaque"))
+    return hidden & (hidden.sum() <= opaque.sum())
+
+
+def _colours(
+    lines: _Lines, given: np.ndarray, entries: list[Entry], faces: np.ndarray, material: np.ndarray
+) -> np.ndarray | None:
+    """Colours (F, 3, 3) of corners from those of vertices (V, 3), NaN for none, and of materials; None without any.
+
+    They are multiplied, but for materials without a hue, which exporters write beside colours. A vertex without a
+    colour has its face's material's.
+    """
+    if not given.size or np.isnan(given).all():
+        return None
+    if (wrong := (given > COLOUR_RANGES[-1][0]).any(axis=1)).any():
+        raise lines.wrong("a vertex's colour is out of range", "v", int(wrong.argmax()))
+    full = next(full for largest, full in COLOUR_RANGES if np.nanmax(given) <= largest)
+    shades = np.clip(given / full, 0, 1)
+    diffuse = np.array([entry.diffuse for entry in entries])  # (M, 3)
+    plain = np.ptp(diffuse, axis=1, keepdims=True) == 0
+    plain[1:] &= bool((shades[~np.isnan(shades)] != 1).any())  # white everywhere says nothing beside a material
+    own = shades[faces] * np.where(plain, 1, diffuse)[material][:, None]
+    return np.where(np.isnan(own), diffuse[material][:, None], own).astype(np.float32)
+
+
 def _materials(
-    lines: _Lines, folder: Path, names: list[str], library: dict[str, Entry], material: np.ndarray, corners: np.ndarray
+    lines: _Lines, names: list[str], entries: list[Entry], material: np.ndarray, corners: np.ndarray
 ) -> tuple[tuple[Material, ...], np.ndarray | None]:
-    """Material 0 (none) and those of `names` with the textures that faces use, and (F, 3, 2) coordinates if any do."""
-    used = np.bincount(material, minlength=len(names) + 1) > 0
-    textured = {
-        number: entry.texture
-        for number, name in enumerate(names, start=1)
-        if used[number] and (entry := library.get(name)) and entry.texture and (corners[material == number] >= 0).any()
-    }
+    """The materials with the textures that faces use, and (F, 3, 2) coordinates if any do."""
+    used = np.unique(material[(corners >= 0).any(axis=1)])
+    textured = {int(number): file for number in used if (file := entries[number].texture)}
     if len(textured) > MAX_TEXTURED:
-        raise UnusableModel(lines.path, f"{len(textured)} materials with textures, more than {MAX_TEXTURED}")
-    images: dict[Path, np.ndarray] = {}
+        raise lines.home.refused(f"{len(textured)} materials with textures, more than {MAX_TEXTURED}")
+    images = {file: read_texture(lines.home, file) for file in dict.fromkeys(textured.values())}
     uv = _uv(lines, corners) if textured else None
-    materials = [Material()]
-    for number, name in enumerate(names, start=1):
-        entry, texture = library.get(name, Entry()) if used[number] else Entry(), None
-        if uv is not None and number in textured:
-            file = textured[number]
-            texture = images[file] = images[file] if file in images else read_texture(lines.path, folder, file)
-            if entry.scale != (1.0, 1.0) or entry.offset != (0.0, 0.0):
-                mine = material == number
-                uv[mine] = uv[mine] * np.array(entry.scale) + np.array(entry.offset)
-        materials.append(Material(name, entry.diffuse, entry.shown, texture))
-    return tuple(materials), uv
+    for number in textured:
+        entry = entries[number]
+        if uv is not None and (entry.scale, entry.offset) != ((1.0, 1.0), (0.0, 0.0)):
+            mine = material == number
+            uv[mine] = uv[mine] * np.array(entry.scale) + np.array(entry.offset)
+    pictures = [images.get(textured.get(number)) for number in range(len(names))]
+    return tuple(Material(*each) for each in zip(names, [e.diffuse for e in entries], pictures, strict=True)), uv
 
 
 def _uv(lines: _Lines, corners: np.ndarray) -> np.ndarray:
-    values, counts = lines.numbers("vt", lines.text("vt"))
-    if counts.min() < 2:
-        raise UnusableModel(lines.path, "a texture coordinate with fewer than two numbers")
-    table = values[(np.cumsum(counts) - counts)[:, None] + np.arange(2)]
-    if not (np.abs(table) <= MAX_UV).all():
-        raise UnusableModel(lines.path, "a texture coordinate is NaN or infinite")
+    """Texture coordinates (F, 3, 2) float32 of corners (F, 3), 0 where they have none."""
+    table = np.nan_to_num(lines.table("vt", least=1, most=2))
+    if (wrong := (np.abs(table) > MAX_UV).any(axis=1)).any():
+        raise lines.wrong("a texture coordinate is too large", "vt", int(wrong.argmax()))
     # The last row is for index -1, a corner without coordinates.
     return np.concatenate([table, np.zeros((1, 2))]).astype(np.float32)[corners]

@@ -113,8 +113,8 @@ def _primitives(mesh: Mesh) -> Iterator[Any]:
             texels = np.concatenate([texels, np.full_like(texels[..., :1], 255)], axis=2)
         sampler = pyrender.Sampler(magFilter=_LINEAR, minFilter=_LINEAR, wrapS=_REPEAT, wrapT=_REPEAT)
         texture = pyrender.Texture(source=texels, source_channels="RGBA", sampler=sampler)
-        colours = np.broadcast_to(np.ones(3) if textured else entry.diffuse, mesh.vertices.shape)
-        if number == 0 and mesh.colours is not None:
+        colours = np.broadcast_to(np.ones(3) if textured else entry.diffuse, corners.shape)
+        if mesh.colours is not None and not textured:
             colours = mesh.colours
         for one in (False, True):
             faces = shown & (mesh.material == number) & (single == one)
@@ -123,7 +123,7 @@ def _primitives(mesh: Mesh) -> Iterator[Any]:
                     positions=corners[faces].reshape(-1, 3),
                     normals=np.repeat(normals[faces], 3, axis=0),
                     texcoord_0=uv[faces].reshape(-1, 2),
-                    color_0=colours[mesh.faces[faces]].reshape(-1, 3),
+                    color_0=colours[faces].reshape(-1, 3),
                     material=pyrender.MetallicRoughnessMaterial(baseColorTexture=texture, doubleSided=not one),
                     mode=4,
                 )

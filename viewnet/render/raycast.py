@@ -67,7 +67,7 @@ def prepare(mesh: Mesh) -> Surface:
     planes, texels = np.einsum("fi,fi->f", normals, corners[:, 0]), np.concatenate(blocks)
     diffuse = np.array([material.diffuse for material in mesh.materials], np.float32) * 255
     uv = None if mesh.uv is None else np.take_along_axis(mesh.uv, order[:, :, None], axis=1)
-    colours = None if mesh.colours is None else mesh.colours[faces] * np.float32(255)
+    colours = None if mesh.colours is None else np.take_along_axis(mesh.colours, order[:, :, None], axis=1) * 255
     return Surface(
         scene, mesh.vertices, front, back, normals, planes, mesh.material, diffuse, texture, texels, holes, uv, colours
     )
@@ -174,10 +174,7 @@ def _in_hole(surface: Surface, face: np.ndarray, u: np.ndarray, v: np.ndarray) -
 def _albedo(surface: Surface, face: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Unshaded colours (n, 3), 0..255."""
     material = surface.material[face]
-    colour = surface.diffuse[material]
-    if surface.colours is not None:
-        bare = np.flatnonzero(material == 0)
-        colour[bare] = _blend(surface.colours[face[bare]], u[bare], v[bare])
+    colour = surface.diffuse[material] if surface.colours is None else _blend(surface.colours[face], u, v)
     if len(surface.texels):
         mapped = np.flatnonzero(surface.texture[material, 1])
         colour[mapped] = _texture(surface, face[mapped], u[mapped], v[mapped])[:, :3]

@@ -116,9 +116,8 @@ def load_model(model: ModelFile) -> Mesh:
         diagonal = float(np.linalg.norm(high - low))
     if not 1e-30 < diagonal < 1e30:
         raise UnusableModel(model.path, f"size {diagonal:g}")
-    colours = None if mesh.colours is None else mesh.colours[used]
     vertices = (vertices - (low + high) / 2) / diagonal
-    return replace(mesh, vertices=vertices, faces=faces.reshape(-1, 3).astype(np.int32), colours=colours)
+    return replace(mesh, vertices=vertices, faces=faces.reshape(-1, 3).astype(np.int32))
 
 
 def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
