@@ -300,7 +300,8 @@ def test_a_stand_in_for_objectron_is_made_and_read(tmp_path, monkeypatch):
     assert 6 <= len(store) <= 9 and store.index[["azimuth", "elevation"]].notna().all(axis=None)
     (root,) = (path for path in (tmp_path / "data/objectron-stand-in").iterdir() if path.is_dir())
     given = replace(chairs, root=str(root))
-    assert video_views(given, 1, False).folder == store.folder
+    # Another store, as files that are given are known by their contents.
+    assert np.array_equal(video_views(given, 1, False).images, store.images)
     with pytest.raises(ViewnetError, match="pick evenly"):
         video_views(replace(given, pick="evenly"), 1, False)
 

@@ -7,7 +7,7 @@ Examples:
 
     viewnet data                                                    what can be used, and where to get it
     viewnet data check /data/PASCAL3D+_release1.1                   what a copy holds
-    viewnet data check /data/ShapeNetCore.v1 --json
+    viewnet data check /data/ShapeNetCore.v1 --deep --json          with every model opened, not a sample
 """
 
 from pathlib import Path
@@ -18,6 +18,7 @@ from viewnet.errors import ViewnetError
 ARGUMENTS = (
     argument("what", "check: read a folder instead", nargs="?", choices=["check"]),
     argument("folder", "the folder to check", nargs="?", type=Path, metavar="FOLDER"),
+    argument("--deep", "open every model, not a sample", action="store_true"),
     JSON,
 )
 
@@ -28,7 +29,7 @@ def run(options: Options) -> None:
 
     if options.what and options.folder is None:
         raise ViewnetError("data check: name the folder to check")
-    report = catalogue.check(options.folder) if options.what else None
+    report = catalogue.check(options.folder, options.deep) if options.what else None
     print_results(options, catalogue.as_dict(report), catalogue.as_text(report))
     if report is not None and report.problems and not any(report.counts.values()):
         raise ViewnetError(f"{report.folder}: nothing in it can be used")

@@ -16,6 +16,7 @@ import numpy as np
 from PIL import Image
 
 from viewnet import paths
+from viewnet.data import contents
 from viewnet.data.readers.image_folder import list_images
 from viewnet.data.store import filled_once, identity_of
 from viewnet.data.synthetic import scenes
@@ -55,7 +56,7 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
         described["drawn"] = scenes.VERSION
     else:
         listed, missing = list_images(Path(source))
-        described["pictures"] = _digest(Path(source), listed, missing)
+        described["pictures"] = _digest(Path(source), listed, missing, _balanced(listed, seed)[:count])
 
     def fill(folder: Path) -> None:
         rejected: list[tuple[str, str]] = []
@@ -78,11 +79,14 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
     return Backgrounds(images, identity)
 
 
-def _digest(root: Path, listed: list[tuple[str, int]], missing: list[tuple[str, str]]) -> str:
-    """Of paths within the folder, classes and, as a cheap sign of a changed file, sizes."""
+def _digest(
+    root: Path, listed: list[tuple[str, int]], missing: list[tuple[str, str]], first: list[tuple[str, int]]
+) -> str:
+    """Of paths within the folder, classes, sizes, and the contents of the images that are used `first`."""
     hashed = hashlib.sha256(json.dumps(missing).encode())
     for path, number in listed:
         hashed.update(json.dumps([path, number, (root / path).stat().st_size]).encode())
+    hashed.update(json.dumps(contents.of_files(root, [root / path for path, _ in first])).encode())
     return hashed.hexdigest()
 
 

@@ -47,27 +47,25 @@ def view_store(
     settings = {name: getattr(config, name) for name in names} | {"backend": choose_backend(config.renderer)}
     made_by = Rendering(**settings).describe()
     extra = [] if config.extra is None else as_training_models(find_models(config.extra, config.category), config)
+    described = {"extra": digest(extra)} if extra else {}
     models: list[ModelFile] | None = None
     if config.root is None:
         # Known without looking at a file, so that a store is found when its collection has been removed.
-        made_by["models"] = {
-            "built-in": cad.VERSIONS[config.category],
-            "count": config.models,
-            "category": config.category,
-        }
+        version = {"built-in": cad.VERSIONS[config.category], "count": config.models, "category": config.category}
+        folder = _store_folder(config.category, made_by | described | {"models": version})
     else:
         models = take(find_models(config.root, config.category, config.splits, config.seed), config.models, config.seed)
-        made_by["models"] = digest(models)
-    if extra:
-        made_by["extra"] = digest(extra)
-    folder = _store_folder(config.category, made_by)
+        described["models"] = digest(models)
+        folder = _store_folder(config.category, made_by | described)
     if folder.exists():
         shutil.rmtree(partial_folder(folder), ignore_errors=True)
         return ViewStore.open(folder)
     if models is None:
         root = built_in(config.category, config.models, config.seed, progress, executor)
         models = find_models(root, config.category)
-    return render_views([*models, *extra], folder, **settings, workers=workers, progress=progress, executor=executor)
+        described["models"] = digest(models, built_in=True)
+    how: dict[str, Any] = {"workers": workers, "progress": progress, "executor": executor}
+    return render_views([*models, *extra], folder, **settings, **how, described=described)
 
 
 def as_training_models(models: list[ModelFile], config: DataConfig) -> list[ModelFile]:
@@ -122,6 +120,8 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
         made_by |= reader.describe(config, root)
     read = reader.photographs
     assert read is not None
+    if config.root is not None:
+        made_by["images"] = photo_store.digest(read(config, Path(config.root)))
     folder = _store_folder(f"photos-{config.category}", made_by)
 
     def make() -> None:
@@ -158,10 +158,12 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     cutting = clip_store.Cutting(source, crop, config.scale, config.side, config.blur)
     root = written(video_stand_in(config), workers, progress) if config.root is None else Path(config.root)
     clips, rejected = _clips(config, root)
-    folder = _store_folder(f"videos-{config.category}", cutting.describe(clips))
+    # Stand-ins, as built-in models, are known by their files' sizes.
+    made_by = cutting.describe(clips, None if config.root is None else root)
+    folder = _store_folder(f"videos-{config.category}", made_by)
 
     def make() -> None:
-        clip_store.clip_store(clips, folder, root, cutting, rejected, workers, progress)
+        clip_store.clip_store(clips, folder, root, cutting, rejected, workers, progress, made_by)
 
     return ViewStore.open(made_once(folder, make))
 

@@ -59,10 +59,13 @@ def recognise(folder: Path) -> str:
     raise ViewnetError(f"{folder}: none of the layouts that are read ({expected})")
 
 
-def check(folder: Path) -> Contents:
-    """What a folder holds, by its data set's reader. Raises ViewnetError as `recognise` does."""
+def check(folder: Path, deep: bool = False) -> Contents:
+    """What a folder holds, by its data set's reader; `deep` opens every model, not a sample.
+
+    Raises ViewnetError as `recognise` does.
+    """
     folder = Path(folder)
-    contents = Contents(recognise(folder), str(folder))
+    contents = Contents(recognise(folder), str(folder), deep=deep)
     with contents.error_is_problem():
         READERS[contents.key].count(folder, contents)
     return contents
@@ -91,6 +94,7 @@ def as_text(contents: Contents | None = None) -> str:
     for category, counts in contents.counts.items():
         lines.append(f"  {category + ': ' if category else ''}{in_words(counts) or 'nothing that can be used'}")
     lines += [f"  problem: {problem}" for problem in contents.problems]
+    lines += [f"  {note}" for note in contents.notes]
     return "\n".join(lines)
 
 

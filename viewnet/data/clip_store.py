@@ -6,6 +6,7 @@ A clip is a model of the store and its frames are its views. Viewpoints without 
 """
 
 import hashlib
+import itertools
 import json
 import math
 from collections import Counter
@@ -21,6 +22,7 @@ from PIL import Image
 from scipy import ndimage
 
 from viewnet.config import CATEGORIES, known
+from viewnet.data import contents
 from viewnet.data.clips import Clip, Frame, frame_count, read_frames
 from viewnet.data.crop import Crop, bounds, cut, inside, shrunk
 from viewnet.data.masks import MaskSource
@@ -63,13 +65,23 @@ class Cutting:
         if not 0 <= self.blur < 1:
             raise ViewnetError(f"blur {self.blur}: expected 0 to less than 1, a share of a clip's sharpness")
 
-    def describe(self, clips: Sequence[Clip]) -> dict[str, Any]:
-        """What decides a store of these clips, as JSON values; files are known by their names and sizes."""
+    def describe(self, clips: Sequence[Clip], root: Path | None = None) -> dict[str, Any]:
+        """What decides a store of these clips, as JSON values; files are known by their names and sizes.
+
+        Those of a data set, in `root`, are known by their names and contents.
+        """
+        files_in = {place: _files(place) for clip in clips for place in (clip.source, clip.masks) if place is not None}
+        every = list(dict.fromkeys(itertools.chain(*files_in.values())))
+        of_each = [file.stat().st_size for file in every] if root is None else contents.of_files(root, every)
+        marks = dict(zip(every, of_each, strict=True))
         hashed = hashlib.sha256()
         for clip in sorted(clips, key=lambda clip: clip.id):
             values = [(f.number, f.azimuth, f.elevation, f.box) for f in clip.frames]
             known_of = [[None if value != value else value for value in row] for row in values]  # JSON has no NaN
-            files = [_sizes(clip.source), None if clip.masks is None else _sizes(clip.masks)]
+            files = [
+                None if place is None else [place.name, [(file.name, marks[file]) for file in files_in[place]]]
+                for place in (clip.source, clip.masks)
+            ]
             hashed.update(json.dumps([clip.id, clip.category, clip.split, known_of, files]).encode())
         return {
             "version": VERSION,
@@ -97,11 +109,13 @@ def clip_store(
     rejected: Iterable[Rejected] = (),
     workers: int | None = None,
     progress: bool = False,
+    made_by: dict[str, Any] | None = None,
 ) -> ViewStore:
     """Crop the frames of clips from the data set at `root` into a view store and open it.
 
     Frames that do not decode, have no usable mask, or are too small or blurred, and clips with fewer than two usable
-    frames join `rejected`. Raises ViewnetError for two clips of one name, and where no clip to train on is left.
+    frames join `rejected`. `made_by` is what Cutting.describe has of the clips. Raises ViewnetError for two clips of
+    one name, and where no clip to train on is left.
     """
     if twice := [name for name, count in Counter(clip.id for clip in clips).items() if count > 1]:
         raise ViewnetError(f"clip {twice[0]!r} is there twice: give every clip a name of its own")
@@ -136,7 +150,7 @@ def clip_store(
             first = f" (the first that was left out: {': '.join(rejected[0])})" if rejected else ""
             raise ViewnetError(f"{root}: no clip to train on can be used{first}")
         batches = (np.load(file) for file in files)
-        return write_store(folder, batches, index, cutting.describe(clips), rejected)
+        return write_store(folder, batches, index, made_by or cutting.describe(clips), rejected)
 
 
 def summary(store: ViewStore) -> str:
@@ -224,7 +238,6 @@ def _row(clip: Clip, view: _View, root: Path) -> tuple[Any, ...]:
     return clip.id, clip.category, clip.split, frame.number, azimuth, frame.elevation, source
 
 
-def _sizes(path: Path) -> list[Any]:
-    """Name and sizes of a file or of a folder's files."""
-    files = [path] if path.is_file() else sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else []
-    return [path.name, [(file.name, file.stat().st_size) for file in files]]
+def _files(path: Path) -> list[Path]:
+    """A file, or the files of a folder."""
+    return [path] if path.is_file() else sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else []

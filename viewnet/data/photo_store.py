@@ -6,6 +6,7 @@ A photograph has no mask, so its alpha is 1 throughout; what lies beyond its edg
 """
 
 import hashlib
+import json
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from viewnet.data import contents
 from viewnet.data.crop import Box, Crop, cut
 from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, tally, write_store
 from viewnet.errors import ViewnetError
@@ -101,6 +103,13 @@ def summary(store: ViewStore) -> str:
         if reasons:
             text += f"; {title}: {in_words(dict(sorted(reasons.items())))}"
     return text
+
+
+def digest(data: Photographs) -> str:
+    """A hash of the contents of the photographs' files."""
+    return hashlib.sha256(
+        json.dumps(contents.of_files(data.root, [p.image_path for p in data.usable])).encode()
+    ).hexdigest()
 
 
 def describe_crop(crop: Crop) -> dict[str, Any]:

@@ -11,12 +11,14 @@ import shutil
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from viewnet.data.readers.shapenet import ModelFile, load_model
+from viewnet.data import contents
+from viewnet.data.readers.shapenet import READER_VERSION, ModelFile, load_model, read_files
 from viewnet.data.store import ViewStore, identity_of, made_once, write_store
 from viewnet.errors import ViewnetError
 from viewnet.render import VERSION, Backend, choose_backend, render_cameras
@@ -77,6 +79,7 @@ def render_views(
     workers: int | None = None,
     progress: bool = True,
     executor: Executor | None = None,
+    described: dict[str, Any] | None = None,
     **settings: Any,
 ) -> ViewStore:
     """Render views of every model into the view store `folder` (section 4.2) and open it; `settings`: see Rendering.
@@ -84,7 +87,8 @@ def render_views(
     Azimuth and elevation are uniform in their ranges, the light's direction uniform on the camera's side. They depend
     on (seed, model id, view) only, so neither order nor number of processes nor other models matter. A killed call that
     is repeated resumes and ends with the same bytes; of two calls at once one renders and the other waits. An existing
-    store is opened if it was made from the same. `workers`: processes, None for one a core; 1 renders in this process.
+    store is opened if it was made from the same: models that are `described` so (see `digest`, by contents where it is
+    None). `workers`: processes, None for one a core; 1 renders in this process.
     The workers of an `executor` must see `folder` and the models under the same names. Raises ViewnetError for values
     out of range, a folder that holds something else, no model that can be used, and too little room on the disk.
     """
@@ -92,7 +96,7 @@ def render_views(
     how = replace(how, backend=choose_backend(how.backend))
     models = sorted(models, key=lambda model: (model.category, model.id))
     _check(models, workers)
-    made_by = how.describe() | {"models": digest(models)}
+    made_by = how.describe() | (described or {"models": digest(models)})
 
     def make() -> None:
         chunks = _plan(models, partial_folder(folder), made_by)
@@ -122,14 +126,26 @@ def partial_folder(folder: Path) -> Path:
     return folder.with_name(f".{folder.name}.partial")
 
 
-def digest(models: Sequence[ModelFile]) -> dict[str, Any]:
-    """What the images depend on of the models: names, splits and, as a cheap sign of a changed file, sizes."""
-    hashed = hashlib.sha256()
-    for model in sorted(models, key=lambda model: (model.category, model.id)):
-        size = model.path.stat().st_size if model.path.is_file() else -1
-        hashed.update(json.dumps([model.category, model.id, model.layout, model.split, size]).encode())
+def digest(models: Sequence[ModelFile], built_in: bool = False) -> dict[str, Any]:
+    """What the images depend on of the models: names, splits and the contents of every file that is read.
+
+    Of built-in models, which their version decides, a file's size stands for its content.
+    """
+    models = sorted(models, key=lambda model: (model.category, model.id))
     categories = sorted({model.category for model in models})
-    return {"count": len(models), "categories": categories, "sha256": hashed.hexdigest()}
+    if built_in:
+        marks: dict[Path, Any] = {m.path: m.path.stat().st_size if m.path.is_file() else -1 for m in models}
+        version = {}
+    else:
+        files = {model.path: model for model in models}
+        groups = {str(path.absolute()): partial(read_files, model) for path, model in files.items()}
+        marks = dict(zip(files, contents.digests(models[0].folder.parent, groups), strict=True))
+        version = {"reader": READER_VERSION}
+    hashed = hashlib.sha256()
+    for model in models:
+        values = [model.category, model.id, model.layout, model.split, marks[model.path]]
+        hashed.update(json.dumps(values).encode())
+    return {"count": len(models), "categories": categories, "sha256": hashed.hexdigest()} | version
 
 
 def sample_viewpoints(models: Sequence[ModelFile], how: Rendering) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,12 +19,17 @@ if TYPE_CHECKING:
 
 @dataclass
 class Contents:
-    """What a folder holds: counts by category ("" where there are none), and problems, each in a line."""
+    """What a folder holds: counts by category ("" where there are none), problems and notes, each in a line.
+
+    `deep` asks for every file to be opened, not a sample.
+    """
 
     key: str
     folder: str
     counts: dict[str, dict[str, int]] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    deep: bool = False
 
     def add(self, category: str, usable: Iterable[str], reasons: Iterable[str] = ()) -> None:
         """Count what can be used, by kind, and what cannot, by reason."""

@@ -1,0 +1,85 @@
+"""What files hold, as hashes that are remembered, so that files are read again only where they may have changed.
+
+The table of a folder lies in `<paths.data()>/contents`. A file counts as unchanged while its size, its times and its
+place on the disk are; what it holds alone is in a hash, so neither times nor names of folders decide a store.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from viewnet import paths
+from viewnet.errors import ViewnetError
+from viewnet.runtime.files import read_json, write_text
+from viewnet.runtime.parallel import cores
+
+SETTLED = 2 * 10**9  # nanoseconds after which another change would show in a file's times
+Named = dict[str, Path]
+"""Files by names that do not depend on where their folder lies."""
+
+
+def digests(root: Path, groups: Mapping[str, Callable[[], Named]]) -> list[str]:
+    """A hash of the names and contents of each group of files, of which a file that is missing is one without content.
+
+    `groups` maps a name that is its own below `root` to a function that lists the group's files; it is called only
+    where one of those that it listed before may have changed.
+    """
+    table = paths.data() / "contents" / f"{hashlib.sha256(str(root.absolute()).encode()).hexdigest()[:16]}.json"
+    remembered: dict[str, Any] = {}
+    with contextlib.suppress(ViewnetError):
+        remembered = dict(read_json(table))
+
+    def read(name: str) -> tuple[list[Any], bool]:
+        """Files with their states, and the hash; and whether no other change could go unnoticed."""
+        now = time.time_ns()
+        files = groups[name]()
+        states = {label: _state(path) for label, path in files.items()}
+        hashed = [[label, state and _content(files[label])] for label, state in states.items()]
+        settled = all(state is None or max(state[1:3]) < now - SETTLED for state in states.values())
+        listed = [[str(files[label]), state] for label, state in states.items()]
+        return [listed, hashlib.sha256(json.dumps(hashed).encode()).hexdigest()], settled
+
+    unknown = [name for name in groups if not _unchanged(remembered.get(name))]
+    with ThreadPoolExecutor(cores()) as pool:
+        fresh = dict(zip(unknown, pool.map(read, unknown), strict=True))
+    if settled := {name: entry for name, (entry, settled) in fresh.items() if settled}:
+        with contextlib.suppress(ViewnetError):  # a folder that cannot be written to: read again the next time
+            write_text(table, json.dumps(remembered | settled))
+    return [fresh[name][0][1] if name in fresh else remembered[name][1] for name in groups]
+
+
+def of_files(root: Path, files: Iterable[Path]) -> list[str]:
+    """A hash of each file's content."""
+    return digests(root, {str(file.absolute()): lambda file=file: {"": file} for file in files})  # type: ignore[misc]
+
+
+def _unchanged(entry: Any) -> bool:
+    """Whether an entry of the table is one, and of files that are as they were."""
+    try:
+        files, digest = entry
+        return isinstance(digest, str) and all(_state(path) == state for path, state in files)
+    except (TypeError, ValueError):
+        return False
+
+
+def _state(path: Path | str) -> list[int] | None:
+    """What changes with a file: size, times of its content and of itself, and number on its disk; None without it."""
+    try:
+        status = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
+
+
+def _content(path: Path) -> str | None:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None
