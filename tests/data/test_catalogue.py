@@ -30,7 +30,7 @@ def models(root, category, count, missing=0):
         folder = root / SYNSETS[category] / f"{number:03d}"
         folder.mkdir(parents=True)
         if number < count:
-            (folder / "model.obj").write_text("v 0 0 0\n")
+            (folder / "model.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
 
 
 def cars(root, sequences=2, frames=3):
@@ -151,7 +151,7 @@ def test_the_command_checks_a_folder(capsys, tmp_path):
     told = json.loads(capsys.readouterr().out)
     assert told == {
         "key": "freiburg", "folder": str(tmp_path / "cars"), "counts": {"car": {"sequences": 2, "frames": 6}},
-        "problems": [],
+        "problems": [], "notes": [],
     }  # fmt: skip
     assert cli.main(["data", "check"]) == 2
     assert "name the folder to check" in capsys.readouterr().err

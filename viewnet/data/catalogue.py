@@ -74,7 +74,7 @@ def check(folder: Path, deep: bool = False) -> Contents:
 def as_dict(contents: Contents | None = None) -> dict[str, Any]:
     """JSON values: of a checked folder, or the whole catalogue."""
     if contents is not None:
-        return asdict(contents)
+        return {name: value for name, value in asdict(contents).items() if name != "deep"}
     return {"data sets": [{"key": key, **data} for key, data in DATA_SETS.items()], "weights": weights()}
 
 

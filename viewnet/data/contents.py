@@ -25,33 +25,36 @@ Named = dict[str, Path]
 
 
 def digests(root: Path, groups: Mapping[str, Callable[[], Named]]) -> list[str]:
-    """A hash of the names and contents of each group of files, of which a file that is missing is one without content.
+    """A hash of the names and contents of each group of files, of which one that is missing has no content.
 
     `groups` maps a name that is its own below `root` to a function that lists the group's files; it is called only
     where one of those that it listed before may have changed.
     """
     table = paths.data() / "contents" / f"{hashlib.sha256(str(root.absolute()).encode()).hexdigest()[:16]}.json"
-    remembered: dict[str, Any] = {}
-    with contextlib.suppress(ViewnetError):
-        remembered = dict(read_json(table))
+    known: dict[str, Any] = {}
+    with contextlib.suppress(ViewnetError, TypeError, ValueError):  # no table yet, or a damaged one
+        known = dict(read_json(table))
+    begun = time.time_ns()
 
-    def read(name: str) -> tuple[list[Any], bool]:
-        """Files with their states, and the hash; and whether no other change could go unnoticed."""
-        now = time.time_ns()
-        files = groups[name]()
-        states = {label: _state(path) for label, path in files.items()}
-        hashed = [[label, state and _content(files[label])] for label, state in states.items()]
-        settled = all(state is None or max(state[1:3]) < now - SETTLED for state in states.values())
-        listed = [[str(files[label]), state] for label, state in states.items()]
-        return [listed, hashlib.sha256(json.dumps(hashed).encode()).hexdigest()], settled
+    def read(name: str) -> tuple[list[list[Any]], str]:
+        """The group's files with their states, and its hash."""
+        states = [(label, path, _state(path)) for label, path in groups[name]().items()]
+        hashed = [[label, state and _content(path)] for label, path, state in states]
+        return [[str(path), state] for _, path, state in states], hashlib.sha256(
+            json.dumps(hashed).encode()
+        ).hexdigest()
 
-    unknown = [name for name in groups if not _unchanged(remembered.get(name))]
+    changed = [name for name in groups if not _unchanged(known.get(name))]
     with ThreadPoolExecutor(cores()) as pool:
-        fresh = dict(zip(unknown, pool.map(read, unknown), strict=True))
-    if settled := {name: entry for name, (entry, settled) in fresh.items() if settled}:
+        known |= zip(changed, pool.map(read, changed), strict=True)
+    result = [known[name][1] for name in groups]
+    for name in changed:
+        if any(state and max(state[1:3]) > begun - SETTLED for _, state in known[name][0]):
+            del known[name]
+    if known.keys() & changed:
         with contextlib.suppress(ViewnetError):  # a folder that cannot be written to: read again the next time
-            write_text(table, json.dumps(remembered | settled))
-    return [fresh[name][0][1] if name in fresh else remembered[name][1] for name in groups]
+            write_text(table, json.dumps(known))
+    return result
 
 
 def of_files(root: Path, files: Iterable[Path]) -> list[str]:
@@ -70,16 +73,13 @@ def _unchanged(entry: Any) -> bool:
 
 def _state(path: Path | str) -> list[int] | None:
     """What changes with a file: size, times of its content and of itself, and number on its disk; None without it."""
-    try:
+    with contextlib.suppress(OSError):
         status = os.stat(path)
-    except (OSError, ValueError):
-        return None
-    return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
+        return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
+    return None
 
 
 def _content(path: Path) -> str | None:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        return None
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+    return None

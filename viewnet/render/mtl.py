@@ -23,7 +23,6 @@ TEXTURE_SIZE = 256  # images are 64 to 224 pixels wide: a larger texture would o
 FORMATS = (*image_files.FORMATS, "TGA")
 MAX_BYTES = 64 * 2**20
 MAX_SCALE = 1e6
-MIN_OPACITY = 0.05  # faces of materials less opaque than this are not seen
 
 # Options of a texture without effect here, and how many words follow them.
 _OPTIONS = {"-mm": 2} | dict.fromkeys(
@@ -43,14 +42,9 @@ class Entry:
     offset: tuple[float, float] = (0.0, 0.0)
 
     @property
-    def hidden(self) -> bool:
-        """Whether the material cannot be seen; where statements contradict each other, it can."""
-        return max(self.opacities.values(), default=1.0) < MIN_OPACITY
-
-    @property
-    def opaque(self) -> bool:
-        """Whether the material is (almost) opaque."""
-        return max(self.opacities.values(), default=1.0) > 1 - MIN_OPACITY
+    def opacity(self) -> float:
+        """Opacity 0..1: where statements contradict each other, that of the one which shows the material."""
+        return max(self.opacities.values(), default=1.0)
 
 
 @dataclass

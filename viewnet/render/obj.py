@@ -20,6 +20,7 @@ MAX_TEXTURED = 1000
 _CORNER = re.compile(rb"[^/]+(/[^/]*){0,2}")
 COLOUR_RANGES = ((2.0, 1.0), (255.0, 255.0), (65535.0, 65535.0))
 """Up to which largest value colours of vertices have which range; rounding leaves a little more than 1."""
+MIN_OPACITY = 0.05  # faces less opaque than this are left out; the others are rendered opaque
 MAX_UV = 1e30  # of a texture coordinate: times a texture's scale it is still finite in single precision
 
 
@@ -39,9 +40,11 @@ def read_obj(path: Path, folder: Path | None = None) -> Mesh:
     corners, owner = triangles(vertices, corner_v, sizes)
     if not len(corners):
         raise home.refused("no faces")
-    names, polygon_material = _assign(lines.words("usemtl"), len(sizes))
     library = read_libraries(home, [name for _, name in lines.words("mtllib")])
-    entries = [Entry(), *(named(library.get, name) or Entry() for name in names)]
+    begins, uses = zip((0, ""), *lines.words("usemtl"), strict=True)
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(uses))}  # 0: no material
+    entries = [named(library.get, name) or Entry() for name in numbers]
+    polygon_material = np.repeat([numbers[name] for name in uses], np.diff(begins, append=len(sizes)))
     faces, material = corner_v[corners], polygon_material[owner]
 
     edge, other = (vertices[faces[:, i]] - vertices[faces[:, 0]] for i in (1, 2))
@@ -52,7 +55,7 @@ def read_obj(path: Path, folder: Path | None = None) -> Mesh:
     keep[keep] = ~_hidden(entries, material[keep])
     faces, material, corners = faces[keep], material[keep], corners[keep]
     colours = _colours(lines, values[:, 3:], entries, faces, material)
-    materials, uv = _materials(lines, ["", *names], entries, material, corner_t[corners])
+    materials, uv = _materials(lines, list(numbers), entries, material, corner_t[corners])
     return Mesh(vertices, faces.astype(np.int32), material.astype(np.int32), materials, uv, colours)
 
 
@@ -117,12 +120,12 @@ class _Lines:
             raise self.home.refused("no vertices")
         if (short := counts < least).any():
             raise self.wrong(f"fewer than {least} numbers", keyword, int(short.argmax()))
-        counts_used = np.where(counts < most, least, most)
+        used = np.where(counts < most, least, most)
         if (counts == counts[0]).all():
-            return values.reshape(len(counts), -1)[:, : counts_used[0]]
-        places = (np.cumsum(counts) - counts)[:, None] + np.arange(counts_used.max())
-        there = np.arange(counts_used.max()) < counts_used[:, None]
-        return np.where(there, values[np.minimum(places, len(values) - 1)], np.nan)
+            return values.reshape(len(counts), -1)[:, : used[0]]
+        column = np.arange(used.max())
+        places = np.minimum((np.cumsum(counts) - counts)[:, None] + column, len(values) - 1)
+        return np.where(column < used[:, None], values[places], np.nan)
 
     def words(self, keyword: str) -> list[tuple[int, str]]:
         """What follows a longer keyword on each of its lines, and how many faces stand before it."""
@@ -145,13 +148,10 @@ def _split(data: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _parsed(text: bytes, dtype: type) -> np.ndarray:
     """The numbers of a text, up to the first word that is none."""
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), contextlib.suppress(ValueError):
         warnings.simplefilter("ignore", DeprecationWarning)
-        try:
-            values: np.ndarray = np.fromstring(text, dtype, sep=" ")
-        except ValueError:
-            values = np.zeros(0, dtype)
-    return values
+        return np.fromstring(text, dtype, sep=" ")
+    return np.zeros(0, dtype)
 
 
 def _word_counts(text: bytes) -> np.ndarray:
@@ -207,25 +207,15 @@ def _corners(lines: _Lines, vertices: int) -> tuple[np.ndarray, np.ndarray, np.n
     return checked("v", "vertex", np.arange(len(first)), values[first], vertices), every_t, sizes
 
 
-def _assign(uses: list[tuple[int, str]], polygons: int) -> tuple[list[str], np.ndarray]:
-    """Names of the materials in order of use, and each polygon's number: 0 for none, i + 1 for names[i]."""
-    numbers: dict[str, int] = {}
-    material = np.zeros(polygons, np.int64)
-    ends = [*(start for start, _ in uses[1:]), polygons]
-    for (start, name), end in zip(uses, ends, strict=False):
-        if end > start:
-            material[start:end] = numbers.setdefault(name, len(numbers) + 1)
-    return list(numbers), material
-
-
 def _hidden(entries: list[Entry], material: np.ndarray) -> np.ndarray:
     """(F,) bool: which faces are of materials that are (almost) transparent; all others are rendered opaque.
 
     Some exporters write opacity for transparency. Where more faces would be hidden than are opaque, that is meant, and
     nothing is hidden.
     """
-    hidden, opaque = (np.array([getattr(entry, name) for entry in entries])[material] for name in ("hidden", "opaque"))
-    return hidden & (hidden.sum() <= opaque.sum())
+    opacity = np.array([entry.opacity for entry in entries])[material]
+    hidden = opacity < MIN_OPACITY
+    return hidden & (hidden.sum() <= (opacity > 1 - MIN_OPACITY).sum())
 
 
 def _colours(
@@ -258,20 +248,17 @@ def _materials(
     if len(textured) > MAX_TEXTURED:
         raise lines.home.refused(f"{len(textured)} materials with textures, more than {MAX_TEXTURED}")
     images = {file: read_texture(lines.home, file) for file in dict.fromkeys(textured.values())}
-    uv = _uv(lines, corners) if textured else None
-    for number in textured:
-        entry = entries[number]
-        if uv is not None and (entry.scale, entry.offset) != ((1.0, 1.0), (0.0, 0.0)):
-            mine = material == number
-            uv[mine] = uv[mine] * np.array(entry.scale) + np.array(entry.offset)
     pictures = [images.get(textured.get(number)) for number in range(len(names))]
-    return tuple(Material(*each) for each in zip(names, [e.diffuse for e in entries], pictures, strict=True)), uv
-
-
-def _uv(lines: _Lines, corners: np.ndarray) -> np.ndarray:
-    """Texture coordinates (F, 3, 2) float32 of corners (F, 3), 0 where they have none."""
+    materials = tuple(Material(*each) for each in zip(names, [e.diffuse for e in entries], pictures, strict=True))
+    if not textured:
+        return materials, None
     table = np.nan_to_num(lines.table("vt", least=1, most=2))
     if (wrong := (np.abs(table) > MAX_UV).any(axis=1)).any():
         raise lines.wrong("a texture coordinate is too large", "vt", int(wrong.argmax()))
     # The last row is for index -1, a corner without coordinates.
-    return np.concatenate([table, np.zeros((1, 2))]).astype(np.float32)[corners]
+    uv = np.concatenate([table, np.zeros((1, 2))]).astype(np.float32)[corners]
+    for number in textured:
+        entry, mine = entries[number], material == number
+        if (entry.scale, entry.offset) != ((1.0, 1.0), (0.0, 0.0)):
+            uv[mine] = uv[mine] * np.array(entry.scale) + np.array(entry.offset)
+    return materials, uv

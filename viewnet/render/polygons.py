@@ -32,18 +32,14 @@ def triangles(vertices: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> t
     for size in np.unique(sizes[bent]):
         mine = bent[sizes[bent] == size]
         for block in np.array_split(mine, -(-len(mine) * size // BLOCK)):
-            places = starts[block, None] + np.arange(size)
+            outlines = points[starts[block, None] + np.arange(size)]
+            # Seen along the axis that is closest to their normals, counter-clockwise.
+            axis = np.abs(normals[block]).argmax(axis=1)[:, None]
+            turned = np.take_along_axis(normals[block], axis, axis=1) < 0
+            axes = (axis + np.where(turned, [2, 1], [1, 2])) % 3
             rows = (ends - count)[block, None] + np.arange(size - 2)
-            result[rows] = starts[block, None, None] + _ears(_flat(points[places], normals[block]))
+            result[rows] = starts[block, None, None] + _ears(np.take_along_axis(outlines, axes[:, None], axis=2))
     return result, owner
-
-
-def _flat(outlines: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Outlines (P, n, 3) seen against their normals (P, 3), along an axis: (P, n, 2), counter-clockwise."""
-    axis = np.abs(normals).argmax(axis=1)
-    turned = normals[np.arange(len(normals)), axis] < 0
-    axes = (axis[:, None] + np.where(turned[:, None], [2, 1], [1, 2])) % 3
-    return np.take_along_axis(outlines, axes[:, None], axis=2)
 
 
 def _ears(outlines: np.ndarray) -> np.ndarray:
