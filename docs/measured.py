@@ -112,7 +112,7 @@ def scores(
 
 
 def tables_1_and_2(metrics: Iterable[str] = ("acc30", "median"), interval: bool = False) -> str:
-    """Tables 1 and 2 as one Markdown table of measured (reported) values, "n.d." where an alignment is not determined."""
+    """Tables 1 and 2 as one Markdown table: measured (reported), "n.d." where an alignment is not determined."""
     files: dict[str, str] = {}
     for file in ("table1_shapenet.csv", "table2_ablation.csv"):
         measured = frame(file).dropna(subset="measured")

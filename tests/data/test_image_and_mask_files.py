@@ -22,7 +22,7 @@ from viewnet.data.clips import Clip, read_frames
 from viewnet.data.masks import from_alpha, from_files
 from viewnet.errors import ViewnetError
 from viewnet.estimator.inputs import read_image
-from viewnet.render.mtl import read_texture
+from viewnet.render.mtl import Home, read_texture
 from viewnet.runtime import image_files
 
 PACKAGE = Path(image_files.__file__).parents[1]
@@ -193,7 +193,7 @@ def test_a_mask_of_any_mode_is_turned_as_its_image(mode, orientation, tmp_path):
 @pytest.mark.parametrize("mode", [mode for mode in MODES if MODES[mode][0]])
 def test_a_texture_of_any_mode_and_orientation(mode, orientation, tmp_path):
     kind, image, meant, _ = MODES[mode]
-    found = read_texture(tmp_path / "model.obj", tmp_path, marked(image, kind, orientation, tmp_path))
+    found = read_texture(Home(tmp_path / "model.obj", tmp_path), marked(image, kind, orientation, tmp_path))
     expected = ORIENTATIONS[orientation](meant)
     assert found.shape == expected.shape
     assert np.abs(found.astype(int) - expected).max() <= NEAR.get(mode, 0)
@@ -258,7 +258,7 @@ def test_numbers_of_no_known_range_are_refused_with_theirs(values, reason, tmp_p
     with pytest.raises(ViewnetError, match=f"^image is of {reason}"):
         read_image(tmp_path / "a.tif")
     with pytest.raises(ViewnetError, match=f"broken texture 'a.tif' is of {reason}"):
-        read_texture(tmp_path / "model.obj", tmp_path, tmp_path / "a.tif")
+        read_texture(Home(tmp_path / "model.obj", tmp_path), tmp_path / "a.tif")
 
 
 def in_jpeg(**options: bytes) -> bytes:
