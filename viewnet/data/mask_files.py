@@ -2,7 +2,6 @@
 
 import numpy as np
 from PIL import Image
-from scipy import ndimage
 
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
@@ -44,11 +43,14 @@ def coverage(values: np.ndarray, what: str = "mask") -> np.ndarray:
     lossy = ((found > light) & (found < white)).any()
     if (few and high < light) or high <= white / 2 or dark < low < light:
         raise _ambiguous(found, what)
-    # Dark areas are no soft edges: they are classes beside a number that stands for none, or for the objects' edges.
-    plain = values.astype(np.float32)  # of what kinds of numbers filters take
-    flat = ndimage.maximum_filter(plain, 3) == ndimage.minimum_filter(plain, 3)
-    if few and not lossy and (flat & (plain > 0) & (plain < white / 2)).sum() > 0.1 * (plain >= light).sum():
-        raise _ambiguous(found, what)
+    if few and not lossy:
+        from scipy import ndimage  # imported late: it takes a quarter of a second
+
+        # Dark areas are no soft edges: they are classes beside a number that stands for none, or for objects' edges.
+        plain = values.astype(np.float32)  # of what kinds of numbers filters take
+        flat = ndimage.maximum_filter(plain, 3) == ndimage.minimum_filter(plain, 3)
+        if (flat & (plain > 0) & (plain < white / 2)).sum() > 0.1 * (plain >= light).sum():
+            raise _ambiguous(found, what)
     return values.astype(np.uint8) if white == 255 else (values * (255 / white)).round().astype(np.uint8)
 
 
