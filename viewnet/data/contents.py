@@ -73,7 +73,7 @@ def _unchanged(entry: Any) -> bool:
 
 def _state(path: Path | str) -> list[int] | None:
     """What changes with a file: size, times of its content and of itself, and number on its disk; None without it."""
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, ValueError):  # a name may hold a zero
         status = os.stat(path)
         return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
     return None
