@@ -45,7 +45,8 @@ def by_trimesh(file: Path) -> Triangles:
         if mesh.visual.kind == "vertex":
             colours = mesh.visual.vertex_colors[:, :3] / 255
         elif mesh.visual.kind == "texture" and (image := mesh.visual.material.image) is not None:
-            colours[:], uv = np.asarray(image.convert("RGB")).mean((0, 1)) / 255, mesh.visual.uv
+            colours[:] = np.asarray(image.convert("RGB")).mean((0, 1)) / 255
+            uv = uv if mesh.visual.uv is None else mesh.visual.uv
         elif mesh.visual.kind == "texture" and mesh.visual.material.name != "material_0":
             colours[:] = mesh.visual.material.diffuse[:3] / 255
         parts.append(Triangles(mesh.triangles, colours[mesh.faces], uv[mesh.faces]))
