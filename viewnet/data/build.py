@@ -99,9 +99,9 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
     """Open the photographs of `config` (section 4.3) as a view store, cutting them where that has not been done.
 
     Viewpoints are calibrated on split "val", PASCAL3D+'s "train", and scored on "test", its "val". Stores lie in
-    `<paths.data()>/views/photos-<category>-<key>`; looking for one reads annotations, but no image. Raises ViewnetError
-    for a root in no layout that can be read, settings that do not apply to it, a split without usable photographs, and
-    one photograph in both.
+    `<paths.data()>/views/photos-<category>-<key>`; looking for one reads annotations, and images that may have changed.
+    Raises ViewnetError for a root in no layout that can be read, settings that do not apply to it, a split without
+    usable photographs, and one photograph in both.
     """
     known(config.category, CATEGORIES, "category")
     crop = Crop(config.size, config.margin, config.square)
@@ -120,13 +120,14 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
         made_by |= reader.describe(config, root)
     read = reader.photographs
     assert read is not None
-    if config.root is not None:
-        made_by["images"] = photo_store.digest(read(config, Path(config.root)))
+    data = None if config.root is None else read(config, Path(config.root))
+    if data is not None:
+        made_by["images"] = photo_store.digest(data)
     folder = _store_folder(f"photos-{config.category}", made_by)
 
     def make() -> None:
-        root = written(photo_stand_in(config), workers, progress) if config.root is None else Path(config.root)
-        photo_store.photo_store(read(config, root), folder, crop, made_by, workers, progress)
+        photographs = data or read(config, written(photo_stand_in(config), workers, progress))
+        photo_store.photo_store(photographs, folder, crop, made_by, workers, progress)
 
     return ViewStore.open(made_once(folder, make))
 

@@ -107,9 +107,8 @@ def summary(store: ViewStore) -> str:
 
 def digest(data: Photographs) -> str:
     """A hash of the contents of the photographs' files."""
-    return hashlib.sha256(
-        json.dumps(contents.of_files(data.root, [p.image_path for p in data.usable])).encode()
-    ).hexdigest()
+    hashes = contents.of_files(data.root, [photograph.image_path for photograph in data.usable])
+    return hashlib.sha256(json.dumps(hashes).encode()).hexdigest()
 
 
 def describe_crop(crop: Crop) -> dict[str, Any]:
