@@ -15,6 +15,7 @@ from helpers.evaluation_data import make_index, noisy
 from viewnet.config import DataConfig, RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Predictions
+from viewnet.model.checkpoint import CHECKPOINT
 from viewnet.recipes import make_config
 from viewnet.runs.make_run import Steps
 from viewnet.runtime.files import replacing
@@ -74,15 +75,15 @@ def train(config: RunConfig, views: FakeStore, folder: Path, *, threads=None, pr
             time.sleep(600)
         if what == "slow":
             time.sleep(0.3)
-    (folder / "checkpoint.safetensors").write_bytes(b"weights")
+    (folder / CHECKPOINT).write_bytes(b"weights")
 
 
-def predict(folder: Path, views: FakeStore, splits=("val", "test")) -> Predictions:
+def predict(folder: Path, views: FakeStore, splits=("val", "test"), checkpoint=CHECKPOINT) -> Predictions:
     config = json.loads((folder / "config.json").read_text())
     found = noisy(
         views.index[["model_id", "category", "split", "view", "azimuth", "elevation"]].assign(split="test"),
         degrees=8,
-        seed=config["seed"],
+        seed=config["seed"] + 100 * (checkpoint != CHECKPOINT),
     )
     found = Predictions(found.ids.assign(split=views.index["split"].to_numpy()), found.hypotheses, found.logits)
     return found.take(found.ids["split"].isin(splits))

@@ -28,7 +28,7 @@ from viewnet.data.pairs import model_views
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.predict import predict
-from viewnet.model.checkpoint import load_model
+from viewnet.model.checkpoint import ROBUST, load_model
 from viewnet.model.precision import autocast
 from viewnet.recipes import make_config
 from viewnet.training import train as training
@@ -140,7 +140,8 @@ def scored(monkeypatch, reconstruction: list[float], accuracy: list[float]) -> l
 
     def validate(model, *_):
         seen.append({name: value.detach().clone() for name, value in model.state_dict().items()})
-        return {"reconstruction": reconstruction[len(seen) - 1], "accuracy": accuracy[len(seen) - 1]}
+        score = accuracy[len(seen) - 1]
+        return {"reconstruction": reconstruction[len(seen) - 1], "accuracy": score, "robust": -score}
 
     monkeypatch.setattr(training, "validate", validate)
     return seen
@@ -155,6 +156,17 @@ def test_the_best_weights_by_the_criterion_are_kept(store, tmp_path, monkeypatch
         metadata = file.metadata()
     assert metadata["epoch"] == str(kept + 1)
     assert RunConfig.from_dict(json.loads(metadata["config"])).train.select_by == criterion
+
+
+def test_beside_the_best_weights_by_accuracy_the_best_by_a_robust_alignment_are_kept(store, tmp_path, monkeypatch):
+    seen = scored(monkeypatch, [0.3, 0.1, 0.2, 0.2], [20.0, 10.0, 40.0, 10.0])
+    folder = trained(store, tmp_path / "run", epochs=3, select_by="accuracy")
+    robust, config = load_model(folder, ROBUST)
+    assert same(robust.state_dict(), seen[1])
+    assert same(weights(folder), seen[2])
+    assert config.train.select_by == "accuracy"
+    without_labels = trained(store, tmp_path / "other", epochs=1, select_by="reconstruction")
+    assert not (without_labels / ROBUST).exists()
 
 
 def test_training_stops_when_patience_is_at_its_end(store, tmp_path, monkeypatch):
@@ -179,7 +191,7 @@ def test_choosing_without_labels_reads_none(store, tmp_path, monkeypatch):
     monkeypatch.setattr(training, "model_views", mislabelled)
     other = trained(store, tmp_path / "other", select_by="reconstruction")
     assert same(weights(honest), weights(other))
-    labels = {"val_accuracy", "val_folded"}
+    labels = {"val_accuracy", "val_folded", "val_robust"}
     without = [{k: v for k, v in row.items() if k not in labels} for row in log(honest)]
     assert without == [{k: v for k, v in row.items() if k not in labels} for row in log(other)]
     assert log(honest) != log(other)  # accuracy is told, and does depend on labels

@@ -10,21 +10,24 @@ from viewnet.data import augment
 from viewnet.data.pairs import model_views
 from viewnet.data.store import ViewStore
 from viewnet.evaluation.predictions import ID_COLUMNS, Predictions
-from viewnet.model.checkpoint import load_model
+from viewnet.model.checkpoint import CHECKPOINT, load_model
 from viewnet.model.viewnet import ViewNet
 
 BATCH = 256  # images at once
 
 
 @torch.no_grad()
-def predict(model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = ("val", "test")) -> Predictions:
+def predict(
+    model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = ("val", "test"), checkpoint: str = CHECKPOINT
+) -> Predictions:
     """Viewpoint hypotheses for every view of the given splits, in the store's order, by a network or a run's folder.
 
-    Views for a run trained with backgrounds get backgrounds as in training, the same each time; photographs, which have
-    their own, are not changed. Raises ViewnetError where views have no annotated viewpoint.
+    `checkpoint` is the file's name in that folder. Views for a run trained with backgrounds get backgrounds as in
+    training, the same each time; photographs, which have their own, are not changed. Raises ViewnetError where views
+    have no annotated viewpoint.
     """
     store.require_viewpoints(splits, "what cannot be scored is not predicted: use an annotated store")
-    network, config = load_model(model) if isinstance(model, Path) else (model.eval(), None)
+    network, config = load_model(model, checkpoint) if isinstance(model, Path) else (model.eval(), None)
     device, size = network.focal.device, network.config.input_size
     backgrounds = augment.load(config.data, size, device) if config else None
     rows, batches = [], []

@@ -13,6 +13,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.runtime.files import read_csv, read_json
 
 NOT_SCORED = "its own views have no annotated val and test split"
+ROBUST_PREDICTIONS = "predictions_robust.parquet"  # by model.checkpoint.ROBUST
 LEARNED_ALIGNMENTS = ("procrustes", "linear")  # without pose labels: the tables' rows, then the paper's starred rows
 FITTED_ALIGNMENTS = ("none", "procrustes")  # what is fitted on labels is in the annotated frame already
 LOG_COLUMNS = ("epoch", "loss", "seconds", "step", "val_accuracy")  # of every training log
@@ -69,6 +70,14 @@ class Run:
         if not self.scored:
             raise ViewnetError(f"{self.name}: {NOT_SCORED}: score it on photographs")
         return Predictions.from_parquet(self.folder / "predictions.parquet")
+
+    @property
+    def robust_predictions(self) -> Predictions:
+        """The same by the weights with the best validation accuracy after the robust alignment.
+
+        ViewnetError where none are kept: where the weights are not chosen by accuracy.
+        """
+        return Predictions.from_parquet(self.folder / ROBUST_PREDICTIONS)
 
     @property
     def log(self) -> pd.DataFrame:

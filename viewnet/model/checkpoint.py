@@ -23,6 +23,8 @@ from viewnet.errors import ViewnetError
 from viewnet.model.viewnet import ViewNet
 
 CHECKPOINT = "checkpoint.safetensors"
+ROBUST = "checkpoint_robust.safetensors"
+"""Beside a checkpoint that was chosen by validation accuracy: that of the best accuracy by a robust alignment."""
 LARGEST_VOLUME = 256
 """Voxels along a side. The shape prior is built from the configuration alone, so no file bounds its size."""
 
@@ -69,8 +71,8 @@ def config_of(path: Path) -> RunConfig:
         raise ViewnetError(f"{path} is of another version of viewnet ({error}): train the run again") from error
 
 
-def load_model(folder: Path) -> tuple[ViewNet, RunConfig]:
-    """The network of a finished run's folder, ready to predict, and its configuration.
+def load_model(folder: Path, name: str = CHECKPOINT) -> tuple[ViewNet, RunConfig]:
+    """The network of a finished run's folder, ready to predict, and its configuration; `name` is the checkpoint's.
 
     It is on the GPU where there is one. Raises ViewnetError where there is no checkpoint, or one that is not whole.
 
@@ -78,7 +80,7 @@ def load_model(folder: Path) -> tuple[ViewNet, RunConfig]:
     Traceback (most recent call last):
     viewnet.errors.ViewnetError: no checkpoint at nowhere/checkpoint.safetensors: train the run first
     """
-    path = folder / CHECKPOINT
+    path = folder / name
     if not path.is_file():
         raise ViewnetError(f"no checkpoint at {path}: train the run first")
     config = config_of(path)

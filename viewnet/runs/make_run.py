@@ -16,7 +16,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.evaluate import evaluate
 from viewnet.evaluation.predictions import Predictions
-from viewnet.evaluation.run import NOT_SCORED, Run, can_be_scored, read_log, read_result
+from viewnet.evaluation.run import NOT_SCORED, ROBUST_PREDICTIONS, Run, can_be_scored, read_log, read_result
 from viewnet.model import checkpoint
 from viewnet.runtime import distributed, provenance
 from viewnet.runtime.files import locked, write_json, write_text
@@ -35,7 +35,7 @@ class Steps:
     views: Callable[..., Any]  # (DataConfig, workers=, progress=, executor=) -> ViewStore
     open: Callable[[Path], Any]  # folder of a view store -> ViewStore
     train: Callable[..., None]  # (RunConfig, ViewStore, folder, threads=, progress=), resumable
-    predict: Callable[..., Predictions]  # (folder of the run, ViewStore, splits=)
+    predict: Callable[..., Predictions]  # (folder of the run, ViewStore, splits=, checkpoint=)
 
 
 def default_steps() -> Steps:
@@ -109,6 +109,10 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
             current = result.get("code", {}).get("predicting") == code_identities()["predicting"]
             if scored and not (current and (folder / "predictions.parquet").is_file()):
                 predictions = steps.predict(folder, views, splits=("val", "test"))
+            robust = folder / checkpoint.ROBUST
+            if scored and robust.is_file() and not (current and (folder / ROBUST_PREDICTIONS).is_file()):
+                other = steps.predict(folder, views, splits=("val", "test"), checkpoint=checkpoint.ROBUST)
+                other.to_parquet(folder / ROBUST_PREDICTIONS)
         if predictions is not None:
             predictions.to_parquet(folder / "predictions.parquet")
         elif scored:

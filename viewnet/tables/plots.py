@@ -36,8 +36,8 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 DASHES: Any = ("-", "--", ":", "-.")
 # Columns of a run's log that are no term of its loss, and their titles.
 LOGGED = {"val_accuracy": "validation accuracy (%)", "val_folded": "the same, folded (%)",
-    "val_reconstruction": "validation error", "val_least_used": "least used head (%)",
-    "val_focal": "focal length", "loss": "training loss"}  # fmt: skip
+    "val_robust": "robust alignment (%)", "val_reconstruction": "validation error",
+    "val_least_used": "least used head (%)", "val_focal": "focal length", "loss": "training loss"}  # fmt: skip
 COUNTED = ("epoch", "step", "seconds")  # columns that only say where the training is
 AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
 NOTE = "Description"
@@ -111,7 +111,8 @@ def training_curves(logs: pd.DataFrame) -> Figure:
                 style: Any = {"color": colours[name], "linestyle": dashes[category]}
                 axes.plot(log["targets"], log[column], linewidth=1, marker="o", markersize=2, **style)
         axes.set_title(title, fontsize=8)
-        axes.set_ylim(min(0, logs[column].min()), 100 if column in ("val_accuracy", "val_folded") else None)
+        shares = column in ("val_accuracy", "val_folded", "val_robust")
+        axes.set_ylim(min(0, logs[column].min()), 100 if shares else None)
         if recipes:
             # Trainings by different recipes see numbers of images that are far apart.
             axes.set(xscale="log", xlim=(logs["targets"].min() * 0.8, logs["targets"].max() * 1.25))

@@ -2,49 +2,62 @@
 
 import csv
 import json
-import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors.torch import save_file
+from torch import Tensor
 from torch.optim import Optimizer
 
 from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
-from viewnet.model.checkpoint import CHECKPOINT
+from viewnet.model.checkpoint import CHECKPOINT, ROBUST
 from viewnet.model.viewnet import ViewNet
 from viewnet.runtime import distributed
 from viewnet.runtime.files import replacing
 
 STATE = "state.pt"
 """What a training resumes from; removed when it has come to its end."""
+CHOICES: dict[str, Callable[[dict[str, float]], float]] = {
+    "accuracy": lambda scores: scores["accuracy"],
+    "reconstruction": lambda scores: -scores["reconstruction"],
+    "robust": lambda scores: scores["robust"],
+}
+"""Rule by which weights are chosen -> the score, higher is better, of what validation measures."""
 
 
 @dataclass
 class History:
-    """How far a training is: its log, and the best weights so far."""
+    """How far a training is: its log, and the best weights so far by each rule of CHOICES that counts."""
 
     epoch: int = 0  # finished ones
     seconds: float = 0.0
     log: list[dict[str, Any]] = field(default_factory=list)
-    best: dict[str, Any] = field(default_factory=lambda: {"score": -math.inf, "epoch": -1, "weights": None})
+    best: dict[str, dict[str, Any]] = field(default_factory=dict)
 
-    def exhausted(self, patience: int) -> bool:
-        """Whether the last `patience` epochs brought no improvement."""
-        return bool(self.log) and self.log[-1]["epoch"] - 1 - self.best["epoch"] >= patience  # `best` counts from 0
+    def exhausted(self, patience: int, by: str) -> bool:
+        """Whether the last `patience` epochs brought no improvement by a rule."""
+        return bool(self.log) and self.log[-1]["epoch"] - 1 - self.best[by]["epoch"] >= patience  # `best` counts from 0
 
     def add(self, model: ViewNet, step: int, by: str, scores: dict[str, float], means: dict[str, float]) -> None:
-        """Adds a row to the log, and keeps the weights where they are the best by "accuracy" or "reconstruction"."""
-        score = scores["accuracy"] if by == "accuracy" else -scores["reconstruction"]  # higher is better, either way
-        if score > self.best["score"] or self.best["weights"] is None:  # a first score of NaN counts
-            weights = {  # copied, as training goes on; contiguous, as safetensors wants them
-                name: value.detach().cpu().clone(memory_format=torch.contiguous_format)
-                for name, value in model.state_dict().items()
-            }
-            self.best = {"score": score, "epoch": self.epoch - 1, "weights": weights}
+        """Adds a row to the log, and keeps the weights where they are the best by a rule.
+
+        Accuracy by least squares goes up and down with the rotation where predictions have two modes, and would choose
+        by chance; so by "accuracy" the best weights by "robust" are kept as well.
+        """
+        weights: dict[str, Tensor] = {}
+        for rule in ("accuracy", "robust") if by == "accuracy" else (by,):
+            score = CHOICES[rule](scores)
+            if rule not in self.best or score > self.best[rule]["score"]:  # a first score of NaN counts
+                weights = weights or {  # copied, as training goes on; contiguous, as safetensors wants them
+                    name: value.detach().cpu().clone(memory_format=torch.contiguous_format)
+                    for name, value in model.state_dict().items()
+                }
+                self.best[rule] = {"score": score, "epoch": self.epoch - 1, "weights": weights}
         self.log.append(
             {"epoch": self.epoch, "step": step, "seconds": round(self.seconds, 2)}  # columns of log.csv, in this order
             | {"loss": sum(means.values())}
@@ -84,11 +97,13 @@ def write(model: ViewNet, optimisers: list[Optimizer], history: History, folder:
 
 
 def keep_best(config: RunConfig, history: History, folder: Path) -> None:
-    """Writes the checkpoint of the best weights, and removes the state: the training has come to its end."""
-    best = history.best
-    metadata = {"config": json.dumps(config.to_dict()), "epoch": str(best["epoch"] + 1), "score": repr(best["score"])}
-    with replacing(folder / CHECKPOINT) as temporary:
-        save_file(best["weights"], temporary, metadata=metadata)
+    """Writes a checkpoint of the best weights by each rule, and removes the state: the training has come to its end."""
+    by = config.train.select_by
+    for rule in sorted(history.best, key=lambda rule: rule == by):  # its own rule's last, which means finished
+        best = history.best[rule]
+        about = {"config": json.dumps(config.to_dict()), "epoch": str(best["epoch"] + 1), "score": repr(best["score"])}
+        with replacing(folder / (CHECKPOINT if rule == by else ROBUST)) as temporary:
+            save_file(best["weights"], temporary, metadata=about)
     (folder / STATE).unlink(missing_ok=True)  # after the checkpoint: one of the two is always there
 
 

@@ -68,7 +68,7 @@ def train(
     begun = time.perf_counter() - history.seconds  # what came before a resume counts
     run.model.train()
 
-    while history.epoch < config.train.epochs and not history.exhausted(config.train.patience):
+    while history.epoch < config.train.epochs and not history.exhausted(config.train.patience, config.train.select_by):
         means = _train_epoch(run, history.epoch, folder, shown)
         history.epoch += 1
         if history.epoch % config.train.validate_every and history.epoch < config.train.epochs:

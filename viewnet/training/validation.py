@@ -9,7 +9,7 @@ from torch import Tensor
 from viewnet.config import TrainConfig
 from viewnet.data import augment
 from viewnet.data.pairs import Views
-from viewnet.evaluation.alignment import fit_rotation
+from viewnet.evaluation.alignment import Procrustes, Robust
 from viewnet.geometry import look_at, rotation_angle, view_vector
 from viewnet.model.reconstruction import reconstruct
 from viewnet.model.viewnet import ViewNet
@@ -28,6 +28,7 @@ def validate(
     reconstruction   error of the best head: no labels
     accuracy         Acc@30 in per cent of the selected head after Procrustes; NaN without an annotated viewpoint
     folded           the same with opposite sides taken for one (viewnet.evaluation.metrics.folded)
+    robust           accuracy after the robust alignment instead, which two modes do not upset
     least_used       per cent of views that the head which is best least often reconstructs best
     focal            the camera's focal length, learned or not
 
@@ -54,13 +55,15 @@ def validate(
         vectors.append(result.hypotheses.of_heads(result.hypotheses.logits.argmax(1)))
     predicted = torch.cat(vectors).cpu().double()  # (N, 3)
     annotated = ~views.truth[rows].isnan().any(1)  # NaN where a view has no label
-    accuracy = folded = math.nan
+    accuracy = folded = robust = math.nan
     if annotated.any():
         predicted, truth = predicted[annotated], view_vector(*views.truth[rows][annotated].double().unbind(1))
         # The learned world frame is any rotation of the annotated one.
-        aligned = predicted @ torch.as_tensor(fit_rotation(predicted.numpy(), truth.numpy())).T  # (N, 3)
-        errors = rotation_angle(look_at(aligned), look_at(truth)).numpy()  # (N,)
-        accuracy, folded = (100 * float((each < 30).mean()) for each in (errors, np.minimum(errors, 180 - errors)))
+        fits = (kind.fit(predicted.numpy(), truth.numpy()) for kind in (Procrustes, Robust))
+        aligned = (torch.as_tensor(fit.apply(predicted.numpy())) for fit in fits)  # (N, 3) each
+        errors, others = (rotation_angle(look_at(each), look_at(truth)).numpy() for each in aligned)  # (N,) each
+        folds = np.minimum(errors, 180 - errors)
+        accuracy, folded, robust = (100 * float((each < 30).mean()) for each in (errors, folds, others))
     model.train()
-    scores = {"reconstruction": error / len(rows), "accuracy": accuracy, "folded": folded}
+    scores = {"reconstruction": error / len(rows), "accuracy": accuracy, "folded": folded, "robust": robust}
     return scores | {"least_used": 100 * used.min().item() / len(rows), "focal": float(model.focal)}
