@@ -15,6 +15,7 @@ UPGRADE ?=
 RUN := $(VENV)/bin/python -m
 # Pages whose tables and numbers are rendered from paper_tables/ by docs/measured.py
 PAGES := README.md $(wildcard docs/*.md)
+NOTEBOOK := $(VENV)/bin/viewnet notebook
 COG := $(RUN) cogapp -P -I docs -p "from measured import *" --verbosity=1
 .DEFAULT_GOAL := help
 .PHONY: help setup table2 replication test test-fast lint format numbers notebooks docs lock clean
@@ -46,17 +47,8 @@ table2: setup ## Table 2 on built-in data, trained here where it is missing
 	$(RUN) papermill notebooks/table2_ablation.ipynb "$(OUTPUT)" $(PARAMETERS)
 	@echo "the executed notebook: $(OUTPUT)"
 
-# Longest last, each from where it was stopped: make replication CATEGORIES=car
-CATEGORIES ?= all
-NOTEBOOK := $(VENV)/bin/viewnet notebook
-replication: setup ## every table's trainings at tiny: some twenty hours on two cores; stop it and start it again
-	$(NOTEBOOK) table2_ablation -p seeds 3 -p categories $(CATEGORIES)
-	$(NOTEBOOK) table1_shapenet -p seeds 3 -p categories $(CATEGORIES)
-	$(NOTEBOOK) recipe_ablation -p seeds 3 -p categories $(CATEGORIES)
-	$(NOTEBOOK) test_sets -p seeds 3 -p categories $(CATEGORIES)
-	$(VENV)/bin/python benchmarks/ladder.py
-	$(NOTEBOOK) table2_ablation -p recipe paper -p categories car
-	$(NOTEBOOK) table1_shapenet -p recipe paper -p variant viewnet -p seeds 3
+replication: setup ## every training behind the tables of CAD models, kept in paper_tables/; stop and start it at will
+	$(VENV)/bin/viewnet replicate
 
 test: lint ## style, types, all tests and every notebook
 	$(RUN) pytest --nbval -n auto --maxprocesses 2 --dist loadfile

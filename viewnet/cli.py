@@ -15,7 +15,7 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime import parallel
 
 COMMANDS = (
-    *("notebook", "tables", "render", "train", "evaluate", "predict", "turntable", "save", "demo"),
+    *("notebook", "tables", "replicate", "render", "train", "evaluate", "predict", "turntable", "save", "demo"),
     *("data", "audit", "bench", "completion"),
 )
 """The modules of viewnet.commands, in the order of the help."""

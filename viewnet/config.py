@@ -11,7 +11,7 @@ import json
 import types
 import typing
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from viewnet.errors import ViewnetError
@@ -252,6 +252,27 @@ class RunConfig:
         """12 hex digits of everything that decides the result; `identities` add the view store's and the code's."""
         canonical = json.dumps([self.to_dict(), *identities], sort_keys=True)
         return hashlib.sha256(canonical.encode()).hexdigest()[:12]
+
+    def settings_key(self) -> str:
+        """12 hex digits of every setting that is not at its default: says whether a run kept from an earlier version,
+        which may have had fewer settings, is the one that is asked for.
+        """
+        usual = replace(self, data=DataConfig(self.category), model=ModelConfig(), train=TrainConfig())
+        changed = _differences(self.to_dict(), usual.to_dict())
+        named = [self.variant, self.category, self.profile, self.recipe, self.seed]
+        return hashlib.sha256(json.dumps([named, changed], sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _differences(values: dict[str, Any], usual: dict[str, Any]) -> dict[str, Any]:
+    """The values that are not the usual ones, of groups of values those within them."""
+    found = {}
+    for name, value in values.items():
+        other = usual.get(name)
+        if isinstance(value, dict) and isinstance(other, dict):
+            value, other = _differences(value, other), {}
+        if value != other:
+            found[name] = value
+    return found
 
 
 def settings(cls: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[str, tuple[str, ...]]]:

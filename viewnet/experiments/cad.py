@@ -19,7 +19,7 @@ from viewnet.recipes import make_config, repeats_viewnet
 from viewnet.runs.other_views import transferred
 from viewnet.runs.run_store import ensure, untrained
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.table import Entry, Table, entries
+from viewnet.tables.table import Entry, Table, by_robust_weights, entries
 
 Rows = dict[str, tuple[ViewStore, NDArray[np.intp]]]
 """Split, "val" to align on and "test" to score -> a view store and which of its rows."""
@@ -83,7 +83,11 @@ class Experiment(Request):
         def predictions(run: Run) -> Predictions:
             return transferred(run, build.view_store(self.eval_data(run.config))) if self.eval_root else run.predictions
 
-        own = entries(self.name, runs, predictions)
+        robust = [] if self.eval_root else by_robust_weights(self.name, runs)
+        return self.table_of(entries(self.name, runs, predictions), [*added, *robust], remarks)
+
+    def table_of(self, own: Sequence[Entry], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
+        """The table of these entries; see `table`."""
         rows = LAYOUTS[self.name].rows
         measured = {config.variant for config in self.configs}
         unmeasured = [row.label for row in rows if row.variant and row.variant not in measured]

@@ -14,7 +14,7 @@ The key is a hash of everything that decides a training: the configuration, the 
 """
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -78,8 +78,12 @@ def ensure(
     progress: bool = True,
     steps: make_run.Steps | None = None,
     executor: Executor | None = None,
+    finished: Callable[[Run], None] | None = None,
 ) -> list[Run]:
-    """The runs of `configs`, in their order; missing ones are trained first.
+    """The runs of `configs`, in their order; missing ones are trained first, the longest before the others.
+
+    With `finished` they are trained in the order of `configs` instead, and it is called for each run that is there or
+    ends, so that what is done can be kept while others go on.
 
     Up to `workers` are trained side by side in processes of their own, each with OMP_NUM_THREADS threads, or else its
     share of the cores (default: as many as there are GPUs, or without any as there are cores for). Runs that another
@@ -93,19 +97,31 @@ def ensure(
     steps = steps or make_run.default_steps()
     distributed.start()
     with contextlib.nullcontext(executor) if executor else dask_cluster.executor() as executor:
-        if executor is not None and distributed.size() > 1:
-            raise ViewnetError("torchrun and --cluster cannot be combined: torchrun is for one run, a cluster for many")
-        folders, jobs = distributed.first(lambda: _plan(configs, workers, progress, steps, executor))
+        if (executor is not None or finished) and distributed.size() > 1:
+            other = "--cluster" if executor is not None else "a queue"
+            raise ViewnetError(f"torchrun and {other} cannot be combined: torchrun is for one run")
+        in_order = finished is not None
+        folders, jobs = distributed.first(lambda: _plan(configs, workers, progress, steps, executor, in_order))
+        if finished:
+            unfinished = {job.folder for job in jobs}
+            for config, folder in folders.items():
+                if folder.absolute() not in unfinished:
+                    finished(Run(config, folder))
         # A torchrun is for one run at a time; its processes end together, so that the first failure ends all.
         if distributed.size() > 1:
             worker_pool.make_together(jobs, steps, progress)
-        elif failures := worker_pool.run_all(jobs, steps, workers, progress, executor):
+        elif failures := worker_pool.run_all(jobs, steps, workers, progress, executor, finished):
             raise ViewnetError(f"{len(failures)} of {len(folders)} runs failed: {'; '.join(failures)}")
     return [Run(config, folders[config]) for config in configs]
 
 
 def _plan(
-    configs: Sequence[RunConfig], workers: int | None, progress: bool, steps: make_run.Steps, executor: Executor | None
+    configs: Sequence[RunConfig],
+    workers: int | None,
+    progress: bool,
+    steps: make_run.Steps,
+    executor: Executor | None,
+    in_order: bool,
 ) -> tuple[dict[RunConfig, Path], list[make_run.Job]]:
     """Each configuration's folder, and the runs that are not finished. Makes the views of all."""
     unique = list(dict.fromkeys(configs))
@@ -116,8 +132,8 @@ def _plan(
         stores = {each: steps.views(each, workers=workers, progress=progress, executor=crew) for each in data}
     folders = {c: locate(c, stores[c.data].identity, _backgrounds_identity(c, progress)) for c in unique}
     missing = [config for config in unique if not make_run.is_complete(folders[config])]
-    # The longest first and the shortest last, so that no core waits long at the end.
-    missing.sort(key=lambda c: (c.model.decoder != "hologan", not c.train.cycle.on, c.model.heads == 1))
+    if not in_order:  # the longest first and the shortest last, so that no core waits long at the end
+        missing.sort(key=lambda c: (c.model.decoder != "hologan", not c.train.cycle.on, c.model.heads == 1))
     jobs = []
     for config in missing:  # with absolute paths, since another machine's process has another working directory
         start = config.train.start and str(checkpoint.locate(config.train.start))

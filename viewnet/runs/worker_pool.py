@@ -32,16 +32,21 @@ class WorkerDied(BrokenExecutor):
 
 
 def run_all(
-    jobs: Sequence[Job], steps: Steps, workers: int | None, progress: bool, executor: Executor | None = None
+    jobs: Sequence[Job],
+    steps: Steps,
+    workers: int | None,
+    progress: bool,
+    executor: Executor | None = None,
+    finished: Callable[[Job], None] | None = None,
 ) -> list[str]:
-    """Make every job; the messages of those that failed, in the order of the jobs.
+    """Make every job; the messages of those that failed, in the order of the jobs. `finished` is called as each ends.
 
     Without an executor: with one worker, or one job, in this process, otherwise in a LocalPool. What dies there has
     mostly run out of memory and would do so again, so it is left to the next call. On an executor, whose workers come
     and go, a run whose worker died is begun up to `TRIES` times and resumes from its last state.
     """
     if executor is not None:
-        return _collect(executor, jobs, steps, None, progress, TRIES)
+        return _collect(executor, jobs, steps, None, progress, TRIES, finished)
     workers = min(workers or torch.cuda.device_count() or parallel.room(), len(jobs))
     if workers <= 1:
         failures = []
@@ -49,10 +54,12 @@ def run_all(
             told = f"{job.name}: {_counted(parallel.threads())} on {_counted(parallel.cores(), 'core')}"
             progress_bar(progress, total=0, bar_format="{desc}", desc=told).close()
             failures.append(attempt(job, steps, parallel.threads(), progress))
+            if finished and not failures[-1]:
+                finished(job)
         return [failure for failure in failures if failure]
     with LocalPool(workers) as pool:
         try:
-            return _collect(pool, jobs, steps, pool.threads, progress, tries=1)
+            return _collect(pool, jobs, steps, pool.threads, progress, 1, finished)
         except BaseException:
             pool.terminate_workers()
             raise
@@ -76,7 +83,13 @@ def make_together(jobs: Sequence[Job], steps: Steps, progress: bool) -> None:
 
 
 def _collect(
-    executor: Executor, jobs: Sequence[Job], steps: Steps, threads: int | None, progress: bool, tries: int
+    executor: Executor,
+    jobs: Sequence[Job],
+    steps: Steps,
+    threads: int | None,
+    progress: bool,
+    tries: int,
+    finished: Callable[[Job], None] | None,
 ) -> list[str]:
     """The messages of jobs that failed on an executor; see `run_all`."""
     failures: dict[int, str] = {}
@@ -97,6 +110,8 @@ def _collect(
                         continue
                 if failure:
                     failures[number] = str(failure)
+                elif finished:
+                    finished(jobs[number])
                 bar.update()
             running = [jobs[number] for future, number in pending.items() if _is_running(future, jobs[number], started)]
             bar.set_postfix_str("; ".join(map(progress_line, running)), refresh=True)

@@ -14,7 +14,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Predictions, read_parquet
 from viewnet.runtime.files import read_json
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.table import Entry, Table, named, run_of
+from viewnet.tables.table import CHOSEN_ROBUSTLY, Entry, Table, named, run_of
 
 NUMBERS = ("measured", "sd", "low", "high")
 """The columns of a table's cells that predictions decide."""
@@ -41,6 +41,7 @@ def read(path: Path) -> Table:
         cells = cells_of(about)
         renamed, remarks = about.get("renamed", {}), tuple(about.get("remarks", ()))
         labels = {renamed.get(row.label, row.label): row.label for row in LAYOUTS[about["table"]].rows}
+        labels |= {label + CHOSEN_ROBUSTLY: label + CHOSEN_ROBUSTLY for label in labels.values()}
         entries = () if runs is None else tuple(_entries(cells, labels, about["runs"], runs))
         return Table(about["table"], about["measured on"], cells, entries, remarks, renamed)
     except (KeyError, TypeError, ValueError) as error:

@@ -4,7 +4,7 @@ import functools
 import itertools
 import operator
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from viewnet.evaluation import metrics
 from viewnet.evaluation.alignment import Procrustes
 from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Predictions
-from viewnet.evaluation.run import Run
+from viewnet.evaluation.run import ROBUST_PREDICTIONS, Run
 from viewnet.recipes import VARIANTS
 from viewnet.runtime.files import replacing, write_csv, write_json, write_text
 from viewnet.tables import columns, latex, reported
@@ -28,6 +28,8 @@ DRAWS = 1000
 DEGENERATE = "in brackets: of some seed the predictions have too little spread for an alignment, so this is no score"
 ORIGIN = ("variant", "category", "profile", "recipe", "seed", "views", "git", "training")
 """The keys of a run's result.json that a table's JSON repeats."""
+CHOSEN_ROBUSTLY = ", weights by robust accuracy"
+"""What the label of a row ends with whose weights were chosen so."""
 own_predictions: Callable[[Run], Predictions] = operator.attrgetter("predictions")
 """The predictions a run is scored on by default: of its own test split."""
 
@@ -86,10 +88,26 @@ def entries(
         for row in layout.rows_of(config.variant):
             alignment = (row.alignment if run.trained else None) or run.alignment
             key = run.key if alignment == run.alignment else f"{run.key}/{alignment}"
-            origin = {name: run.result[name] for name in ORIGIN} | {"alignment": alignment}
+            origin = {name: run.result[name] for name in ORIGIN}
+            origin |= {"alignment": alignment, "settings": config.settings_key()}
             about = (row.label, config.category, config.seed, alignment)
             result.append(Entry(*about, key, predicted, origin, calibration))
     return result
+
+
+def by_robust_weights(name: str, runs: Sequence[Run]) -> list[Entry]:
+    """Entries of the weights that a robust alignment chose, for rows of their own below those of the layout.
+
+    Of runs whose weights were chosen by validation accuracy, which is noise where predictions have two modes.
+    """
+    found = []
+    for run in (run for run in runs if (run.folder / ROBUST_PREDICTIONS).is_file()):
+        for entry in entries(name, [run], operator.attrgetter("robust_predictions")):
+            if entry.alignment == run.alignment:
+                origin = entry.origin | {"weights": "best robust accuracy"}
+                label, key = entry.row + CHOSEN_ROBUSTLY, f"{run.key}-robust"
+                found.append(replace(entry, row=label, key=key, origin=origin))
+    return found
 
 
 @dataclass(frozen=True)

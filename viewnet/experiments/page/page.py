@@ -34,7 +34,7 @@ LIMIT = 8_000_000
 """Bytes; the figures of a larger page are shrunk."""
 WIDTHS = (1700, 1000, 500)
 """Maximal pixels across a figure, tried in turn until the page is within the limit."""
-IGNORED = ("published/*", NAME, ".*")
+IGNORED = ("published/*", NAME, ".*", "*_logs.csv")
 _OPTIONS: Any = {"autoescape": True, "undefined": jinja2.StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
 ENVIRONMENT = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), **_OPTIONS)
 

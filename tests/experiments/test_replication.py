@@ -1,0 +1,106 @@
+"""The queue of trainings, kept in the folder of tables as they end."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+from helpers import fake_steps
+from helpers.fake_steps import STEPS, calls
+
+from viewnet.errors import ViewnetError
+from viewnet.experiments.replication import QUEUE, Replication
+from viewnet.model.checkpoint import ROBUST
+from viewnet.tables import kept_predictions
+
+PARTS = (
+    ("table1_shapenet", {"categories": "car", "seeds": "2"}),
+    ("table2_ablation", {"categories": "car", "variant": "viewnet"}),
+)
+
+
+@pytest.fixture
+def folders(tmp_path, monkeypatch):
+    """Runs, views and tables of the test's own."""
+    monkeypatch.setenv("VIEWNET_RUNS", str(tmp_path / "runs"))
+    monkeypatch.setenv("VIEWNET_DATA", str(tmp_path / "data"))
+    return tmp_path
+
+
+def queue(folders, *parts) -> Replication:
+    return Replication.of(parts or PARTS, profile="smoke", output=str(folders / "tables"))
+
+
+def cells(folders, path) -> pd.DataFrame:
+    table = pd.read_csv(folders / "tables" / f"{path}.csv")
+    return table[(table["metric"] == "acc30") & (table["seeds"] > 0)].set_index("row")
+
+
+def test_every_part_of_the_queue_is_a_table_with_its_own_file():
+    whole = Replication.of()
+    assert len({(request.folder, request.name) for request in whole.requests}) == len(QUEUE)
+
+
+def test_what_is_missing_is_trained_and_kept_and_nothing_twice(folders):
+    queue(folders).train(workers=1, progress=False, steps=STEPS)
+    assert sorted(calls(folders)) == ["car-0", "car-0", "car-1", "car-1"]  # with and without the cycle
+    of_table1 = cells(folders, "smoke-car/table1_shapenet")
+    assert of_table1["seeds"].to_dict() == {"ViewNet (matting)": 2, "ViewNet + cycle (matting)": 2}
+    of_table2 = cells(folders, "smoke-viewnet-car/table2_ablation")
+    assert of_table2["seeds"].to_dict() == {"ViewNet (matting)": 1}
+    assert of_table2["measured"].item() == kept_predictions.remade(
+        folders / "tables/smoke-viewnet-car/table2_ablation.json"
+    ).cells.query("metric == 'acc30'")["measured"].iloc[0].round(4)
+    shutil.rmtree(folders / "runs")  # as on another machine
+    again = queue(folders)
+    assert again.missing == []
+    assert [(part["runs"], part["kept"]) for part in again.plan()] == [(4, 4), (1, 1)]
+    again.train(workers=1, progress=False, steps=STEPS)
+    assert len(calls(folders)) == 4
+
+
+def test_each_run_is_kept_when_it_ends_even_if_a_later_one_fails(folders):
+    fake_steps.plan(folders, seed1="refuse")
+    with pytest.raises(ViewnetError, match="2 of 4 runs failed"):
+        queue(folders).train(workers=1, progress=False, steps=STEPS)
+    table = cells(folders, "smoke-car/table1_shapenet")
+    assert table["seeds"].to_dict() == {"ViewNet (matting)": 1, "ViewNet + cycle (matting)": 1}
+    logs = pd.read_csv(folders / "tables/smoke-car/table1_shapenet_logs.csv")
+    assert set(map(tuple, logs[["row", "seed"]].drop_duplicates().to_numpy())) == {
+        ("ViewNet", 0),
+        ("ViewNet + cycle", 0),
+    }
+    fake_steps.plan(folders)
+    rest = queue(folders)
+    assert [config.seed for config in rest.missing] == [1, 1]
+    rest.train(workers=1, progress=False, steps=STEPS)
+    logs = pd.read_csv(folders / "tables/smoke-car/table1_shapenet_logs.csv")
+    assert len(logs.drop_duplicates(["row", "seed"])) == 4 and len(logs) == 4 * fake_steps.EPOCHS
+
+
+def test_a_run_of_other_settings_is_not_the_one_that_is_asked_for(folders):
+    one = ("table2_ablation", {"categories": "car", "variant": "viewnet"})
+    queue(folders, one).train(workers=1, progress=False, steps=STEPS)
+    path = folders / "tables/smoke-viewnet-car/table2_ablation.json"
+    about = json.loads(path.read_text())
+    for run in about["runs"].values():
+        run["settings"] = "0" * 12
+    path.write_text(json.dumps(about))
+    assert [config.variant for config in queue(folders, one).missing] == ["viewnet"]
+
+
+def test_weights_chosen_robustly_have_a_row_of_their_own(folders):
+    def trained(config, views, folder, **how):
+        fake_steps.train(config, views, folder, **how)
+        (folder / ROBUST).write_bytes(b"other weights")
+
+    one = ("table2_ablation", {"categories": "car", "variant": "viewnet"})
+    queue(folders, one).train(workers=1, progress=False, steps=replace(STEPS, train=trained))
+    rows = cells(folders, "smoke-viewnet-car/table2_ablation")
+    assert set(rows.index) == {"ViewNet (matting)", "ViewNet, weights by robust accuracy (matting)"}
+    queue(folders, one).train(workers=1, progress=False, steps=STEPS)
+    assert cells(folders, "smoke-viewnet-car/table2_ablation").equals(rows)
+    assert not len(kept_predictions.differences(folders / "tables/smoke-viewnet-car/table2_ablation.json"))
