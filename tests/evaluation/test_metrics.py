@@ -173,3 +173,14 @@ def test_the_interval_of_a_mean_is_that_of_an_accuracy():
     assert np.allclose([low, high], wanted, atol=1.0)
     assert metrics.mean_interval([hits[0][:3]], [objects[0][:3]]) is None
     assert metrics.mean_interval([np.full(60, np.nan)], objects[:1]) is None
+
+
+def test_flags_tossed_for_are_no_matter_of_objects_and_those_of_whole_objects_are():
+    rng = np.random.default_rng(0)
+    objects = np.repeat(np.arange(400), 5)
+    assert metrics.clustering(rng.random(2000) < 0.4, objects) == pytest.approx(0, abs=0.05)
+    assert metrics.clustering(np.repeat(rng.random(400) < 0.4, 5), objects) == pytest.approx(1)
+    mixed = np.where(rng.random(2000) < 0.5, np.repeat(rng.random(400) < 0.4, 5), rng.random(2000) < 0.4)
+    assert metrics.clustering(mixed, objects) == pytest.approx(0.25, abs=0.06)
+    assert np.isnan(metrics.clustering(np.zeros(10, bool), objects[:10]))
+    assert np.isnan(metrics.clustering(np.array([True, False]), np.array(["a", "b"])))

@@ -129,6 +129,8 @@ def test_other_definitions_stand_beside_the_headline(table, tmp_path):
     assert ours["robust_acc30"] == pytest.approx(ours["geodesic_acc30"], abs=5)
     assert ours["yaw_acc30"] < 60  # their vertical is not the world's
     assert (ours["seeds"], ours["degenerate"]) == (2, 0) and ours["spread"] > 0.5
+    assert ours["best_head_acc30"] >= ours["robust_acc30"] and ours["best_of_24_acc30"] >= ours["geodesic_acc30"]
+    assert 0 <= ours["half_turns"] <= 100 - ours["robust_acc30"]
     assert found.loc[("Single-head (matting)", "car"), "degenerate"] == 2
     path = definitions.write(table, tmp_path)
     assert len(pd.read_csv(path)) == 3

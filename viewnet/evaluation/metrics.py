@@ -55,6 +55,23 @@ def scaled(errors: Floats) -> Floats:
     return errors / np.sqrt(2)
 
 
+def clustering(flags: NDArray[np.bool_], objects: NDArray[Any]) -> float:
+    """How much flags (N,) of views are a matter of their objects (N,): 0 tossed for view by view, 1 the same on each.
+
+    The intraclass correlation by pairs of views of one object; NaN where all flags are alike, or no object has two.
+
+    >>> objects = np.array(["a", "a", "b", "b"])
+    >>> clustering(np.array([True, True, False, False]), objects), clustering(np.array([True, False] * 2), objects)
+    (1.0, -1.0)
+    """
+    parts = np.unique(objects, return_inverse=True)[1]
+    apart = flags - np.mean(flags)  # (N,)
+    views, sums, squares = (np.bincount(parts, weights) for weights in (None, apart, apart**2))  # (O,) each
+    pairs = float((views * (views - 1)).sum())
+    spread = float(np.mean(apart**2))
+    return float((sums**2 - squares).sum() / pairs / spread) if pairs and spread else float("nan")
+
+
 DEFINITIONS: dict[str, Callable[[Floats], Floats]] = {"geodesic": np.asarray, "folded": folded, "scaled": scaled}
 """Definitions in the literature, as functions of geodesic errors (...); only the first is an angle between frames."""
 

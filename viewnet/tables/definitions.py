@@ -6,6 +6,7 @@ that most predictions agree on.
 """
 
 from collections.abc import Callable
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -24,13 +25,20 @@ DEFINITIONS: dict[str, tuple[str, Callable[[Floats], Floats]]] = {
     "yaw": ("yaw", np.asarray),
 }
 """Column -> the alignment of predictions, and what is made of geodesic errors (N,); "geodesic" is the headline."""
+CUBE = [np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1, -1), repeat=3)]
+CUBE = [turn for turn in CUBE if np.linalg.det(turn) > 0]
+"""The 24 rotations of a cube, (3, 3) each."""
 
 
 def of_seeds(table: Table) -> pd.DataFrame:
     """A line for each row, category and seed whose predictions are aligned by Procrustes.
 
     acc30 and median by each of DEFINITIONS; `spread`, that of Procrustes (viewnet.evaluation.alignment), below a
-    quarter of which its rotation is hardly determined; `degenerate`, whether that is so.
+    quarter of which its rotation is hardly determined; `degenerate`, whether that is so. Then, after the robust
+    alignment, per cent of views that are seen from the opposite side (`half_turns`), how much that is a matter of
+    whole objects (`half_turns_by_object`, viewnet.evaluation.metrics.clustering), and Acc@30 of the best head
+    (`best_head_acc30`). `best_of_24_acc30` is the best of the 24 rotations of a cube after Procrustes, chosen by test
+    labels, as some publish it: an upper bound and no score.
     """
     lines = []
     for entry in (entry for entry in table.entries if entry.alignment == "procrustes"):
@@ -41,7 +49,13 @@ def of_seeds(table: Table) -> pd.DataFrame:
             line |= {f"{name}_acc30": metrics.accuracy(errors, 30), f"{name}_median": metrics.median(errors)}
             if name == "geodesic" and isinstance(aligned.alignment, Procrustes):
                 line |= {"spread": aligned.alignment.spread, "degenerate": int(aligned.alignment.degenerate)}
-        lines.append(line)
+        robust, usual = entry.aligned("robust"), entry.aligned("procrustes")
+        turned = robust.selected_errors > metrics.FLIP  # (N,)
+        line |= {"half_turns": 100 * float(turned.mean())}
+        line |= {"half_turns_by_object": metrics.clustering(turned, robust.predictions.objects)}
+        line |= {"best_head_acc30": metrics.accuracy(robust.errors.min(axis=1), 30)}
+        turns = (metrics.geodesic_error(usual.selected @ turn.T, usual.predictions.truth) for turn in CUBE)
+        lines.append(line | {"best_of_24_acc30": max(metrics.accuracy(errors, 30) for errors in turns)})
     return pd.DataFrame(lines)
 
 
