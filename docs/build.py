@@ -40,6 +40,7 @@ PROSE = {
     "docs/your_method.md": "your_method_guide",
     "docs/architecture.md": "architecture_guide",
     "docs/recipes.md": "recipes",
+    "docs/compute.md": "compute",
     "docs/decisions.md": "decisions",
     "docs/scaling.md": "scaling",
     "docs/speed.md": "speed",

@@ -13,6 +13,7 @@ A sentence is rendered the same way: `print(f"... {value('trust/fuzz.csv', 'case
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from viewnet.tables.table import Table
 
 __all__ = [
     "HEADINGS", "ROOT", "TABLES", "definitions", "frame", "markdown", "pd", "recipes_compared", "remade", "score",
-    "scores", "tables_1_and_2", "value",
+    "scores", "tables_1_and_2", "trainings", "value",
 ]  # fmt: skip
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -144,6 +145,28 @@ def recipes_compared(files: Mapping[str, Sequence[str]], row: str = "ViewNet") -
         if entry.row == row
     ]
     return Table.of("table2_ablation", entries)
+
+
+def trainings() -> pd.DataFrame:
+    """The trainings behind the tables that have their records, each once.
+
+    Columns table, recipe, category, seed, core_hours (wall time times threads), processor, commit.
+    """
+    found = {}
+    for path in sorted(TABLES.rglob("table*.json")) + sorted(TABLES.rglob("[!t]*.json")):
+        about = json.loads(path.read_text("utf-8"))
+        runs = about.get("runs", {}) if isinstance(about, dict) else {}
+        for run in (run for run in runs.values() if isinstance(run, dict) and run.get("training")):
+            training = run["training"]
+            hardware = training["hardware"]
+            which = (run["variant"], run["recipe"], run["category"], run["seed"], training["started"])
+            hours = training["seconds"] * (hardware["threads"] or 1) * training.get("processes", 1) / 3600
+            found.setdefault(which, {
+                "table": str(path.relative_to(TABLES).with_suffix("")), "recipe": run["recipe"],
+                "category": run["category"], "seed": run["seed"], "core_hours": hours,
+                "processor": hardware["gpu"] or hardware["processor"], "commit": training["git"]["commit"][:7],
+            })  # fmt: skip
+    return pd.DataFrame(list(found.values()))
 
 
 def markdown(header: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
