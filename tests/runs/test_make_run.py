@@ -21,6 +21,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.model.checkpoint import ROBUST
 from viewnet.runs import other_views, run_store
 from viewnet.runs.run_store import ensure
+from viewnet.runtime import provenance
 
 pytestmark = pytest.mark.usefixtures("folders")
 
@@ -36,13 +37,21 @@ def test_the_result_tells_where_it_comes_from():
     assert training["resumed"] is False
     assert training["hardware"]["cores"] >= 1
     assert {"python", "torch", "numpy"} <= set(training["versions"])
-    assert set(training["git"]) == {"commit", "dirty"}
+    assert set(training["git"]) >= {"commit", "dirty"}
     assert training["seeds"]["run"] == 0
     assert list(run.log["epoch"]) == [1, 2, 3, 4]
 
 
 def _ensure_in_child() -> None:
     ensure([config()], steps=STEPS, progress=False)
+
+
+def test_an_unknown_commit_is_told_once_for_all_runs(monkeypatch, caplog):
+    provenance.warn_once.cache_clear()
+    monkeypatch.setenv("PATH", "")  # without git
+    runs = ensure([config(seed=0), config(seed=1)], workers=1, steps=STEPS)
+    assert all(run.result["git"]["commit"] is None and run.result["git"]["unknown"] for run in runs)
+    assert len([record for record in caplog.records if "commit" in record.getMessage()]) == 1
 
 
 @pytest.mark.slow

@@ -120,7 +120,7 @@ def _parts(request: Any, submissions: Sequence[Submission]) -> Iterator[list[Pat
 
     def saved(figure: Figure, name: str, shown: Sequence[Run] = runs, place: Path = request.figures) -> list[Path]:
         """A figure, with a note of its runs in it."""
-        commits = ", ".join(sorted({str(run.result["git"]["commit"])[:7] for run in shown}))
+        commits = ", ".join(sorted({(run.result["git"]["commit"] or "unknown")[:7] for run in shown}))
         return plots.save(figure, place, name, f"{request.note}; commit {commits}")
 
     match request.name:

@@ -132,6 +132,8 @@ def _plan(
         stores = {each: steps.views(each, workers=workers, progress=progress, executor=crew) for each in data}
     folders = {c: locate(c, stores[c.data].identity, _backgrounds_identity(c, progress)) for c in unique}
     missing = [config for config in unique if not make_run.is_complete(folders[config])]
+    if missing:
+        provenance.commit()  # says here where it is unknown: the processes that train do not
     if not in_order:  # the longest first and the shortest last, so that no core waits long at the end
         missing.sort(key=lambda c: (c.model.decoder != "hologan", not c.train.cycle.on, c.model.heads == 1))
     jobs = []

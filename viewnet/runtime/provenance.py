@@ -5,6 +5,9 @@ import contextlib
 import functools
 import hashlib
 import importlib.metadata
+import logging
+import multiprocessing
+import os
 import platform
 import re
 import subprocess
@@ -12,10 +15,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from viewnet.errors import ViewnetError
 from viewnet.runtime.parallel import cores
 
 PACKAGE = Path(__file__).resolve().parent.parent
 LIBRARIES = ("torch", "numpy", "scipy", "pandas", "numba", "safetensors", "trimesh", "embreex")
+
+log = logging.getLogger(__name__)
 
 
 @functools.cache
@@ -43,18 +49,52 @@ class _Bare(ast.NodeTransformer):
 
 
 def commit() -> dict[str, Any]:
-    """The git commit of this package's checkout and whether tracked files were changed; None for both outside one."""
-    if (head := _git("rev-parse", "HEAD")) is None or _git("ls-files", "--error-unmatch", "errors.py") is None:
-        return {"commit": None, "dirty": None}  # no checkout, or one of another project that contains this folder
-    return {"commit": head, "dirty": bool(_git("status", "--porcelain", "--untracked-files=no"))}
+    """The git commit of this package's checkout, and whether tracked files were changed.
 
-
-def _git(*arguments: str) -> str | None:
+    What cannot be told is None, and "unknown" says why. So does the log, once; not in a process that another one
+    started: that one asks too.
+    """
+    known: dict[str, Any] = {"commit": None, "dirty": None}
     try:
-        result = subprocess.run(["git", "-C", str(PACKAGE), *arguments], capture_output=True, text=True, timeout=20)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return result.stdout.strip() if result.returncode == 0 else None
+        head = _git("rev-parse", "HEAD")
+        _git("ls-files", "--error-unmatch", "errors.py")  # fails in another project that contains this folder
+        known["commit"] = head
+        known["dirty"] = bool(_git("status", "--porcelain", "--untracked-files=no"))
+    except ViewnetError as error:
+        known["unknown"], remedy = _reason(str(error))
+        if multiprocessing.parent_process() is None:
+            warn_once(f"results do not name the commit that made them: {known['unknown']}: {remedy}")
+    return known
+
+
+def _git(*arguments: str) -> str:
+    """What git says of this package's folder. ViewnetError with what it says instead."""
+    command = ["git", "-C", str(PACKAGE), *arguments]
+    try:
+        environment = os.environ | {"LC_ALL": "C"}
+        result = subprocess.run(command, capture_output=True, text=True, timeout=20, env=environment)
+    except FileNotFoundError:
+        raise ViewnetError("git is not installed") from None
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise ViewnetError(f"git does not answer ({type(error).__name__})") from None
+    if result.returncode:
+        raise ViewnetError(result.stderr.strip() or f"git fails ({result.returncode})")
+    return result.stdout.strip()
+
+
+def _reason(answer: str) -> tuple[str, str]:
+    """Why git names no commit, of its answer, and what to do."""
+    if not (PACKAGE.parent / ".git").exists():
+        return "the package is installed without a checkout", "install it from one (pip install -e FOLDER)"
+    if exception := re.search(r"git config .*safe\.directory .*", answer):
+        return "git refuses a checkout of another owner", exception[0]
+    return answer.splitlines()[0], "see to it that `git status` works in the checkout"
+
+
+@functools.cache
+def warn_once(line: str) -> None:
+    """A line for the log, the first time that it comes."""
+    log.warning("%s", line)
 
 
 def hardware(threads: int | None = None) -> dict[str, Any]:

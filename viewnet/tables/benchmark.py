@@ -62,7 +62,7 @@ def steps_notes(result: Mapping[str, Any]) -> list[str]:
 def machine(result: Mapping[str, Any]) -> str:
     """Hardware, PyTorch and commit of a measurement."""
     hardware, git = result["hardware"], result["git"]
-    commit = (git["commit"] or "none")[:12] + (" with changes" if git["dirty"] else "")  # which no commit has
+    commit = (git["commit"] or "unknown")[:12] + (" with changes" if git["dirty"] else "")  # which no commit has
     where = hardware["gpu"] or hardware["processor"]
     return f"{where}, CPU threads: {hardware['threads']}; PyTorch {result['versions']['torch']}; commit {commit}"
 
