@@ -163,6 +163,15 @@ def test_lists_that_give_models_another_split(tmp_path: Path) -> None:
     assert of_models(tmp_path) != before
 
 
+def test_what_is_not_read_of_photographs_does_not_matter(tmp_path: Path) -> None:
+    photographs(tmp_path)
+    before = of_photographs(tmp_path)
+    write_image(tmp_path / "data/images/unlisted.png", 12)
+    file = tmp_path / "data/viewpoints.csv"
+    file.write_text(file.read_text().replace("split\n", "split,remark\n").replace("val\n", "val,mine\n"))
+    assert of_photographs(tmp_path) == before
+
+
 def test_what_is_not_read_does_not_matter(tmp_path: Path) -> None:
     collection(tmp_path)
     before = of_models(tmp_path)

@@ -86,7 +86,7 @@ def _digest(
     hashed = hashlib.sha256(json.dumps(missing).encode())
     for path, number in listed:
         hashed.update(json.dumps([path, number, (root / path).stat().st_size]).encode())
-    hashed.update(json.dumps(contents.of_files(root, [root / path for path, _ in first])).encode())
+    hashed.update(json.dumps([*contents.of_files(root, [root / path for path, _ in first]).values()]).encode())
     return hashed.hexdigest()
 
 

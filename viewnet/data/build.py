@@ -106,27 +106,21 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
     known(config.category, CATEGORIES, "category")
     crop = Crop(config.size, config.margin, config.square)
     made_by: dict[str, Any] = {"category": config.category, "crop": photo_store.describe_crop(crop)}
+    data: photo_store.Photographs | None = None
     if config.root is None:
-        reader = pascal3d.READER
-        made_by |= {"stand-in": photo_stand_in(config).describe()}
-        made_by |= pascal3d.settings(config)
+        made_by |= {"stand-in": photo_stand_in(config).describe(), "subset": config.subset, "keep": config.keep}
     else:
         root = Path(config.root)
-        found = [reader for reader in READERS.values() if reader.photographs and reader.recognises(root)]
+        found = [reader.photographs for reader in READERS.values() if reader.photographs and reader.recognises(root)]
         if not found:
             expected = f"PASCAL3D+ 1.1 (Annotations, Images and Image_sets) or a folder with images/ and {LIST}"
             raise ViewnetError(f"{root}: no photographs that can be read: expected {expected}")
-        reader = found[0]
-        made_by |= reader.describe(config, root)
-    read = reader.photographs
-    assert read is not None
-    data = None if config.root is None else read(config, Path(config.root))
-    if data is not None:
-        made_by["images"] = photo_store.digest(data)
+        data = found[0](config, root)
+        made_by["photographs"] = photo_store.digest(data)
     folder = _store_folder(f"photos-{config.category}", made_by)
 
     def make() -> None:
-        photographs = data or read(config, written(photo_stand_in(config), workers, progress))
+        photographs = data or pascal3d.read_both_splits(config, written(photo_stand_in(config), workers, progress))
         photo_store.photo_store(photographs, folder, crop, made_by, workers, progress)
 
     return ViewStore.open(made_once(folder, make))

@@ -10,7 +10,7 @@ import itertools
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,8 +27,7 @@ from viewnet.data.clips import Clip, Frame, frame_count, read_frames
 from viewnet.data.crop import Crop, bounds, cut, inside, shrunk
 from viewnet.data.masks import MaskSource
 from viewnet.data.photo_store import describe_crop
-from viewnet.data.readers.reader import within
-from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, tally, write_store
+from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, tally, within, write_store
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import scratch
 from viewnet.runtime.parallel import cores
@@ -72,8 +71,8 @@ class Cutting:
         """
         files_in = {place: _files(place) for clip in clips for place in (clip.source, clip.masks) if place is not None}
         every = list(dict.fromkeys(itertools.chain(*files_in.values())))
-        of_each = [file.stat().st_size for file in every] if root is None else contents.of_files(root, every)
-        marks = dict(zip(every, of_each, strict=True))
+        marks: Mapping[Path, int | str]
+        marks = {file: file.stat().st_size for file in every} if root is None else contents.of_files(root, every)
         hashed = hashlib.sha256()
         for clip in sorted(clips, key=lambda clip: clip.id):
             values = [(f.number, f.azimuth, f.elevation, f.box) for f in clip.frames]

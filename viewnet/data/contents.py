@@ -57,9 +57,11 @@ def digests(root: Path, groups: Mapping[str, Callable[[], Named]]) -> list[str]:
     return result
 
 
-def of_files(root: Path, files: Iterable[Path]) -> list[str]:
-    """A hash of each file's content."""
-    return digests(root, {str(file.absolute()): lambda file=file: {"": file} for file in files})  # type: ignore[misc]
+def of_files(root: Path, files: Iterable[Path]) -> dict[Path, str]:
+    """File -> a hash of its content."""
+    unique = dict.fromkeys(files)
+    groups = {str(file.absolute()): lambda file=file: {"": file} for file in unique}
+    return dict(zip(unique, digests(root, groups), strict=True))
 
 
 def _unchanged(entry: Any) -> bool:

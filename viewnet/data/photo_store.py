@@ -18,7 +18,7 @@ import pandas as pd
 
 from viewnet.data import contents
 from viewnet.data.crop import Box, Crop, cut
-from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, tally, write_store
+from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, tally, within, write_store
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 from viewnet.runtime.parallel import cores
@@ -62,26 +62,18 @@ def photo_store(
 ) -> ViewStore:
     """Cut photographs into a view store, one view each, and open it.
 
-    Images that cannot be decoded, boxes outside of them, and images to calibrate on whose very bytes are scored too
-    join what is rejected. Raises ViewnetError where one file is in both splits, or a split has no usable photograph.
+    What cannot be used (see `crops`) joins what is rejected. Raises ViewnetError where one file is in both splits, or a
+    split has no usable photograph.
     """
-    _check_apart(data.usable)
+    check_apart(data.usable)
     root, rejected = data.root, list(data.rejected)
-    # Decoding and resizing release the interpreter's lock, so threads do.
-    with ThreadPoolExecutor(workers or cores()) as pool:
-        work = pool.map(lambda photograph: _crop_and_digest(photograph, crop, data.upright), data.usable)
-        results = list(bar(progress, iterable=work, total=len(data.usable), desc="photographs", unit="image"))
-    pairs = list(zip(data.usable, results, strict=True))
-    scored = {result[1] for photo, result in pairs if photo.split == "test" and isinstance(result, tuple)}
     usable: list[tuple[Photograph, str, np.ndarray]] = []
-    for photograph, result in pairs:
-        source = photograph.image_path.relative_to(root).as_posix()
+    for photograph, result in zip(data.usable, crops(data.usable, crop, data.upright, workers, progress), strict=True):
+        source = within(photograph.image_path, root)
         if isinstance(result, ViewnetError):
             rejected.append((photograph.id, source, str(result)))
-        elif photograph.split == "val" and result[1] in scored:
-            rejected.append((photograph.id, source, "image to calibrate on that is scored on under another name"))
         else:
-            usable.append((photograph, source, result[0]))
+            usable.append((photograph, source, result))
     usable.sort(key=lambda item: item[0].id)
     rows = [(p.id, p.category, p.split, 0, p.azimuth % 360 % 360, float(p.elevation), file) for p, file, _ in usable]
     index = pd.DataFrame(rows, columns=list(COLUMNS))
@@ -89,9 +81,33 @@ def photo_store(
         if not (index["split"] == name).any():
             first = f" (the first that was left out: {rejected[0][1]}: {rejected[0][2]})" if rejected else ""
             raise ViewnetError(f"{root}: no usable photograph in the {name} split{first}")
-    crops = [pixels for _, _, pixels in usable]
-    batches = (np.stack(crops[i : i + 256]) for i in range(0, len(crops), 256))  # (256, S, S, 4), the last one fewer
+    views = [pixels for _, _, pixels in usable]
+    batches = (np.stack(views[i : i + 256]) for i in range(0, len(views), 256))  # (256, S, S, 4), the last one fewer
     return write_store(folder, batches, index, made_by | data.notes, rejected)
+
+
+def crops(
+    photographs: Sequence[Photograph], crop: Crop, upright: bool, workers: int | None = None, progress: bool = False
+) -> list[np.ndarray | ViewnetError]:
+    """The crop (S, S, 4) uint8 of each photograph, or why it cannot be used.
+
+    Images that cannot be decoded, boxes outside of them, and images to calibrate on whose very pixels are scored too.
+    """
+    # Decoding and resizing release the interpreter's lock, so threads do.
+    with ThreadPoolExecutor(workers or cores()) as pool:
+        work = pool.map(lambda photograph: _crop_and_digest(photograph, crop, upright), photographs)
+        results = list(bar(progress, iterable=work, total=len(photographs), desc="photographs", unit="image"))
+    pairs = list(zip(photographs, results, strict=True))
+    scored = {result[1] for photo, result in pairs if photo.split == "test" and isinstance(result, tuple)}
+    made: list[np.ndarray | ViewnetError] = []
+    for photograph, result in pairs:
+        if isinstance(result, ViewnetError):
+            made.append(result)
+        elif photograph.split == "val" and result[1] in scored:
+            made.append(ViewnetError("image to calibrate on that is scored on under another name"))
+        else:
+            made.append(result[0])
+    return made
 
 
 def summary(store: ViewStore) -> str:
@@ -106,9 +122,13 @@ def summary(store: ViewStore) -> str:
 
 
 def digest(data: Photographs) -> str:
-    """A hash of the contents of the photographs' files."""
+    """A hash of what was read of the photographs, and of the contents of their images."""
     hashes = contents.of_files(data.root, [photograph.image_path for photograph in data.usable])
-    return hashlib.sha256(json.dumps(hashes).encode()).hexdigest()
+    rows = [
+        [p.id, p.category, p.split, p.box, p.azimuth, p.elevation, within(path, data.root), hashes[path]]
+        for p, path in ((photograph, photograph.image_path) for photograph in data.usable)
+    ]
+    return hashlib.sha256(json.dumps([rows, data.rejected]).encode()).hexdigest()
 
 
 def describe_crop(crop: Crop) -> dict[str, Any]:
@@ -116,7 +136,7 @@ def describe_crop(crop: Crop) -> dict[str, Any]:
     return {"version": VERSION, **asdict(crop)}
 
 
-def _check_apart(photographs: Sequence[Photograph]) -> None:
+def check_apart(photographs: Sequence[Photograph]) -> None:
     """Raise where a file is in both splits."""
     seen: dict[Path, str] = {}
     for photograph in photographs:
@@ -125,10 +145,11 @@ def _check_apart(photographs: Sequence[Photograph]) -> None:
 
 
 def _crop_and_digest(photograph: Photograph, crop: Crop, upright: bool) -> tuple[np.ndarray, bytes] | ViewnetError:
-    """The crop and a digest of the image's file, or why it cannot be used."""
+    """The crop and a digest of the whole image's pixels, or why it cannot be used."""
     try:
         image = image_files.read(photograph.image_path, upright=upright)
-        digest = hashlib.sha256(photograph.image_path.read_bytes()).digest()
-        return cut(image, photograph.box, crop), digest
+        pixels = hashlib.sha256(image.tobytes())
+        pixels.update(repr(image.size).encode())
+        return cut(image, photograph.box, crop), pixels.digest()
     except ViewnetError as error:
         return error

@@ -105,6 +105,11 @@ class ViewStore:
         return len(self.images)
 
 
+def within(path: Path, root: Path) -> str:
+    """A path within its data set, as lists of what cannot be used have it."""
+    return path.relative_to(root).as_posix()
+
+
 def tally(reasons: Iterable[str]) -> dict[str, int]:
     """Reason, without its details in brackets -> how often it occurs."""
     return dict(Counter(reason.split(" (")[0] for reason in reasons))

@@ -16,8 +16,8 @@ from pathlib import Path
 from viewnet.config import VideoConfig
 from viewnet.data.clips import Clip, Frame, images_in, pick_frames
 from viewnet.data.crop import Box, clipped
-from viewnet.data.readers.reader import Contents, Reader, no_usable, within
-from viewnet.data.store import Rejected
+from viewnet.data.readers.reader import Contents, Reader, no_usable
+from viewnet.data.store import Rejected, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import size
 

@@ -20,8 +20,8 @@ import numpy as np
 from viewnet.config import VideoConfig
 from viewnet.data.clips import Clip, Frame, natural
 from viewnet.data.readers.objectron_record import Record, View, read_record
-from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text, within
-from viewnet.data.store import Rejected
+from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text
+from viewnet.data.store import Rejected, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 from viewnet.runtime.progress import bar

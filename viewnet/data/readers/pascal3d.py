@@ -10,9 +10,7 @@
 Whatever is not used is listed with the reason.
 """
 
-import hashlib
 import itertools
-import json
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,8 +22,8 @@ from viewnet.config import CATEGORIES, PhotoConfig, known
 from viewnet.data.crop import Box, clipped
 from viewnet.data.photo_store import Photograph, Photographs
 from viewnet.data.readers import matlab
-from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text, within
-from viewnet.data.store import Rejected, tally
+from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text
+from viewnet.data.store import Rejected, tally, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
@@ -245,26 +243,8 @@ def _number(item: Any, name: str, default: float | None = None) -> float:
     return number
 
 
-def digest(root: Path, category: str, subset: str) -> str:
-    """What photographs depend on: lists, annotations and, as a cheap sign of a changed image, sizes."""
-    hashed = hashlib.sha256()
-    for part in parts(subset):
-        for split in SPLITS:
-            for image in listed(root, category, part, split):
-                record, image_path = (file(root, category, part, image) for file in (annotation_file, image_file))
-                content = hashlib.sha256(record.read_bytes()).hexdigest() if record.is_file() else ""
-                size = image_path.stat().st_size if image_path.is_file() else -1
-                hashed.update(json.dumps([part, split, image, content, image_path.name, size]).encode())
-    return hashed.hexdigest()
-
-
-def settings(config: PhotoConfig) -> dict[str, Any]:
-    """The settings that choose among a data set's photographs, as JSON values."""
-    return {"subset": config.subset, "keep": config.keep}
-
-
-def _read_both_splits(config: PhotoConfig, root: Path) -> Photographs:
-    """Viewpoints are calibrated on the data set's "train" and scored on its "val"."""
+def read_both_splits(config: PhotoConfig, root: Path) -> Photographs:
+    """What a configuration asks for: viewpoints are calibrated on the data set's "train" and scored on its "val"."""
     which = (config.category, config.subset)
     (first, calibrated), (second, scored) = (read(root, *which, split, config.keep) for split in SPLITS)
     usable = [replace(photograph, split="val") for photograph in first]
@@ -290,9 +270,4 @@ def _count(root: Path, contents: Contents) -> None:
         contents.problems.append(f"{root / LISTS}: no list of any category: expected PASCAL3D+ release 1.1")
 
 
-READER = Reader(
-    recognises=lambda folder: (folder / "Annotations").is_dir(),
-    count=_count,
-    describe=lambda config, root: {"pascal3d": digest(root, config.category, config.subset)} | settings(config),
-    photographs=_read_both_splits,
-)
+READER = Reader(recognises=lambda folder: (folder / "Annotations").is_dir(), count=_count, photographs=read_both_splits)

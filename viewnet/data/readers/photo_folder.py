@@ -4,8 +4,6 @@ images/            the photographs
 viewpoints.csv     file, azimuth_deg, elevation_deg, split and perhaps x0, y0, x1, y1: one object a row
 """
 
-import hashlib
-import json
 from collections import Counter
 from pathlib import Path, PurePath
 from typing import Any
@@ -87,19 +85,10 @@ def _value(row: dict[Any, Any], name: str, where: str) -> float:
     return value
 
 
-def digest(root: Path) -> str:
-    """What the photographs depend on: the list and, as a cheap sign of a changed image, sizes."""
-    hashed = hashlib.sha256((Path(root) / LIST).read_bytes())
-    for path in sorted((Path(root) / "images").rglob("*")):
-        if path.is_file():
-            hashed.update(json.dumps([path.relative_to(root).as_posix(), path.stat().st_size]).encode())
-    return hashed.hexdigest()
-
-
-def _describe(config: PhotoConfig, root: Path) -> dict[str, Any]:
+def _read_all(config: PhotoConfig, root: Path) -> Photographs:
     if config.keep != "all":
         raise ViewnetError(f"{root}: its list has no difficulty flags: use keep='all', or PASCAL3D+")
-    return {"listed": digest(root)}
+    return Photographs(root, read(root, config.category), upright=True)
 
 
 def _count(root: Path, contents: Contents) -> None:
@@ -113,9 +102,4 @@ def _count(root: Path, contents: Contents) -> None:
     contents.problems += [f"{LIST}: no row of split {split}" for split in uses if split not in listed]
 
 
-READER = Reader(
-    recognises=lambda folder: (folder / LIST).is_file(),
-    count=_count,
-    describe=_describe,
-    photographs=lambda config, root: Photographs(root, read(root, config.category), upright=True),
-)
+READER = Reader(recognises=lambda folder: (folder / LIST).is_file(), count=_count, photographs=_read_all)

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from viewnet.config import PhotoConfig, VideoConfig
 from viewnet.data.store import Rejected, in_words, tally
@@ -52,9 +52,7 @@ class Reader:
 
     recognises: Callable[[Path], bool] = lambda folder: False  # whether a folder has its layout
     count: Callable[[Path, Contents], None] = lambda folder, contents: None  # adds what a folder holds to its contents
-    # Annotated photographs, and what decides them, as JSON values.
-    photographs: "Callable[[PhotoConfig, Path], Photographs] | None" = None
-    describe: Callable[[PhotoConfig, Path], dict[str, Any]] = lambda config, root: {}
+    photographs: "Callable[[PhotoConfig, Path], Photographs] | None" = None  # annotated ones
     # Clips and what cannot be used, and whether a folder is read so where a configuration does not name its layout.
     videos: "Callable[[VideoConfig, Path], tuple[list[Clip], list[Rejected]]] | None" = None
     accepts: Callable[[Path], bool] = lambda folder: False
@@ -66,11 +64,6 @@ def read_text(path: Path, expected: str) -> str:
         return path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise ViewnetError(f"{path}: cannot be read ({error}): expected {expected}") from None
-
-
-def within(path: Path, root: Path) -> str:
-    """A path within its data set, as lists of what cannot be used have it."""
-    return path.relative_to(root).as_posix()
 
 
 def no_usable(root: Path, what: str, rejected: Iterable[Rejected], otherwise: str) -> ViewnetError:
