@@ -44,8 +44,8 @@ def cars(root, sequences=2, frames=3):
 
 
 def photographs(root, splits=("val", "test")):
-    for split in splits:
-        image(root / "images" / f"{split}.png")
+    for number, split in enumerate(splits):
+        image(root / "images" / f"{split}.png", (40, 30 + number))
     rows = [{"file": f"{split}.png", "azimuth_deg": 10, "elevation_deg": 5, "split": split} for split in splits]
     rows.append(rows[0] | {"file": "lost.png"})
     pd.DataFrame(rows).to_csv(root / "viewpoints.csv", index=False)
@@ -146,8 +146,9 @@ def test_the_command_checks_a_folder(capsys, tmp_path):
     assert cli.main(["data", "check", str(tmp_path / "cars")]) == 0
     assert capsys.readouterr().out == (
         f"{tmp_path / 'cars'}: Freiburg static cars 52, release 1.1\n  car: 2 sequences, 6 frames\n"
+        "  car: 2 of 2 sequences opened, each up to its second usable frame: --deep opens all\n"
     )
-    assert cli.main(["data", "check", str(tmp_path / "cars"), "--json"]) == 0
+    assert cli.main(["data", "check", str(tmp_path / "cars"), "--json", "--deep"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told == {
         "key": "freiburg", "folder": str(tmp_path / "cars"), "counts": {"car": {"sequences": 2, "frames": 6}},

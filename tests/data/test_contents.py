@@ -15,6 +15,7 @@ from viewnet import paths
 from viewnet.config import SYNSETS, DataConfig, PhotoConfig, VideoConfig
 from viewnet.data import backgrounds, catalogue, contents
 from viewnet.data.build import photo_views, video_views, view_store
+from viewnet.data.store import tally
 from viewnet.recipes import make_config
 from viewnet.runs.run_store import locate
 
@@ -224,6 +225,104 @@ def test_a_check_says_what_rendering_would(tmp_path: Path) -> None:
     found = catalogue.check(tmp_path / "data")
     assert found.problems == ["car: 1 left out: missing material library 'model_normalized.mtl'"]
     assert sum(found.counts["car"].values()) == 2 and found.notes == []
+
+
+def cut_off(file: Path) -> None:
+    """Leave a file's header, and little more."""
+    file.write_bytes(file.read_bytes()[:60])
+
+
+def other_size(file: Path) -> None:
+    write_image(file, 255)
+    with Image.open(file) as image:
+        larger = image.resize((9, 9))
+    larger.save(file, "PNG")
+
+
+DAMAGES: dict[str, tuple[str, str, Callable[[Path], object]]] = {
+    "a photograph": ("photographs", "images/c.png", cut_off),
+    "a missing photograph": ("photographs", "images/c.png", Path.unlink),
+    "a photograph under two names": ("photographs", "images/c.png", lambda file: write_image(file, 11)),
+    "a box": ("photographs", "viewpoints.csv", swapped("1,1,7,7", "9,9,12,12")),
+    "a frame": ("cars", "car001/0.png", cut_off),
+    "a mask": ("cars", "masks/car001/1.png", cut_off),
+    "a mask of another size": ("cars", "masks/car001/1.png", other_size),
+    "a missing mask": ("cars", "masks/car002/1.png", Path.unlink),
+    "all masks but one": (
+        "cars",
+        "masks/car002",
+        lambda folder: [file.unlink() for file in sorted(folder.iterdir())[1:]],
+    ),
+    "an empty mask": ("cars", "masks/car001/1.png", lambda file: Image.new("L", (40, 30)).save(file)),
+    "a small box": ("cars", "annotations/1_annot.txt", swapped("2 2 30 25 10", "2 2 12 12 10")),
+    "a box outside": ("cars", "annotations/1_annot.txt", swapped("2 2 30 25 10", "50 2 60 20 10")),
+}
+
+
+def listed_photographs(root: Path) -> None:
+    for number, name in enumerate("abc"):
+        write_image(root / f"images/{name}.png", 10 + number)
+    rows = ["file,azimuth_deg,elevation_deg,split,x0,y0,x1,y1", "a.png,1,0,val,,,,", "b.png,2,0,test,,,,"]
+    (root / "viewpoints.csv").write_text("\n".join([*rows, "c.png,3,0,val,1,1,7,7"]) + "\n")
+
+
+def cars(root: Path) -> None:
+    for name in ("annotations", "car001", "car002", "masks/car001", "masks/car002"):
+        (root / name).mkdir(parents=True)
+    for number in (1, 2):
+        for frame in range(4):
+            Image.new("RGB", (40, 30), (40 * frame, 90, 9)).save(root / f"car00{number}/{frame}.png")
+            Image.new("L", (40, 30), 255).save(root / f"masks/car00{number}/{frame}.png")
+        lines = [f"car00{number}/{frame}.png 2 2 30 25 {10 * frame}\n" for frame in range(4)]
+        (root / f"annotations/{number}_annot.txt").write_text("".join(lines))
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_deep_check_says_of_images_and_masks_what_views_say(tmp_path: Path, damage: str) -> None:
+    kind, file, apply = DAMAGES[damage]
+    root = tmp_path / "data"
+    {"photographs": listed_photographs, "cars": cars}[kind](root)
+    apply(root / file)
+    found = catalogue.check(root, deep=True)
+    if kind == "cars":
+        store = video_views(VideoConfig("car", str(root), size=8, split_rule="all"), 1, progress=False)
+        views = found.counts["car"].get("frames", 0)
+    else:
+        store = photo_views(PhotoConfig("car", str(root), size=8), 1, progress=False)
+        views = sum(found.counts[""].values())
+    assert sorted(problem.rpartition(": ")[2] for problem in found.problems) == sorted(tally(store.rejected["reason"]))
+    assert views == len(store) and found.problems and found.notes == []
+
+
+def test_of_many_images_and_clips_some_are_opened(tmp_path: Path) -> None:
+    (tmp_path / "p").mkdir()
+    rows = ["file,azimuth_deg,elevation_deg,split"]
+    for number in range(45):
+        write_image(tmp_path / f"p/images/{number:02d}.png", number)
+        rows.append(f"{number:02d}.png,1,0,{'val' if number % 2 else 'test'}")
+    (tmp_path / "p/viewpoints.csv").write_text("\n".join(rows) + "\n")
+    for number in (3, 4):
+        cut_off(tmp_path / f"p/images/{number:02d}.png")
+    some, every = (catalogue.check(tmp_path / "p", deep) for deep in (False, True))
+    assert some.notes == ["15 of 45 objects opened: --deep opens all"] and every.notes == []
+    assert some.problems == ["1 left out: image does not decode"]
+    assert every.problems == ["2 left out: image does not decode"]
+    some, every = (catalogue.check(tmp_path / "p/images", deep) for deep in (False, True))
+    assert some.notes == ["15 of 45 images opened: --deep opens all"] and some.counts[""]["images"] == 44
+    assert every.problems == ["2 left out: image does not decode"] and every.counts[""]["images"] == 43
+
+
+def test_a_clip_is_opened_until_it_can_be_used(tmp_path: Path) -> None:
+    cars(tmp_path)
+    for file in ("car001/0.png", "car001/3.png", "car002/0.png", "car002/1.png", "car002/2.png"):
+        cut_off(tmp_path / file)
+    found = catalogue.check(tmp_path)
+    assert found.counts["car"] == {"sequences": 1, "frames": 3, "sequences with masks": 1}
+    assert found.notes == ["car: 2 of 2 sequences opened, each up to its second usable frame: --deep opens all"]
+    assert sorted(found.problems) == [
+        "car: 1 left out: fewer than two usable frames",
+        "car: 4 left out: frame does not decode",
+    ]
 
 
 def test_a_deep_check_opens_every_model(tmp_path: Path) -> None:

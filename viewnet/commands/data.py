@@ -7,7 +7,7 @@ Examples:
 
     viewnet data                                                    what can be used, and where to get it
     viewnet data check /data/PASCAL3D+_release1.1                   what a copy holds
-    viewnet data check /data/ShapeNetCore.v1 --deep --json          with every model opened, not a sample
+    viewnet data check /data/ShapeNetCore.v1 --deep --json          with everything opened, not a sample
 """
 
 from pathlib import Path
@@ -18,7 +18,7 @@ from viewnet.errors import ViewnetError
 ARGUMENTS = (
     argument("what", "check: read a folder instead", nargs="?", choices=["check"]),
     argument("folder", "the folder to check", nargs="?", type=Path, metavar="FOLDER"),
-    argument("--deep", "open every model, not a sample", action="store_true"),
+    argument("--deep", "open everything, not a sample", action="store_true"),
     JSON,
 )
 

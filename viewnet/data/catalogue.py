@@ -60,7 +60,7 @@ def recognise(folder: Path) -> str:
 
 
 def check(folder: Path, deep: bool = False) -> Contents:
-    """What a folder holds, by its data set's reader; `deep` opens every model, not a sample.
+    """What a folder holds, by its data set's reader; `deep` opens every file, not a sample.
 
     Raises ViewnetError as `recognise` does.
     """

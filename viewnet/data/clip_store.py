@@ -25,7 +25,7 @@ from viewnet.config import CATEGORIES, known
 from viewnet.data import contents
 from viewnet.data.clips import Clip, Frame, frame_count, read_frames
 from viewnet.data.crop import Crop, bounds, cut, inside, shrunk
-from viewnet.data.masks import MaskSource
+from viewnet.data.masks import MaskSource, from_files
 from viewnet.data.photo_store import describe_crop
 from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, tally, within, write_store
 from viewnet.errors import ViewnetError
@@ -40,6 +40,7 @@ LONGEST = 0.95
 """The share of a clip's views that stay within their frame when objects are made equally high: masks can be wrong."""
 SHARPNESS = 96  # pixels along a side of the crop whose sharpness is measured
 Scale = Literal["clip", "view"]
+LEAST = 2  # usable frames of a clip, whose views are compared with each other
 LOST_MASK = "mask"  # how every reason for a frame without a usable mask begins
 
 
@@ -165,8 +166,13 @@ def summary(store: ViewStore) -> str:
     return f"{text}; left out: {in_words(dict(sorted(reasons.items())))}" if reasons else text
 
 
-def _views(clip: Clip, root: Path, cutting: Cutting) -> tuple[list[_View], list[Rejected]]:
-    """The usable frames of a clip, none where there are fewer than two, and what cannot be used."""
+def unusable(clip: Clip, root: Path, enough: int | None = None) -> list[Rejected]:
+    """What of a clip, cut by its own masks if it has some, cannot be used, up to its first `enough` usable frames."""
+    return _views(clip, root, Cutting(from_files() if clip.masks else None), enough)[1]
+
+
+def _views(clip: Clip, root: Path, cutting: Cutting, enough: int | None = None) -> tuple[list[_View], list[Rejected]]:
+    """The usable frames of a clip, the first `enough`, none where there are fewer than two, and what cannot be used."""
     where = within(clip.source, root)
     views: list[_View] = []
     lost: list[Rejected] = []
@@ -181,13 +187,15 @@ def _views(clip: Clip, root: Path, cutting: Cutting) -> tuple[list[_View], list[
                 views.append(_view(mine[number], name, image, mask, cutting))
             except ViewnetError as error:
                 lost.append((f"{clip.id}/{name}", where, str(error)))
+            if len(views) == enough:
+                break
     except (ViewnetError, OSError) as error:
         return [], [*lost, (clip.id, where, str(error))]
     if cutting.blur and views:
         least = cutting.blur * float(np.median([view.sharpness for view in views]))
         lost += [(f"{clip.id}/{view.name}", where, "blurred") for view in views if view.sharpness < least]
         views = [view for view in views if view.sharpness >= least]
-    if len(views) < 2:
+    if len(views) < LEAST:
         return [], [*lost, (clip.id, where, f"fewer than two usable frames ({len(views)})")]
     return _levelled(views) if cutting.masks and cutting.scale == "clip" else views, lost
 

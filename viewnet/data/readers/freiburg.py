@@ -130,9 +130,8 @@ def _read_videos(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Reje
 
 def _count(root: Path, contents: Contents) -> None:
     clips, rejected = read(root)
-    usable = ["sequences"] * len(clips) + ["frames"] * sum(len(clip.frames) for clip in clips)
-    usable += ["sequences with masks"] * sum(clip.masks is not None for clip in clips)
-    contents.add(CATEGORY, usable, [reason for *_, reason in rejected])
+    found = [("sequences", clip) for clip in clips]
+    contents.add_clips(root, CATEGORY, found, "sequences", [reason for *_, reason in rejected])
 
 
 READER = Reader(

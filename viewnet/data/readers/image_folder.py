@@ -7,7 +7,7 @@ from pathlib import Path
 from viewnet.data.clips import is_image
 from viewnet.data.readers.reader import Contents, Reader, read_text
 from viewnet.errors import ViewnetError
-from viewnet.runtime.image_files import SUFFIXES
+from viewnet.runtime import image_files
 
 CLASSES = "ClassName.txt"
 
@@ -39,7 +39,9 @@ def list_images(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, str]
         classes = {path.relative_to(root).as_posix(): 0 for path in _walk(root, {root.resolve()})}
     if not classes:
         lost = f", and {len(missing)} of the folders in {CLASSES} are missing" if missing else ""
-        raise ViewnetError(f"{root}: no images in it ({', '.join(SUFFIXES)}){lost}: name a folder that has some")
+        raise ViewnetError(
+            f"{root}: no images in it ({', '.join(image_files.SUFFIXES)}){lost}: name a folder that has some"
+        )
     return sorted(classes.items()), missing
 
 
@@ -57,8 +59,15 @@ def _walk(folder: Path, seen: set[Path]) -> Iterator[Path]:
 
 def _count(root: Path, contents: Contents) -> None:
     images, missing = list_images(root)
-    usable = ["images"] * len(images) + ["classes"] * len({number for _, number in images})
-    contents.add("", usable, [reason for _, reason in missing])
+    reasons = [reason for _, reason in missing]
+    left = dict(images)
+    for path, _ in (images[number] for number in contents.opened("", len(images), "images")):
+        try:
+            image_files.read(root / path)
+        except ViewnetError as error:
+            reasons.append(str(error))
+            del left[path]
+    contents.add("", ["images"] * len(left) + ["classes"] * len(set(left.values())), reasons)
 
 
 READER = Reader(recognises=lambda folder: (folder / CLASSES).is_file(), count=_count)

@@ -169,10 +169,8 @@ def _count(root: Path, contents: Contents) -> None:
         if (root / "annotations" / name).is_dir():
             with contents.error_is_problem():
                 clips, rejected = read(root, category, sys.maxsize)
-                usable = [f"videos to {clip.split}" for clip in clips]
-                usable += ["frames"] * sum(len(clip.frames) for clip in clips)
-                usable += ["videos with masks"] * sum(clip.masks is not None for clip in clips)
-                contents.add(category, usable, [reason for *_, reason in rejected])
+                found = [(f"videos to {clip.split}", clip) for clip in clips]
+                contents.add_clips(root, category, found, "videos", [reason for *_, reason in rejected])
 
 
 READER = Reader(

@@ -30,6 +30,8 @@ from viewnet.runtime import image_files
 SUBSETS = ("imagenet", "pascal")
 BOTH = "both"
 SPLITS = ("train", "val")
+USES = {"train": "val", "val": "test"}
+"""A split's name here -> there: what viewpoints are calibrated on, and what is scored."""
 EXTENSIONS = {"imagenet": ".JPEG", "pascal": ".jpg"}
 KEEP = ("all", "easy", "first")
 LISTS = Path("Image_sets")
@@ -245,27 +247,27 @@ def _number(item: Any, name: str, default: float | None = None) -> float:
 
 def read_both_splits(config: PhotoConfig, root: Path) -> Photographs:
     """What a configuration asks for: viewpoints are calibrated on the data set's "train" and scored on its "val"."""
-    which = (config.category, config.subset)
-    (first, calibrated), (second, scored) = (read(root, *which, split, config.keep) for split in SPLITS)
-    usable = [replace(photograph, split="val") for photograph in first]
-    usable += [replace(photograph, split="test") for photograph in second]
-    mended = tally(what for _, what in calibrated.mended + scored.mended)
-    notes = {"mended": mended, "objects of other categories": calibrated.others + scored.others}
-    return Photographs(root, usable, calibrated.rejected + scored.rejected, notes)
+    parts = {use: read(root, config.category, config.subset, split, config.keep) for split, use in USES.items()}
+    usable = [replace(photograph, split=use) for use, (photographs, _) in parts.items() for photograph in photographs]
+    reports = [report for _, report in parts.values()]
+    mended = tally(what for report in reports for _, what in report.mended)
+    notes = {"mended": mended, "objects of other categories": sum(report.others for report in reports)}
+    return Photographs(root, usable, [each for report in reports for each in report.rejected], notes)
 
 
 def _count(root: Path, contents: Contents) -> None:
     for category in CATEGORIES:
         files = {subset: [list_file(root, category, subset, split) for split in SPLITS] for subset in SUBSETS}
         there = [subset for subset in SUBSETS if any(file.is_file() for file in files[subset])]
-        usable, reasons = [], []
-        for subset, (split, use) in itertools.product(there, zip(SPLITS, ("calibrate", "score"), strict=True)):
+        found: list[tuple[str, Photograph]] = []
+        reasons: list[str] = []
+        for subset, (split, use) in itertools.product(there, USES.items()):
             with contents.error_is_problem():
                 photographs, report = read(root, category, subset, split)
-                usable += [f"{subset} objects to {use}"] * len(photographs)
+                found += [(f"{subset} objects", replace(photo, split=use)) for photo in photographs]
                 reasons += [reason for _, _, reason in report.rejected]
         if there:
-            contents.add(category, usable, reasons)
+            contents.add_photographs(category, found, False, reasons)
     if not contents.counts:
         contents.problems.append(f"{root / LISTS}: no list of any category: expected PASCAL3D+ release 1.1")
 

@@ -94,12 +94,10 @@ def _read_all(config: PhotoConfig, root: Path) -> Photographs:
 def _count(root: Path, contents: Contents) -> None:
     # The list does not name the objects' category, and any will do here.
     photographs = read(root, CATEGORIES[0])
-    there = [photograph for photograph in photographs if photograph.image_path.is_file()]
-    uses = {"val": "calibrate", "test": "score"}
-    missing = ["no such image"] * (len(photographs) - len(there))
-    contents.add("", [f"objects to {uses[photograph.split]}" for photograph in there], missing)
+    found = [("objects", photo) for photo in photographs if photo.image_path.is_file()]
+    contents.add_photographs("", found, True, ["no such image"] * (len(photographs) - len(found)))
     listed = {photograph.split for photograph in photographs}
-    contents.problems += [f"{LIST}: no row of split {split}" for split in uses if split not in listed]
+    contents.problems += [f"{LIST}: no row of split {split}" for split in SPLITS if split not in listed]
 
 
 READER = Reader(recognises=lambda folder: (folder / LIST).is_file(), count=_count, photographs=_read_all)

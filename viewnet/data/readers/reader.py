@@ -2,26 +2,32 @@
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from viewnet.config import PhotoConfig, VideoConfig
+from viewnet.data.crop import Crop
 from viewnet.data.store import Rejected, in_words, tally
 from viewnet.errors import ViewnetError
+from viewnet.runtime.parallel import cores
 
 if TYPE_CHECKING:
     # Slow to import, and processes that only render CAD models import this module too.
     from viewnet.data.clips import Clip
-    from viewnet.data.photo_store import Photographs
+    from viewnet.data.photo_store import Photograph, Photographs
+
+SAMPLE = 20
+"""Models, images or clips of a category that are opened to see whether they can be used."""
 
 
 @dataclass
 class Contents:
     """What a folder holds: counts by category ("" where there are none), problems and notes, each in a line.
 
-    `deep` asks for every file to be opened, not a sample.
+    `deep` asks for every file to be opened, not a sample. What is counted comes with its kind, in words.
     """
 
     key: str
@@ -36,6 +42,54 @@ class Contents:
         self.counts[category] = dict(Counter(usable))
         name = f"{category}: " if category else ""
         self.problems += [f"{name}{count} left out: {reason}" for reason, count in sorted(tally(reasons).items())]
+
+    def opened(self, category: str, count: int, what: str, part: str = "") -> range:
+        """The numbers of those to open of a category's `count` models, images or clips; a note says so if not all.
+
+        `part` is what of each is opened, where it is not the whole.
+        """
+        numbers = range(0, count, 1 if self.deep else max(1, -(-count // SAMPLE)))
+        if len(numbers) < count or (part and not self.deep):
+            name = f"{category}: " if category else ""
+            self.notes.append(f"{name}{len(numbers)} of {count} {what} opened{part}: --deep opens all")
+        return numbers
+
+    def add_photographs(
+        self, category: str, found: Sequence[tuple[str, "Photograph"]], upright: bool, reasons: Iterable[str] = ()
+    ) -> None:
+        """Count photographs by kind and use, but for those that would not become a view; see `add`."""
+        from viewnet.data import photo_store
+
+        with self.error_is_problem():
+            photo_store.check_apart([photograph for _, photograph in found])
+        opened = self.opened(category, len(found), "objects")
+        crops = photo_store.crops([found[number][1] for number in opened], Crop(), upright)
+        lost = {n: str(crop) for n, crop in zip(opened, crops, strict=True) if isinstance(crop, ViewnetError)}
+        uses = {"val": "calibrate", "test": "score"}
+        usable = [f"{kind} to {uses[photo.split]}" for number, (kind, photo) in enumerate(found) if number not in lost]
+        self.add(category, usable, [*reasons, *lost.values()])
+
+    def add_clips(
+        self, root: Path, category: str, found: Sequence[tuple[str, "Clip"]], what: str, reasons: Iterable[str] = ()
+    ) -> None:
+        """Count clips and their frames but for what would not become views; see `add`.
+
+        A clip is opened up to the frame from which on it can be used; `deep` opens all.
+        """
+        from viewnet.data import clip_store
+
+        opened = self.opened(category, len(found), what, ", each up to its second usable frame")
+        enough = None if self.deep else clip_store.LEAST
+        with ThreadPoolExecutor(cores()) as pool:
+            reports = pool.map(lambda number: clip_store.unusable(found[number][1], root, enough), opened)
+            lost = dict(zip(opened, reports, strict=True))
+        usable: list[str] = []
+        for number, (kind, clip) in enumerate(found):
+            mine = [name for name, *_ in lost.get(number, ())]
+            if clip.id not in mine:
+                usable += [kind, *["frames"] * (len(clip.frames) - len(mine))]
+                usable += [f"{what} with masks"] * (clip.masks is not None)
+        self.add(category, usable, [*reasons, *(reason for each in lost.values() for *_, reason in each)])
 
     @contextlib.contextmanager
     def error_is_problem(self) -> Iterator[None]:

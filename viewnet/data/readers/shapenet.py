@@ -30,7 +30,6 @@ WORLD_FROM_FILE = {
 }
 
 READER_VERSION = 1  # raise it when a change alters meshes: it is part of the identity of every collection's views
-SAMPLE = 20  # models of a category that are opened to see whether they can be used
 
 # This chair is missing from the validation list of the DPC release, but is in the table that the lists come from.
 _DPC_CHAIR = ("03001627", 4744, 677, "901cab3f56c74894d7f7a4c4609b0913")
@@ -193,17 +192,14 @@ def _count(root: Path, contents: Contents) -> None:
         if _synset_there(root, synset):
             with contents.error_is_problem():
                 models = find_models(root, category)
-                opened = models if contents.deep else models[:: -(-len(models) // SAMPLE)]
                 reasons = {model.id: f"no {model.path.name}" for model in models if not model.path.is_file()}
-                for model in opened:
+                for model in (models[number] for number in contents.opened(category, len(models), "models")):
                     try:
                         load_model(model)
                     except UnusableModel as error:
                         reasons.setdefault(model.id, error.reason)
                 usable = [f"{model.layout} models to {model.split}" for model in models if model.id not in reasons]
                 contents.add(category, usable, reasons.values())
-                if len(opened) < len(models):
-                    contents.notes.append(f"{category}: {len(opened)} of {len(models)} models opened: --deep opens all")
 
 
 READER = Reader(
