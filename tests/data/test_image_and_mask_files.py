@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image, ImageCms
+from PIL import Image, ImageCms, ImageOps
 
 from viewnet.data import mask_files
 from viewnet.data.backgrounds import random_square
@@ -141,6 +141,7 @@ MODES: dict[str, tuple[str, Image.Image, np.ndarray, Image.Image]] = {
     ),
 }
 """Mode -> the format of a file of it, an image, its pixels in 8 bits (H, W, 3 or 4), and OBJECT as a mask."""
+CLIPPED = ("I;16", "I;16B", "I", "F")  # modes that Pillow converts without scaling them to 8 bits
 NEAR = {"LAB": 6, "YCbCr": 3, "HSV": 6}  # modes that are not exact: by how many levels they may be off
 
 
@@ -158,6 +159,14 @@ def marked(image: Image.Image, kind: str, orientation: int, folder: Path) -> Pat
     return file
 
 
+def by_pillow(stored: Path | Image.Image) -> np.ndarray:
+    """An image (H, W, 3 or 4) as Pillow turns and converts it."""
+    # Of a path Pillow maps some TIFF files into memory, and turned ones wrongly.
+    image = stored if isinstance(stored, Image.Image) else Image.open(io.BytesIO(stored.read_bytes()))
+    upright = ImageOps.exif_transpose(image)
+    return np.asarray(upright.convert("RGBA" if upright.has_transparency_data else "RGB")).astype(int)
+
+
 def pixels(image: Image.Image, channels: int) -> np.ndarray:
     return np.asarray(image.convert("RGB" if channels == 3 else "RGBA")).astype(int)
 
@@ -166,11 +175,13 @@ def pixels(image: Image.Image, channels: int) -> np.ndarray:
 @pytest.mark.parametrize("mode", MODES)
 def test_a_photograph_of_any_mode_and_orientation(mode, orientation, tmp_path):
     kind, image, meant, _ = MODES[mode]
-    read = read_image(marked(image, kind, orientation, tmp_path))
+    stored = marked(image, kind, orientation, tmp_path)
+    read = read_image(stored)
     expected = ORIENTATIONS[orientation](meant)
     assert image.mode == mode.partition(",")[0] or mode == "I;16B"
     assert read.image.mode == ("RGB" if meant.shape[2] == 3 else "RGBA")
     assert np.abs(pixels(read.image, meant.shape[2]) - expected).max() <= NEAR.get(mode, 0)
+    assert (pixels(read.image, meant.shape[2]) == by_pillow(stored)).all() == (mode not in CLIPPED)
     if meant.shape[2] == 4 and meant[..., 3].min() < 255:
         assert (read.mask == expected[..., 3]).all()
 
@@ -181,9 +192,13 @@ def test_a_mask_of_any_mode_is_turned_as_its_image(mode, orientation, tmp_path):
     kind, _, _, mask = MODES[mode]
     (tmp_path / "image").mkdir()
     photograph = marked(Image.fromarray(COLOURS), "PNG", orientation, tmp_path / "image")
-    read = read_image(photograph, marked(mask, kind, orientation, tmp_path))
+    stored = marked(mask, kind, orientation, tmp_path)
+    read = read_image(photograph, stored)
     upright = ORIENTATIONS[orientation](OBJECT)
     assert (read.mask == upright * 255).all()
+    seen = by_pillow(stored)
+    shade = seen[..., 3] if seen.shape[2] == 4 and (seen[..., 3] < 255).any() else seen[..., :3].max(axis=2)
+    assert (upright == (shade > shade.max() / 2)).all()
     assert (read.image.height, read.image.width) == upright.shape
     rows, columns = np.nonzero(upright)
     assert read.box == (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
@@ -193,9 +208,11 @@ def test_a_mask_of_any_mode_is_turned_as_its_image(mode, orientation, tmp_path):
 @pytest.mark.parametrize("mode", [mode for mode in MODES if MODES[mode][0]])
 def test_a_texture_of_any_mode_and_orientation(mode, orientation, tmp_path):
     kind, image, meant, _ = MODES[mode]
-    found = read_texture(Home(tmp_path / "model.obj", tmp_path), marked(image, kind, orientation, tmp_path))
+    stored = marked(image, kind, orientation, tmp_path)
+    found = read_texture(Home(tmp_path / "model.obj", tmp_path), stored)
     expected = ORIENTATIONS[orientation](meant)
     assert found.shape == expected.shape
+    assert (found == by_pillow(stored)).all() == (mode not in CLIPPED)
     assert np.abs(found.astype(int) - expected).max() <= NEAR.get(mode, 0)
 
 
