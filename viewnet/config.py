@@ -82,9 +82,9 @@ class VideoConfig:
     """Videos of one category to train on (section 4.4), and how their objects are cropped."""
 
     category: str
-    root: str | None = None  # Freiburg cars, Objectron, a folder of videos or of frames; None: a stand-in is made
+    root: str | None = None  # Freiburg cars, Objectron, uCO3D, a folder of videos or of frames; None: a stand-in
     # auto: by what lies in root; without one the stand-in is of Freiburg for cars, of Objectron for others
-    kind: Literal["auto", "freiburg", "objectron", "folder"] = "auto"
+    kind: Literal["auto", "freiburg", "objectron", "uco3d", "folder"] = "auto"
     split_rule: Literal["45/2/rest", "all"] = "45/2/rest"  # Freiburg's sequences by number; all: train on every clip
     count: int = 0  # frames a clip, 0 for all
     pick: Literal["random", "evenly"] = "random"  # which frames

@@ -6,6 +6,7 @@ import pytest
 from helpers.fake_steps import STEPS, calls
 from helpers.photo_data import keep_apart, make_photos
 from helpers.tables import cell_of
+from helpers.video_data import write_uco3d
 
 from viewnet.config import PhotoConfig, VideoConfig
 from viewnet.data.store import ViewStore
@@ -65,6 +66,13 @@ def test_of_objectron_itself_weak_masks_are_used_where_they_are_named(tmp_path):
     weak = both.configs[2].data.video
     assert (weak.masks, weak.mask_folder, weak.count) == ("files", "elsewhere", 10)
     assert both.unmeasured_rows == ()
+
+
+def test_videos_may_be_those_of_uco3d(tmp_path):
+    write_uco3d(tmp_path, ["furniture/chair/1-1"])
+    request = experiment("objectron", video_root=str(tmp_path))
+    assert request.video == VideoConfig("chair", str(tmp_path), kind="uco3d", count=10, videos=160, frames=30)
+    assert "then on uCO3D" in request.note
 
 
 def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):

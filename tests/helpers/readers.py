@@ -15,7 +15,7 @@ import pandas as pd
 import scipy.io
 from helpers.cad_files import model_of, write_box
 from helpers.damage import damaged, other_array, other_record
-from helpers.video_data import write_frames, write_freiburg, write_video
+from helpers.video_data import write_frames, write_freiburg, write_uco3d, write_video
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -255,6 +255,10 @@ def _video_folder(root: Path) -> None:
     (root / "splits.csv").write_text("clip,split\na,train\nb,train\nc,train\n")
 
 
+def _uco3d(root: Path) -> None:
+    write_uco3d(root, [f"personal_vehicles/car__automobile_/{name}" for name in "ab"], frames=3)
+
+
 def _objectron(root: Path) -> None:
     ObjectronStandIn("chair", videos=3, frames=3, size=(90, 120)).write(root, progress=False)
 
@@ -312,5 +316,6 @@ READERS = (
         {"*.mp4": None, "*.avi": None, "splits.csv": None},
         ("{folder}",),
     ),
+    Reader("uCO3D", _uco3d, _clips("car"), {"*/*/a/*.mp4": None, "*/*/a/*.mkv": None}, ("{folder}",)),
     Reader("frames with alpha", _video_folder, _clips("car", "alpha"), {"c/*.png": None}, ("{folder}",)),
 )

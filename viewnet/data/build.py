@@ -9,7 +9,7 @@ from typing import Any
 from viewnet import cad, paths
 from viewnet.config import CATEGORIES, DataConfig, PhotoConfig, VideoConfig, known
 from viewnet.data import clip_store, masks, photo_store
-from viewnet.data.clips import Clip
+from viewnet.data.clips import Clip, masks_in
 from viewnet.data.crop import Crop
 from viewnet.data.readers import freiburg, objectron, pascal3d
 from viewnet.data.readers.photo_folder import LIST
@@ -175,11 +175,11 @@ def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]
         if config.masks != "files":
             raise ViewnetError(f"mask_folder {config.mask_folder}: only used with masks=files (not {config.masks})")
         # A clip's id is its place below the folder, whatever the data set.
-        folders = [root / Path(config.mask_folder).expanduser() / clip.id for clip in clips]
-        if not any(folder.is_dir() for folder in folders):
-            raise ViewnetError(f"mask_folder {config.mask_folder}: no masks of any video, such as {folders[0]}")
-        pairs = zip(clips, folders, strict=True)
-        clips = [replace(clip, masks=folder if folder.is_dir() else None) for clip, folder in pairs]
+        folder = root / Path(config.mask_folder).expanduser()
+        clips = [replace(clip, masks=masks_in(folder, clip.id)) for clip in clips]
+        if not any(clip.masks for clip in clips):
+            first = folder / clips[0].id
+            raise ViewnetError(f"mask_folder {config.mask_folder}: no masks of any video, such as {first}")
     return clips, rejected
 
 

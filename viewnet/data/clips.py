@@ -1,5 +1,6 @@
 """Clips, videos of one object each, and their frames: of a video file, or a folder of images in the order of time."""
 
+import functools
 import math
 import re
 from collections.abc import Collection, Iterator
@@ -48,7 +49,8 @@ class Clip:
     split: str  # train, val or test
     source: Path  # a video file, or a folder of images whose names sort in the order of time
     frames: tuple[Frame, ...]  # those that may be used; an empty tuple stands for all, without annotations
-    masks: Path | None = None  # a folder of PNG masks named like the images (or %06d.png by frame number)
+    # A folder of PNG masks named like the images (or %06d.png by frame number), or a video of them, frame by frame.
+    masks: Path | None = None
 
 
 def is_video(path: Path) -> bool:
@@ -71,16 +73,42 @@ def images_in(folder: Path) -> list[Path]:
     return sorted(filter(is_image, folder.iterdir()), key=lambda path: (natural(path.name), path.name))
 
 
+def masks_in(folder: Path, clip: str) -> Path | None:
+    """The masks of a clip in a folder of masks: a folder or a video with the clip's name, or None.
+
+    Raises ViewnetError where there are several.
+    """
+    place = folder / clip
+    found = [path for suffix in VIDEOS if (path := place.with_name(place.name + suffix)).is_file()]
+    found += [place] if place.is_dir() else []
+    if len(found) > 1:
+        raise ViewnetError(f"masks are there twice ({', '.join(path.name for path in found)})")
+    return found[0] if found else None
+
+
 def frame_count(source: Path) -> int:
     """The images of a folder, or frames that a video decodes to. ViewnetError for unreadable videos, and for none."""
     if source.is_dir():
         total = len(images_in(source))
     else:
-        with _open_video(source) as container:
-            total = sum(1 for _ in _decode(container))  # packets may hold several frames, or one that is not shown
+        status = source.stat() if source.is_file() else None
+        total = _decoded_frames(source, status and (status.st_size, status.st_mtime_ns, status.st_ino))
     if not total:
         raise ViewnetError("no frames in it")
     return total
+
+
+@functools.lru_cache(None)
+def _decoded_frames(file: Path, state: tuple[int, ...] | None) -> int:
+    """The frames of a video, which takes as long as decoding it, by the `state` of its file."""
+    with _open_video(file) as container:
+        return sum(1 for _ in _decode(container))  # packets may hold several frames, or one that is not shown
+
+
+def is_lossy(file: Path) -> bool:
+    """Whether a video's compression can change pixels. ViewnetError for unreadable videos."""
+    with _open_video(file) as container:
+        return container.streams.video[0].codec_context.codec.lossy
 
 
 def pick_frames(total: int, count: int | None, how: Pick, name: str, seed: int = 0) -> list[int]:

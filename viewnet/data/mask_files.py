@@ -20,6 +20,21 @@ def read(source: image_files.Source, what: str = "mask") -> np.ndarray:
     return coverage(_values(image_files.read(source, what, own_mode=True), what), what)
 
 
+def read_lossy(image: Image.Image, what: str = "mask") -> np.ndarray:
+    """The mask (H, W) uint8 in a frame of a video with lossy compression: 255 where it is lighter than half of white.
+
+    Raises ViewnetError, which calls it `what`, where areas are neither black nor white.
+    """
+    # Such compression rounds black and white by some levels and makes ramps of edges, so that their shades cover no
+    # part of a pixel, and numbers of classes are lost.
+    light = np.asarray(image.convert("RGB")).max(axis=2)  # (H, W); of an object in a colour this is 255 too
+    on = light > 127
+    grey = (light > 63) & (light < 192)
+    if (_flat(light, COLOURED) & grey).sum() > 0.1 * on.sum():
+        raise ViewnetError(f"{what} is ambiguous (it has areas of grey: expected black and white in a lossy video)")
+    return on.astype(np.uint8) * 255
+
+
 def coverage(values: np.ndarray, what: str = "mask") -> np.ndarray:
     """The mask (H, W) uint8 that an array of booleans or numbers means: 0 beside the object and 255 on it.
 
@@ -43,15 +58,19 @@ def coverage(values: np.ndarray, what: str = "mask") -> np.ndarray:
     lossy = ((found > light) & (found < white)).any()
     if (few and high < light) or high <= white / 2 or dark < low < light:
         raise _ambiguous(found, what)
-    if few and not lossy:
-        from scipy import ndimage  # imported late: it takes a quarter of a second
-
-        # Dark areas are no soft edges: they are classes beside a number that stands for none, or for objects' edges.
-        plain = values.astype(np.float32)  # of what kinds of numbers filters take
-        flat = ndimage.maximum_filter(plain, 3) == ndimage.minimum_filter(plain, 3)
-        if (flat & (plain > 0) & (plain < white / 2)).sum() > 0.1 * (plain >= light).sum():
-            raise _ambiguous(found, what)
+    # Dark areas are no soft edges: they are classes beside a number that stands for none, or for objects' edges.
+    grey = (values > 0) & (values < white / 2)
+    if few and not lossy and (_flat(values) & grey).sum() > 0.1 * (values >= light).sum():
+        raise _ambiguous(found, what)
     return values.astype(np.uint8) if white == 255 else (values * (255 / white)).round().astype(np.uint8)
+
+
+def _flat(values: np.ndarray, most: float = 0) -> np.ndarray:
+    """Where a pixel's eight neighbours differ by `most` at most, (H, W) bool."""
+    from scipy import ndimage  # imported late: it takes a quarter of a second
+
+    plain = values.astype(np.float32)  # of what kinds of numbers filters take
+    return ndimage.maximum_filter(plain, 3) - ndimage.minimum_filter(plain, 3) <= most
 
 
 def _values(image: Image.Image, what: str) -> np.ndarray:

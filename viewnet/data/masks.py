@@ -19,7 +19,7 @@ from torch import nn
 
 from viewnet.config import CATEGORIES, known
 from viewnet.data import mask_files
-from viewnet.data.clips import Clip
+from viewnet.data.clips import Clip, Still, frame_count, is_lossy, read_frames
 from viewnet.errors import ViewnetError
 from viewnet.runtime import torchvision_weights
 
@@ -49,25 +49,71 @@ class MaskSource:
 
 
 def from_files() -> MaskSource:
-    """PNG files (see mask_files) in each clip's folder of masks, named like its images, or by frame number.
+    """PNG files (see mask_files) in each clip's folder of masks, named like its images, or by frame number; or a video.
 
-    Its follower raises ViewnetError for a mask that is missing.
+    Its follower raises ViewnetError for a mask that is missing, and making one for a video that cannot be of the clip.
     """
 
     def follow(clip: Clip) -> Follower:
+        if clip.masks and clip.masks.is_file():
+            return _from_video(clip, clip.masks)
+
         def read(number: int, name: str, image: Image.Image) -> np.ndarray:
             files = [clip.masks / f"{name}.png", clip.masks / f"{number:06d}.png"] if clip.masks else []
             file = next((path for path in files if path.is_file()), None)
             if file is None:
                 raise ViewnetError("mask is missing")
-            mask = mask_files.read(file)
-            if mask.shape != (image.height, image.width):
-                raise ViewnetError(f"mask has another size than its image ({mask.shape[1]} x {mask.shape[0]})")
-            return mask
+            return _of_size(mask_files.read(file), image)
 
         return read
 
     return MaskSource({"masks": "files", "version": VERSION}, follow)
+
+
+def _of_size(mask: np.ndarray, image: Image.Image) -> np.ndarray:
+    if mask.shape != (image.height, image.width):
+        raise ViewnetError(f"mask has another size than its image ({mask.shape[1]} x {mask.shape[0]})")
+    return mask
+
+
+def _from_video(clip: Clip, file: Path) -> Follower:
+    """The masks in a video, a frame for each of the clip's with the same number.
+
+    Raises ViewnetError, which names the file, where it has another number of frames or size, or no object at all.
+    """
+    try:
+        total, lossy = frame_count(file), is_lossy(file)
+    except ViewnetError as error:
+        raise ViewnetError(f"video of masks is unusable ({file.name}: {error})") from None
+    if total != (images := frame_count(clip.source)):
+        raise ViewnetError(f"video of masks has another number of frames ({file.name}: {total}, and {images} images)")
+    numbers = [frame.number for frame in clip.frames] or range(total)
+
+    def mask(still: Still) -> np.ndarray:
+        if isinstance(still[2], ViewnetError):
+            raise ViewnetError(f"mask does not decode ({file.name})")
+        return mask_files.read_lossy(still[2]) if lossy else mask_files.read(still[2])
+
+    reasons: list[str] = []
+    for still in read_frames(file, numbers):
+        try:
+            if (found := mask(still)).any():
+                break
+            reasons.append("all of them are black")
+        except ViewnetError as error:
+            reasons.append(str(error))
+    else:
+        raise ViewnetError(f"video of masks shows no object ({file.name}: {reasons[0]})")
+    for _, _, image in read_frames(clip.source, [still[0]]):
+        if isinstance(image, Image.Image) and image.size != found.shape[::-1]:
+            sizes = "{} x {}, and images of {} x {}".format(*found.shape[::-1], *image.size)
+            raise ViewnetError(f"video of masks has another size ({file.name}: {sizes})")
+    stills = read_frames(file, numbers)
+
+    def read(number: int, name: str, image: Image.Image) -> np.ndarray:
+        return _of_size(mask(next(still for still in stills if still[0] == number)), image)
+
+    return read
 
 
 def from_alpha() -> MaskSource:

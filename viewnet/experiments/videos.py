@@ -16,6 +16,7 @@ import pandas as pd
 
 from viewnet.config import RunConfig, VideoConfig
 from viewnet.data import build, clip_store, photo_store
+from viewnet.data.readers import uco3d
 from viewnet.data.store import ViewStore
 from viewnet.data.synthetic.objectron_standin import WEAK
 from viewnet.errors import ViewnetError
@@ -136,7 +137,10 @@ class VideoExperiment(PhotoExperiment):
 
 
 class ObjectronExperiment(VideoExperiment):
-    """`masks` are the supervised ones, `weak_masks` the others. Raises ViewnetError for these without `video_root`."""
+    """`masks` are the supervised ones, `weak_masks` the others. Raises ViewnetError for these without `video_root`.
+
+    Videos may be uCO3D's in place of Objectron's.
+    """
 
     def __post_init__(self) -> None:
         if self.weak_masks and self.video_root is None:
@@ -146,9 +150,14 @@ class ObjectronExperiment(VideoExperiment):
     @property
     def video(self) -> VideoConfig:
         """The videos with their supervised masks."""
-        settings: dict[str, Any] = {"kind": "objectron", "count": OBJECTRON_FRAMES, "masks": self.masks}
+        kind = "uco3d" if self._of_uco3d else "objectron"
+        settings: dict[str, Any] = {"kind": kind, "count": OBJECTRON_FRAMES, "masks": self.masks}
         settings |= SMOKE_OBJECTRON if self.smoke else OBJECTRON
         return VideoConfig(self.categories[0], self.video_root, **settings)
+
+    @property
+    def _of_uco3d(self) -> bool:
+        return self.video_root is not None and uco3d.READER.accepts(Path(self.video_root))
 
     @property
     def videos(self) -> tuple[VideoConfig, ...]:
@@ -168,7 +177,8 @@ class ObjectronExperiment(VideoExperiment):
     @property
     def note(self) -> str:
         """What the numbers were measured on, in one line."""
-        videos = "a stand-in for Objectron" if self.video_root is None else "Objectron"
+        given = "uCO3D" if self._of_uco3d else "Objectron"
+        videos = "a stand-in for Objectron" if self.video_root is None else given
         return f"{self.scored_on}; trained on {self.trained_on}, then on {videos}, {self.settings}"
 
     def remarks(self, stores: dict[str, ViewStore]) -> list[str]:

@@ -1,6 +1,15 @@
 """All readers by key. A data set is added by a module with a `READER`, a line here and an entry in data_sets.toml."""
 
-from viewnet.data.readers import freiburg, image_folder, objectron, pascal3d, photo_folder, shapenet, video_folder
+from viewnet.data.readers import (
+    freiburg,
+    image_folder,
+    objectron,
+    pascal3d,
+    photo_folder,
+    shapenet,
+    uco3d,
+    video_folder,
+)
 from viewnet.data.readers.reader import Reader
 
 READERS: dict[str, Reader] = {
@@ -9,6 +18,7 @@ READERS: dict[str, Reader] = {
     "photographs": photo_folder.READER,
     "freiburg": freiburg.READER,
     "objectron": objectron.READER,
+    "uco3d": uco3d.READER,
     "backgrounds": image_folder.READER,
     "folder": video_folder.READER,
 }

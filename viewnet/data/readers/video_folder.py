@@ -2,17 +2,20 @@
 
     <clip>.mp4              a video (viewnet.data.clips.VIDEOS), or
     <clip>/<frame>.png      its frames, whose names sort in the order of time
-    masks/<clip>/           if there are any: PNG masks named like the frames, or 000000.png by a frame's number
+    masks/<clip>, or
+    <clip>_mask             if there are any: a folder of PNG masks named like the frames, or 000000.png by a frame's
+                            number; or a video of masks (<clip>.mkv, <clip>_mask.mkv), a frame for each of the clip's
     splits.csv              if there is one: columns clip, split (train, val or test)
 
 Nothing is left out silently: whatever is not used is listed with the reason.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from viewnet.config import CATEGORIES, known
-from viewnet.data.clips import Clip, Frame, Pick, frame_count, is_video, pick_frames
-from viewnet.data.readers.reader import Reader
+from viewnet.data.clips import Clip, Frame, Pick, frame_count, is_video, masks_in, pick_frames
+from viewnet.data.readers.reader import Reader, within
 from viewnet.data.store import Rejected
 from viewnet.errors import ViewnetError
 from viewnet.runtime.lists import one_form, read_list
@@ -20,6 +23,7 @@ from viewnet.runtime.splits import SPLITS, seeded_splits
 
 LIST = "splits.csv"
 MASKS = "masks"
+MASK = "_mask"
 
 
 def read(
@@ -47,26 +51,57 @@ def read(
             rejected.append((name, path.name, f"another clip has its name ({sources[name].name})"))
         else:
             sources[name] = path
+    beside = {f"{name}{MASK}" for name in sources}
+    sources = {name: path for name, path in sources.items() if name not in beside}
+    masks: dict[str, Path] = {}
+    for name, path in list(sources.items()):
+        try:
+            inside, near = masks_in(root / MASKS, name), masks_in(root, f"{name}{MASK}")
+            if inside and near:
+                raise ViewnetError(f"masks are there twice ({MASKS}/{inside.name}, {near.name})")
+            if place := inside or near:
+                masks[name] = place
+        except ViewnetError as error:
+            rejected.append((name, path.name, str(error)))
+            del sources[name]
+    clips, lost = as_clips(root, category, sources, masks, count, pick, seed)
+    rejected += lost
+    if not clips:
+        first = f" (the first that was left out: {': '.join(rejected[0][1:])})" if rejected else ""
+        raise ViewnetError(f"{root}: no usable video or folder of frames{first}")
+    return clips, rejected
+
+
+def as_clips(
+    root: Path,
+    category: str,
+    sources: Mapping[str, Path],
+    masks: Mapping[str, Path],
+    count: int | None,
+    pick: Pick,
+    seed: int,
+) -> tuple[list[Clip], list[Rejected]]:
+    """Clips of videos and folders of frames by name, with masks where there are some, and what cannot be used.
+
+    Frames and splits are as `read` has them.
+    """
+    rejected: list[Rejected] = []
     frames: dict[str, list[int]] = {}
     for name, path in sources.items():
         try:
             total = frame_count(path)
         except ViewnetError as error:
-            rejected.append((name, path.name, str(error)))
+            rejected.append((name, within(path, root), str(error)))
         else:
             frames[name] = pick_frames(total, count, pick, name, seed)
     chosen = _listed(root) or seeded_splits(map(one_form, frames), seed, {"val": 1, "test": 2})
     clips: list[Clip] = []
     for name, numbers in frames.items():
         if one_form(name) not in chosen:
-            rejected.append((name, sources[name].name, "in no split"))
+            rejected.append((name, within(sources[name], root), "in no split"))
             continue
-        masks = root / MASKS / name
-        place = (sources[name], tuple(map(Frame, numbers)), masks if masks.is_dir() else None)
-        clips.append(Clip(name, category, known(chosen[one_form(name)], SPLITS, "split"), *place))
-    if not clips:
-        first = f" (the first that was left out: {': '.join(rejected[0][1:])})" if rejected else ""
-        raise ViewnetError(f"{root}: no usable video or folder of frames{first}")
+        split = known(chosen[one_form(name)], SPLITS, "split")
+        clips.append(Clip(name, category, split, sources[name], tuple(map(Frame, numbers)), masks.get(name)))
     return clips, rejected
 
 
