@@ -12,6 +12,7 @@ import pytest
 import torch
 from helpers.boxes import box_store
 from helpers.fake_steps import STEPS
+from helpers.photo_data import write_crops
 from helpers.untrained_models import finished_run
 from PIL import Image
 
@@ -105,6 +106,15 @@ def test_labels_of_what_is_scored_have_no_part_in_the_alignment(run, store, tmp_
     for kind, score in as_it_is["alignments"].items():
         assert turned["alignments"][kind]["alignment"] == score["alignment"]
         assert turned["alignments"][kind]["median"] != score["median"]
+
+
+def test_crops_with_a_list_are_scored(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("viewnet.evaluation.features.SIZE", 32)
+    write_crops(tmp_path / "bench", [(9.0 * number, number) for number in range(40)], "car")
+    found = scores(KEY, ScoredData(str(tmp_path / "bench")))
+    assert found["on"] == "photographs of bench"
+    assert found["alignments"]["procrustes"]["images"] == 32
+    assert found["alignments"]["procrustes"]["alignment"]["images"] == 8
 
 
 def test_photographs_are_scored_by_the_rotation_of_the_estimator_s_answers(run, store, tmp_path, monkeypatch):

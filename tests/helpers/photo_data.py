@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 
 from viewnet.data.store import ViewStore, write_store
 from viewnet.evaluation import features
@@ -22,6 +24,20 @@ def keep_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
     monkeypatch.setattr(features, "SIZE", 32)
     return tmp_path
+
+
+def write_crops(
+    root: Path, viewpoints: Sequence[tuple[float, float]], category: str = "chair", suffix: str = ".jpg"
+) -> None:
+    """Crops of noise with a list of their azimuths and elevations, in the layout of benchmarks of orientation."""
+    rng = np.random.default_rng(0)
+    (root / "test_crop").mkdir(parents=True)
+    lines = ["img_idx,category_name,azi,ele,rot"]
+    for number, (azimuth, elevation) in enumerate(viewpoints):
+        pixels = rng.integers(0, 255, (24, 32, 3), dtype=np.uint8)
+        Image.fromarray(pixels).save(root / f"test_crop/{number}{suffix}")
+        lines.append(f"{number},{category},{azimuth},{elevation},0")
+    (root / f"{root.name}_meta.csv").write_text("\n".join(lines) + "\n")
 
 
 def make_photos(

@@ -15,6 +15,7 @@ import pandas as pd
 import scipy.io
 from helpers.cad_files import model_of, write_box
 from helpers.damage import damaged, other_array, other_record
+from helpers.photo_data import write_crops
 from helpers.video_data import write_frames, write_freiburg, write_uco3d, write_video
 from hypothesis import strategies as st
 from PIL import Image
@@ -214,6 +215,10 @@ def _photo_store(root: Path) -> object:
     return fresh(read)
 
 
+def _crops(root: Path) -> None:
+    write_crops(root, [(30.5 * number, number) for number in range(8)], "car", ".png")
+
+
 def _thing(**changes: Any) -> dict[str, Any]:
     viewpoint = {"azimuth": 10.0, "elevation": 5.0, "distance": 3.0, "theta": 2.0}
     base = {"class": "car", "bbox": np.array([1.0, 2, 20, 22]), "truncated": 0, "occluded": 0, "difficult": 0}
@@ -288,6 +293,7 @@ READERS = (
     Reader("pictures", _images, _backgrounds, {"a/*": None, "ClassName.txt": None}, ("{folder}",)),
     Reader("backgrounds kept", _kept, _kept_again, {"backgrounds/*/*.npy": other_array}, ("{folder}/backgrounds",)),
     Reader("photographs", _photographs, _photo_store, {"images/*": None, "viewpoints.csv": None}, ("{folder}",)),
+    Reader("crops", _crops, _photo_store, {"test_crop/0.png": None, "*_meta.csv": None}, ("{folder}",)),
     Reader(
         "PASCAL3D+",
         _pascal3d,

@@ -113,7 +113,7 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
         root = Path(config.root)
         found = [reader.photographs for reader in READERS.values() if reader.photographs and reader.recognises(root)]
         if not found:
-            expected = f"PASCAL3D+ 1.1 (Annotations, Images and Image_sets) or a folder with images/ and {LIST}"
+            expected = f"PASCAL3D+ 1.1 (Annotations, Images, Image_sets), images/ with {LIST} or test_crop/ with a list"
             raise ViewnetError(f"{root}: no photographs that can be read: expected {expected}")
         data = found[0](config, root)
         made_by["photographs"] = photo_store.digest(data)

@@ -17,6 +17,7 @@ from safetensors.torch import save_file
 from viewnet import paths
 from viewnet.config import RunConfig, known
 from viewnet.data import build, catalogue
+from viewnet.data.readers.registry import READERS
 from viewnet.errors import ViewnetError
 from viewnet.estimator import pretrained
 from viewnet.estimator.model_card import METRICS, with_interval
@@ -128,8 +129,8 @@ def _predictions(run: Run, data: ScoredData, steps: make_run.Steps) -> tuple[str
             other = make_config("viewnet", config.category, config.profile, config.recipe, data_root=root).data
             views = steps.views(other)  # rendered as the model's own, so that only the objects differ
             return f"all models of {name}", other_views.transferred(_own(run, steps), views, steps), False
-        if kind not in ("pascal3d", "photographs"):
-            expected = "name PASCAL3D+, a folder with images/ and viewpoints.csv, or a ShapeNetCore folder"
+        if READERS[kind].photographs is None:
+            expected = "name PASCAL3D+, photographs or crops with a list, or a ShapeNetCore folder"
             raise ViewnetError(f"data_root {data.data_root}: is {kind}, whose viewpoints are not scored: {expected}")
     square = config.model.crop != "stretched"  # photographs are cut as the network was trained on views
     smoke = root is None and config.profile == "smoke"

@@ -1,6 +1,7 @@
 """All readers by key. A data set is added by a module with a `READER`, a line here and an entry in data_sets.toml."""
 
 from viewnet.data.readers import (
+    crop_list,
     freiburg,
     image_folder,
     objectron,
@@ -16,6 +17,7 @@ READERS: dict[str, Reader] = {
     "shapenet": shapenet.READER,
     "pascal3d": pascal3d.READER,
     "photographs": photo_folder.READER,
+    "crops": crop_list.READER,
     "freiburg": freiburg.READER,
     "objectron": objectron.READER,
     "uco3d": uco3d.READER,
