@@ -5,13 +5,15 @@ from __future__ import annotations
 import struct
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
 import pytest
 from PIL import Image
 
-from viewnet.data.clips import frame_count, read_frames
+from viewnet.data.clips import frame_count, read_frames, square
+from viewnet.errors import ViewnetError
 
 ONE = 65536
 MATRICES = {
@@ -27,7 +29,7 @@ MATRICES = {
 """a, b, c, d of the matrix, and where players show what is stored at the upper left; FFmpeg's tool shows the same."""
 
 
-def write_mp4(file: Path, frames: int = 6, start: int = 0, codec: str = "mpeg4", **options: int) -> None:
+def write_mp4(file: Path, frames: int = 6, start: int = 0, codec: str = "mpeg4", **options: Any) -> None:
     """A red corner at the upper left, grey elsewhere by the frame's number; frames before `start` are edited out."""
     with av.open(str(file), "w", options={"avoid_negative_ts": "disabled"} if start else {}) as container:
         stream = container.add_stream(codec, rate=10)
@@ -86,6 +88,71 @@ def test_frames_that_an_edit_list_leaves_out_are_not_there(options, tmp_path):
         assert greys == pytest.approx([40 + 20 * number for number in expected], abs=5)
         ((_, _, beyond),) = read_frames(tmp_path / name, [len(expected)])
         assert "frame does not decode" in str(beyond)
+
+
+@pytest.mark.parametrize(
+    ("aspect", "matrix", "size"),
+    [
+        (Fraction(4, 3), "as it is", (85, 48)),
+        (Fraction(8, 9), "as it is", (64, 54)),
+        (Fraction(2, 1), "a quarter clockwise", (48, 128)),
+        (Fraction(1, 1), "as it is", (64, 48)),
+    ],
+)
+def test_pixels_become_square_and_none_is_lost(aspect, matrix, size, tmp_path):
+    write_mp4(tmp_path / "a.mp4", sample_aspect_ratio=aspect)
+    set_matrix(tmp_path / "a.mp4", *MATRICES[matrix][0])
+    ((_, _, image),) = read_frames(tmp_path / "a.mp4", [1])
+    assert image.size == size and red_corner(image) == MATRICES[matrix][1]
+
+
+def test_pixels_of_an_absurd_shape_are_refused():
+    with pytest.raises(ValueError):
+        square(Image.new("RGB", (64, 48)), Fraction(100_000, 1))
+
+
+STREAMS = {
+    "the largest": ("mkv", [(32, 32, 0), (64, 48, 0)], (64, 48)),
+    "the default": ("mkv", [(96, 96, 0), (64, 48, 1)], (64, 48)),
+    "no cover": ("mp4", [(96, 96, 1024), (64, 48, 0)], (64, 48)),
+    "the first": ("mkv", [(64, 48, 0), (48, 64, 0)], (64, 48)),
+}
+"""Suffix; width, height and disposition (FFmpeg's numbers) of streams; the size that is shown."""
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_of_several_streams_the_one_that_players_show_is_read(name, tmp_path):
+    suffix, streams, size = STREAMS[name]
+    file = tmp_path / f"a.{suffix}"
+    with av.open(str(file), "w") as container:
+        made = []
+        for width, height, role in streams:
+            stream = container.add_stream("mjpeg", rate=10)
+            stream.width, stream.height, stream.pix_fmt, stream.disposition = width, height, "yuvj420p", role
+            made.append(stream)
+        for stream, (width, height, _) in zip(made, streams, strict=True):
+            container.mux(stream.encode(av.VideoFrame(width, height, "yuvj420p")))
+            container.mux(stream.encode())
+    ((_, _, image),) = read_frames(file, [0])
+    assert image.size == size
+
+
+def test_an_unknown_codec_is_told(tmp_path):
+    write_mp4(tmp_path / "a.avi")
+    content = (tmp_path / "a.avi").read_bytes()
+    (tmp_path / "a.avi").write_bytes(content.replace(b"FMP4", b"ZZZZ"))
+    with pytest.raises(ViewnetError, match="video cannot be read"):
+        frame_count(tmp_path / "a.avi")
+
+
+def test_an_image_is_cut_at_its_left_by_any_number_of_pixels(tmp_path):
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=10, options={"x264-params": "crop-rect=10,8,0,0"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="rgb24")))
+        container.mux(stream.encode())
+    ((_, _, image),) = read_frames(tmp_path / "a.mp4", [0])
+    assert image.size == (54, 40)
 
 
 def test_a_rejected_frame_is_called_a_frame(tmp_path):

@@ -34,7 +34,7 @@ from viewnet.runtime.parallel import cores
 from viewnet.runtime.progress import bar
 from viewnet.runtime.splits import SPLITS
 
-VERSION = 2  # raise it when a change alters the crops: it is part of every store's identity
+VERSION = 3  # raise it when a change alters the crops: it is part of every store's identity
 CROP = Crop(128, margin=0.05)
 LONGEST = 0.95
 """The share of a clip's views that stay within their frame when objects are made equally high: masks can be wrong."""

@@ -5,11 +5,13 @@ import math
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
 
 import av
 import numpy as np
+from av.stream import Disposition
 from PIL import Image, ImageOps
 
 from viewnet.data.crop import Box
@@ -108,7 +110,7 @@ def _decoded_frames(file: Path, state: tuple[int, ...] | None) -> int:
 def is_lossy(file: Path) -> bool:
     """Whether a video's compression can change pixels. ViewnetError for unreadable videos."""
     with _open_video(file) as container:
-        return container.streams.video[0].codec_context.codec.lossy
+        return _shown(container).codec_context.codec.lossy
 
 
 def pick_frames(total: int, count: int | None, how: Pick, name: str, seed: int = 0) -> list[int]:
@@ -152,10 +154,11 @@ def _from_folder(folder: Path, numbers: list[int]) -> Iterator[Still]:
 def _from_video(file: Path, numbers: list[int]) -> Iterator[Still]:
     left = set(numbers)
     with _open_video(file) as container:
+        aspect = _shown(container).sample_aspect_ratio
         for number, frame in enumerate(_decode(container)):
             if number in left:
                 left.remove(number)
-                yield number, f"{number:06d}", _to_image(frame)
+                yield number, f"{number:06d}", _to_image(frame, aspect)
             if not left:
                 return
     for number in sorted(left):
@@ -167,16 +170,28 @@ def _open_video(file: Path) -> av.container.InputContainer:
         container = av.open(str(file), options={"format_whitelist": ",".join(CONTAINERS), "protocol_whitelist": "file"})
     except (av.FFmpegError, OSError, ValueError) as error:
         raise ViewnetError(f"video cannot be read ({type(error).__name__})") from None
-    if not container.streams.video:
+    if not any(stream.codec_context for stream in container.streams.video):
         container.close()
-        raise ViewnetError("video cannot be read (no images in it)")
+        raise ViewnetError("video cannot be read (no images in it that can be decoded)")
     return container
+
+
+def _shown(container: av.container.InputContainer) -> av.VideoStream:
+    """The images that players show: no cover, the default ones before others, the largest, the first."""
+
+    def rank(stream: av.VideoStream) -> tuple[bool, bool, int]:
+        role = stream.disposition
+        is_cover, is_default = role & Disposition.attached_pic, role & Disposition.default
+        return not is_cover, bool(is_default), stream.width * stream.height
+
+    return max((stream for stream in container.streams.video if stream.codec_context), key=rank)
 
 
 def _decode(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
     """All frames that can be decoded: a damaged packet costs the frames that depend on it, not the rest."""
-    stream = container.streams.video[0]
-    stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
+    stream = _shown(container)
+    # Unaligned, as an image is else cut at its left by whole blocks only.
+    stream.codec_context.options = {"max_pixels": str(MOST_PIXELS), "flags": "+unaligned"}
     packets = container.demux(stream)
     while True:
         try:
@@ -189,13 +204,24 @@ def _decode(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
             continue
 
 
-def _to_image(frame: av.VideoFrame) -> Image.Image | ViewnetError:
+def _to_image(frame: av.VideoFrame, aspect: Fraction | None) -> Image.Image | ViewnetError:
     try:
         matrix: Any = frame.side_data.get("DISPLAYMATRIX")
-        image = frame.to_image()
+        image = square(frame.to_image(), aspect or Fraction(1))
         return image if matrix is None else upright(image, np.frombuffer(bytes(matrix), np.int32))
     except (av.FFmpegError, ValueError, MemoryError) as error:  # of a form or size that cannot be converted
         return ViewnetError(f"frame does not decode ({type(error).__name__})")
+
+
+def square(image: Image.Image, aspect: Fraction) -> Image.Image:
+    """A frame whose pixels are `aspect` times as wide as high with square ones: the side that is too short is enlarged.
+
+    Raises ValueError where that is too large.
+    """
+    size = round(image.width * max(float(aspect), 1)), round(image.height / min(float(aspect), 1))
+    if size[0] * size[1] > MOST_PIXELS:
+        raise ValueError
+    return image if size == image.size else image.resize(size, Image.Resampling.BICUBIC)
 
 
 def upright(image: Image.Image, matrix: np.ndarray) -> Image.Image:
