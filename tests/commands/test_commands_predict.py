@@ -70,12 +70,67 @@ def test_predict_as_json_has_every_hypothesis(images, tmp_path, capsys):
     assert [row["azimuth"] for row in again] == boxed.azimuth.tolist() != said.azimuth.tolist()
 
 
+NAMES = {
+    "matrix": ["r00", "r01", "r02", "r10", "r11", "r12", "r20", "r21", "r22"],
+    "quaternion": ["qw", "qx", "qy", "qz"],
+    "euler": ["rx", "ry", "rz"],
+}
+
+
+@pytest.mark.parametrize("form", NAMES)
+@pytest.mark.parametrize("frame", ["opencv", "opengl", "pytorch3d", "blender"])
+def test_predict_prints_rotations_where_it_is_asked_to(images, form, frame, capsys):
+    asked = ["predict", *images, "--all", "--model", "0123456789ab"]
+    assert cli.main(asked) == 0
+    plain = capsys.readouterr().out.splitlines()
+    assert cli.main([*asked, "--as", form, "--frame", frame]) == 0
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert last.startswith("rotation: camera x ")
+    # What was there is there as it was; beside it are the numbers.
+    rests = [line.removeprefix(before) for line, before in zip(lines, plain, strict=True)]
+    assert rests[0].split() == NAMES[form]
+    said = ViewpointEstimator.from_pretrained("0123456789ab").predict(images)
+    expected = [each.rotation(frame, form).ravel() for one in said for each in one.ranked()]
+    places = 0.06 if form == "euler" else 0.00006
+    assert np.allclose([[float(word) for word in rest.split()] for rest in rests[1:]], expected, rtol=0, atol=places)
+
+
+@pytest.mark.parametrize("form", NAMES)
+def test_predict_as_json_has_rotations_where_it_is_asked_to(images, form, capsys):
+    asked = ["predict", *images, "--json", "--model", "0123456789ab"]
+    assert cli.main(asked) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert cli.main([*asked, "--as", form, "--frame", "blender"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found.pop("camera_frame") == "blender"
+    said = ViewpointEstimator.from_pretrained("0123456789ab").predict(images)
+    numbers = [[row.pop(name) for name in NAMES[form]] for row in found["images"]]
+    assert np.allclose(numbers, said.rotation("blender", form).reshape(2, -1), atol=1e-9)
+    for row, one in zip(found["images"], said, strict=True):
+        hypotheses = [[row.pop(f"{name}_{m}") for name in NAMES[form]] for m in range(3)]
+        ranked = [each.rotation("blender", form).ravel() for each in one.ranked()]
+        assert np.allclose(sorted(hypotheses), sorted(each.tolist() for each in ranked), atol=1e-9)
+    assert found == plain
+
+
+def test_rotations_are_opencv_s_without_a_frame(images, capsys):
+    asked = ["predict", *images, "--as", "matrix", "--model", "0123456789ab"]
+    for more in ([], ["--json"]):
+        assert cli.main([*asked, *more]) == 0
+        default = capsys.readouterr().out
+        assert cli.main([*asked, *more, "--frame", "opencv"]) == 0
+        assert capsys.readouterr().out == default
+
+
 def test_a_model_without_alignment_is_reported(images, tmp_path, capsys):
     run = finished_run(tmp_path / "own", None)
     assert cli.main(["predict", images[0], "--model", str(run.folder)]) == 0
     assert "in the network's own frame" in capsys.readouterr().out
-    assert cli.main(["predict", images[0], "--model", str(run.folder), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["frame"] == "own"
+    assert cli.main(["predict", images[0], "--model", str(run.folder), "--as", "euler", "--frame", "blender"]) == 0
+    assert "in the network's own frame" in capsys.readouterr().out.splitlines()[-1]
+    for more in ([], ["--as", "matrix"]):
+        assert cli.main(["predict", images[0], "--model", str(run.folder), "--json", *more]) == 0
+        assert json.loads(capsys.readouterr().out)["frame"] == "own"
 
 
 def test_turntable_writes_an_animation(images, tmp_path, capsys):
@@ -95,6 +150,7 @@ def test_turntable_writes_an_animation(images, tmp_path, capsys):
         (["predict", "nowhere.png", "--model", "0123456789ab"], "nowhere.png: no such image"),
         (["predict", "nowhere.png", "--model", "ba9876543210"], "ba9876543210: no model there"),
         (["predict", "a", "b", "--masks", "c", "--model", "0123456789ab"], "masks: 1 for 2 images"),
+        (["predict", "a", "--frame", "opengl", "--model", "0123456789ab"], "--frame opengl: add --as"),
         (["turntable", "a.png", "-o", "a.webm", "--model", "0123456789ab"], "a.webm: unknown kind of animation"),
     ],
 )
@@ -102,6 +158,16 @@ def test_errors_of_predict_and_turntable(images, arguments, message, capsys):
     assert cli.main(arguments) == 2
     said = capsys.readouterr().err
     assert said.startswith(f"viewnet: {message}")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [["--as", "rodrigues"], ["--as", "matrix", "--frame", "OpenCV"]])
+def test_predict_names_the_forms_and_frames_that_there_are(words, capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["predict", "a.png", *words, "--model", "car"])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert "quaternion" in said or "pytorch3d" in said
     assert said.count("\n") == 1
 
 

@@ -1,7 +1,7 @@
 """Predicted viewpoints of images, with their hypotheses and probabilities."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -9,6 +9,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from viewnet import geometry
+from viewnet.estimator import camera_axes
 
 if TYPE_CHECKING:
     import pandas as pd  # loaded only for tables
@@ -17,19 +18,40 @@ Floats = NDArray[np.float64]  # an array of double precision
 LINES = 12  # images that a summary lists
 
 
+class Rotated:
+    """What has camera frames (..., 3, 3) in `frame`, columns right, up and back."""
+
+    frame: Floats
+
+    def rotation(self, frame: str = "opencv", form: str = "matrix") -> Floats:
+        """The rotation between object and camera as opencv, opengl, pytorch3d or blender has it (see camera_axes).
+
+        matrix (..., 3, 3), quaternion (..., 4): w, x, y, z, or euler (..., 3): Blender's XYZ in degrees. Raises
+        ViewnetError for another frame or form.
+
+        >>> (viewpoint,) = Viewpoints.of([[[1.0, 0, 0]]], [[0.0]], None, aligned=True)
+        >>> viewpoint.rotation("opencv").tolist()  # from the front: the object's left is right, its front towards us
+        [[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]
+        >>> viewpoint.rotation("blender", "euler").round(6).tolist()
+        [90.0, 0.0, 90.0]
+        """
+        return camera_axes.rotation(self.frame, frame, form)
+
+
 @dataclass(frozen=True)
-class Hypothesis:
+class Hypothesis(Rotated):
     """One of the viewpoints that the network proposes; `number` counts from 1 by falling probability."""
 
     number: int
     azimuth: float
     elevation: float
+    frame: Floats = field(compare=False)  # == of arrays is no single answer
     probability: float
     chosen: bool
 
 
 @dataclass(frozen=True)
-class Viewpoint:
+class Viewpoint(Rotated):
     """The viewpoint of one image: a row of `Viewpoints`, which documents the fields."""
 
     azimuth: float
@@ -37,6 +59,7 @@ class Viewpoint:
     vector: Floats
     frame: Floats
     hypotheses: Floats
+    hypothesis_frames: Floats
     probabilities: Floats
     choice: int
     confidence: float
@@ -50,26 +73,29 @@ class Viewpoint:
         [(90.0, 0.88), (0.0, 0.12)]
         """
         azimuth, elevation = (a.tolist() for a in geometry.azimuth_elevation(torch.from_numpy(self.hypotheses)))
-        shares = self.probabilities.tolist()
+        shares, frames = self.probabilities.tolist(), self.hypothesis_frames
         order = sorted(range(len(shares)), key=lambda row: (-shares[row], row != self.choice))
-        ranks = enumerate(order, 1)
-        return [Hypothesis(n, azimuth[row], elevation[row], shares[row], row == self.choice) for n, row in ranks]
+        return [
+            Hypothesis(number, azimuth[row], elevation[row], frames[row], shares[row], row == self.choice)
+            for number, row in enumerate(order, 1)
+        ]
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Viewpoints:
+class Viewpoints(Rotated):
     """The viewpoints of N images, M hypotheses each, all in one frame (see viewnet.geometry).
 
-    azimuth        (N,) degrees in [0, 360): 0 shows the object's front, 90 its left side
-    elevation      (N,) degrees in [-90, 90]
-    vector         (N, 3) unit view vectors, from the object to the camera
-    frame          (N, 3, 3) camera frames, columns right, up and back; level unless in-plane rotation was learned
-    hypotheses     (N, M, 3) unit view vectors, one of which is `vector`
-    probabilities  (N, M) that each hypothesis is the best
-    choice         (N,) the most probable hypothesis
-    confidence     (N,) its probability
-    aligned        whether the frame is the annotated one; otherwise it is the network's own, whose azimuth 0 and up are
-                   arbitrary: only differences between viewpoints mean anything
+    azimuth            (N,) degrees in [0, 360): 0 shows the object's front, 90 its left side
+    elevation          (N,) degrees in [-90, 90]
+    vector             (N, 3) unit view vectors, from the object to the camera
+    frame              (N, 3, 3) camera frames, columns right, up and back; level unless in-plane rotation was learned
+    hypotheses         (N, M, 3) unit view vectors, one of which is `vector`
+    hypothesis_frames  (N, M, 3, 3) their camera frames, one of which is `frame`
+    probabilities      (N, M) that each hypothesis is the best
+    choice             (N,) the most probable hypothesis
+    confidence         (N,) its probability
+    aligned            whether the frame is the annotated one; otherwise it is the network's own, whose azimuth 0 and up
+                       are arbitrary: only differences between viewpoints mean anything
 
     >>> Viewpoints.of([[[1.0, 0, 0], [0, 1, 0]]], [[0.0, 2.0]], None, aligned=True)
     1 viewpoint in the annotated frame
@@ -82,6 +108,7 @@ class Viewpoints:
     vector: Floats
     frame: Floats
     hypotheses: Floats
+    hypothesis_frames: Floats
     probabilities: Floats
     choice: NDArray[np.int64]
     confidence: Floats
@@ -94,11 +121,12 @@ class Viewpoints:
         shares = np.exp(scores - scores.max(1, keepdims=True))
         shares /= shares.sum(1, keepdims=True)
         rows, choice = np.arange(len(scores)), scores.argmax(1)
-        chosen = torch.from_numpy(vectors[rows, choice])
-        up = None if ups is None else torch.from_numpy(np.array(ups, dtype=np.float64)[rows, choice])
-        azimuth, elevation = (angle.numpy() for angle in geometry.azimuth_elevation(chosen))
-        frame, confidence = geometry.look_at(chosen, up).numpy(), shares[rows, choice]
-        return cls(azimuth, elevation, chosen.numpy(), frame, vectors, shares, choice, confidence, aligned)
+        chosen = vectors[rows, choice]
+        up = None if ups is None else torch.from_numpy(np.array(ups, dtype=np.float64))
+        azimuth, elevation = (angle.numpy() for angle in geometry.azimuth_elevation(torch.from_numpy(chosen)))
+        frames = geometry.look_at(torch.from_numpy(vectors), up).numpy()
+        frame, confidence = frames[rows, choice], shares[rows, choice]
+        return cls(azimuth, elevation, chosen, frame, vectors, frames, shares, choice, confidence, aligned)
 
     def __len__(self) -> int:
         return len(self.azimuth)
@@ -113,7 +141,7 @@ class Viewpoints:
         """The viewpoint of one image, or those of a slice, a mask (N,) or a list of positions."""
         single = isinstance(rows, (int, np.integer))
         rows = rows if single or isinstance(rows, slice) else np.asarray(rows)
-        values = {field.name: getattr(self, field.name)[rows] for field in fields(self) if field.name != "aligned"}
+        values = {each.name: getattr(self, each.name)[rows] for each in fields(self) if each.name != "aligned"}
         if not single:
             return Viewpoints(**values, aligned=self.aligned)
         plain = {name: value.item() if np.ndim(value) == 0 else value for name, value in values.items()}
@@ -122,8 +150,12 @@ class Viewpoints:
     def __iter__(self) -> Iterator[Viewpoint]:
         return (self[row] for row in range(len(self)))
 
-    def to_frame(self) -> "pd.DataFrame":
-        """A row for each image: azimuth, elevation, confidence, choice, and azimuth_m, elevation_m, probability_m."""
+    def to_frame(self, frame: str | None = None, form: str = "matrix") -> "pd.DataFrame":
+        """A row for each image: azimuth, elevation, confidence, choice, and azimuth_m, elevation_m, probability_m.
+
+        With a `frame` the numbers of `rotation(frame, form)` too, named as in camera_axes.FORMS, and of hypothesis m
+        with _m at the end.
+        """
         import pandas as pd
 
         names = ("azimuth", "elevation", "confidence", "choice")
@@ -132,6 +164,12 @@ class Viewpoints:
         for m in range(self.hypotheses.shape[1]):
             columns |= {f"azimuth_{m}": angles[0][:, m].numpy(), f"elevation_{m}": angles[1][:, m].numpy()}
             columns[f"probability_{m}"] = self.probabilities[:, m]
+        if frame is not None:
+            hypotheses = ((f"_{m}", self.hypothesis_frames[:, m]) for m in range(self.hypotheses.shape[1]))
+            for suffix, frames in (("", self.frame), *hypotheses):
+                rotations = camera_axes.rotation(frames, frame, form)
+                numbers = rotations.reshape(len(self), len(camera_axes.FORMS[form])).T
+                columns |= {f"{name}{suffix}": numbers[i] for i, name in enumerate(camera_axes.FORMS[form])}
         return pd.DataFrame(columns)
 
     def __repr__(self) -> str:
