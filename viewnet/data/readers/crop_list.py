@@ -9,7 +9,6 @@ they are in the rotations of Orient Anything V2's published evaluation, Rx(rot) 
 with the reason.
 """
 
-import hashlib
 import math
 from collections import Counter, defaultdict
 from dataclasses import replace
@@ -121,27 +120,21 @@ def _recognises(root: Path) -> bool:
     return any(_folder(root, file).is_dir() for file in root.glob(LISTS))
 
 
-def _describe(config: PhotoConfig, root: Path) -> dict[str, Any]:
+def _read_all(config: PhotoConfig, root: Path) -> Photographs:
     if config.keep != "all":
         raise ViewnetError(f"{root}: its list has no difficulty flags: use keep='all', or PASCAL3D+")
-    return {"listed": hashlib.sha256(_list(root).read_bytes()).hexdigest()}
+    return read(root, config.category)
 
 
 def _count(root: Path, contents: Contents) -> None:
     usable, rejected, names = _read(root)
-    uses = {"val": "objects to calibrate", "test": "objects to score"}
     for category in CATEGORIES:
         if category in usable | rejected:
-            crops = usable.get(category, [])
-            contents.add(category, [uses[crop.split] for crop in crops], [reason for *_, reason in rejected[category]])
+            found = [("objects", crop) for crop in usable.get(category, [])]
+            contents.add_photographs(category, found, True, [reason for *_, reason in rejected[category]])
     unknown = {name: count for name, count in names.items() if not _category(name)}
     if unknown:
         contents.problems.append(f"left out, of other categories: {in_words(unknown)}")
 
 
-READER = Reader(
-    recognises=_recognises,
-    count=_count,
-    describe=_describe,
-    photographs=lambda config, root: read(root, config.category),
-)
+READER = Reader(recognises=_recognises, count=_count, photographs=_read_all)

@@ -13,8 +13,8 @@ from pathlib import Path
 from viewnet.config import CATEGORIES, known
 from viewnet.data.clips import Clip, Pick, frame_count
 from viewnet.data.readers import video_folder
-from viewnet.data.readers.reader import Contents, Reader, no_usable, within
-from viewnet.data.store import Rejected
+from viewnet.data.readers.reader import Contents, Reader, no_usable
+from viewnet.data.store import Rejected, within
 from viewnet.errors import ViewnetError
 
 CLASSES = {

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from viewnet.config import CATEGORIES, known
 from viewnet.data.clips import Clip, Frame, Pick, frame_count, is_video, masks_in, pick_frames
-from viewnet.data.readers.reader import Reader, within
-from viewnet.data.store import Rejected
+from viewnet.data.readers.reader import Reader
+from viewnet.data.store import Rejected, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime.lists import one_form, read_list
 from viewnet.runtime.splits import SPLITS, seeded_splits
