@@ -4,7 +4,8 @@
 
 Strategies and readers are those of the tests (tests/readers.py, tests/kept_readers.py), which draw a few cases each and
 the same every time; here are as many as asked for. Writes a row a reader: cases, results, named errors, failures, the
-slowest case in processor seconds, and the most memory in MiB beside what was there before. Failures are printed, the
+slowest case in processor seconds, and the most memory in MiB beside what was there before; with --readers, rows of the
+others stay as they are in the file. Failures are printed, the
 first file of each is kept in the folder that VIEWNET_FUZZ_KEEP names, and the exit status is 1.
 """
 
@@ -107,6 +108,10 @@ def main() -> int:
         for what, times in failures.most_common():
             print(f"    {times} times {what}", flush=True)
         found += row["failures"]
+    if options.output.is_file():
+        kept = pd.read_csv(options.output).to_dict("records")
+        rows += [row for row in kept if row["reader"] in set(everything) - set(options.readers)]
+    rows.sort(key=lambda row: list(everything).index(row["reader"]))
     with replacing(options.output) as temporary:
         pd.DataFrame(rows).to_csv(temporary, index=False, lineterminator="\n")
     return int(found > 0)

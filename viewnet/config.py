@@ -65,7 +65,7 @@ class PhotoConfig:
     """Photographs of one category to score on (section 4.3), and how they are cropped."""
 
     category: str
-    root: str | None = None  # PASCAL3D+ 1.1, photographs or crops with a list; None: a stand-in is made
+    root: str | None = None  # PASCAL3D+ 1.1, ImageNet3D, photographs or crops with a list; None: a stand-in is made
     subset: Literal["imagenet", "pascal", "both"] = "imagenet"  # of PASCAL3D+; its "train" calibrates, its "val" scores
     keep: Literal["all", "easy", "first"] = "all"  # easy: not difficult, truncated or occluded; first: of each image
     size: int = 64  # pixels a side

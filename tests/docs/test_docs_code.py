@@ -17,7 +17,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers import documents
+from helpers import documents, imagenet3d_files
 from helpers.documents import NOTEBOOKS, PAGES, ROOT
 from helpers.fake_steps import STEPS
 from helpers.photo_data import keep_apart, make_photos
@@ -86,6 +86,9 @@ def world(tmp_path, monkeypatch) -> Path:
         Image.fromarray(pixels).save(tmp_path / name)
     for name in ("a_mask.png", "b_mask.png"):
         Image.fromarray(np.full((300, 400), 255, np.uint8)).save(tmp_path / name)
+    for split, name in (("train", "a"), ("val", "b")):
+        imagenet3d_files.write(tmp_path / "data/imagenet3d", name, imagenet3d_files.thing())
+        imagenet3d_files.listed(tmp_path / "data/imagenet3d", split, name)
     (tmp_path / "FILE").write_text("category,azimuth_deg,elevation_deg\ncar,10,5\ncar,200,10\n")
     return tmp_path
 

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import pickle
+import pickletools
 import struct
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import scipy.io
+from helpers.imagenet3d_files import archive, pickle_of, pickled
 from hypothesis import strategies as st
 
 EXTREMES = (
@@ -234,3 +240,90 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "_fieldnames"):
         return {name: _plain(getattr(value, name)) for name in value._fieldnames}
     return value
+
+
+EXECUTED = Path(tempfile.gettempdir(), f"viewnet-executed-{os.getpid()}")
+"""A folder that appears if anything in a drawn pickle is executed."""
+
+
+class _Harm:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(EXECUTED),)
+
+
+_CALLS = (
+    *(pickle.dumps(_Harm(), protocol)[:-1] for protocol in range(6)),
+    f"cos\nsystem\n(S'mkdir {EXECUTED}'\ntR".encode(),
+    f"(S'mkdir {EXECUTED}'\nios\nsystem\n".encode(),
+    f"c__builtin__\neval\n(V__import__('os').mkdir({str(EXECUTED)!r})\ntR".encode(),
+    b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(J\xff\xff\xff\x7ftC\x01btR",
+    b"cnumpy\ndtype\n(X\x02\0\0\0f8K\0K\x01tR",
+)
+"""Parts of pickles that execute something where they are unpickled, and two of NumPy's own."""
+
+
+@st.composite
+def other_objects(draw: Callable[[Any], Any], content: bytes) -> bytes:
+    """An .npz file with a right checksum whose array of objects is damaged, has other objects, or other opcodes."""
+    stored = pickled(content)
+    how = draw(st.sampled_from(["damaged", "values", "opcodes"]))
+    if how == "damaged":
+        stored = draw(damaged(stored))
+    elif how == "values":
+        objects = list(pickle.loads(stored))  # of the tests' own making
+        stored = pickle_of(draw(_changed_objects(objects)), draw(st.integers(2, 5)))
+    else:
+        ends = [place for _, _, place in pickletools.genops(stored)]
+        for _ in range(draw(st.integers(1, 4))):
+            place = draw(st.sampled_from(ends))
+            stored = stored[:place] + draw(_parts) + stored[place + draw(st.integers(0, 2)) :]
+    return archive(stored, draw(st.sampled_from([0, 8])))
+
+
+@st.composite
+def _opcodes(draw: Callable[[Any], Any]) -> bytes:
+    """One of all opcodes of all protocols, with an argument that may claim another length."""
+    opcode = draw(st.sampled_from(pickletools.opcodes))
+    code, argument = opcode.code.encode("latin-1"), opcode.arg
+    if argument is None:
+        return code
+    if argument.n >= 0:
+        return code + draw(st.binary(min_size=argument.n, max_size=argument.n))
+    if argument.n == pickletools.UP_TO_NEWLINE:
+        lines = st.sampled_from([b"1", b"'a'", b"os\nsystem", b"numpy\nndarray", b"9" * 5000, b"\xff", b"1e999", b""])
+        return code + draw(lines) + b"\n"
+    kind = {pickletools.TAKEN_FROM_ARGUMENT1: "<B", pickletools.TAKEN_FROM_ARGUMENT8U: "<Q"}.get(argument.n, "<I")
+    text = draw(st.binary(max_size=20))
+    most = 256 ** struct.calcsize(kind) - 1
+    size = draw(st.sampled_from([len(text), len(text), most, most // 2, 0]))
+    return code + struct.pack(kind, size) + text
+
+
+_parts = st.one_of(
+    st.lists(_opcodes(), min_size=1, max_size=4).map(b"".join),
+    st.sampled_from(_CALLS),
+    st.sampled_from(
+        [b"]" * 3000, b"(" * 3000, b"2" * 3000, b"h\0" * 3000, b"\x94" * 3000, b"(]" * 50_000, b"h\0\x86" * 900]
+    ),
+)
+
+_objects = st.one_of(
+    hostile_values,
+    st.sampled_from(
+        [np.float32(3), np.uint16(9), np.str_("status_good"), np.array(2.0), np.zeros(0), np.zeros((2, 2))]
+    ),
+    st.sampled_from([np.array([1, 2, 30, 40]), np.array([np.nan] * 4), np.array(["a"] * 4), np.array([1j] * 4)]),
+    st.sampled_from([np.float16(1), np.datetime64("2020-01-01"), np.zeros(2, "f4,i4"), 1j, {1: 2}, {(1,): 2}, {1, 2}]),
+    st.just(np.array([{}, [1.0]], dtype=object)),
+)
+
+
+@st.composite
+def _changed_objects(draw: Callable[[Any], Any], value: Any) -> Any:
+    if isinstance(value, list) and value:
+        place = draw(st.integers(0, len(value) - 1))
+        return [*value[:place], draw(_changed_objects(value[place])), *value[place + 1 :]]
+    if isinstance(value, dict) and value and draw(st.integers(0, 5)):
+        key = draw(st.sampled_from(sorted(value)))
+        return {**value, key: draw(_objects)}
+    return draw(_objects)

@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 import scipy.io
 import torch
+from helpers.imagenet3d_files import archive, pickle_of, thing
 from helpers.readers import SYNSET
 from PIL import Image
 
@@ -198,6 +199,67 @@ def parquet(change: Callable[[pd.DataFrame], pd.DataFrame]) -> Callable[[bytes],
 
 BRACKETS = b"[" * 10**6
 
+# ---- arrays of objects in .npz files
+
+
+def executed_objects(value: Any) -> bytes:
+    target = io.BytesIO()
+    np.savez(target, annotations=np.array([thing(), value], dtype=object))
+    return target.getvalue()
+
+
+def with_command(folder: Path) -> Path:
+    """A call of os.system in the oldest protocol."""
+    command = f"cos\nsystem\n(S'mkdir {folder.parent / CANARY}'\ntR."
+    return put(NPZ, archive(command.encode()))(folder)
+
+
+def ended(*parts: bytes) -> bytes:
+    return archive(b"\x80\x04" + b"".join(parts) + b".", zipfile.ZIP_DEFLATED)
+
+
+NPZ = "annotations/*/n0_0.npz"
+LETTERS = b"X" + struct.pack("<I", 900_000) + b"a" * 900_000 + b"\x94"
+ENCODED = b"c_codecs\nencode\nh\0\x8c\x06latin1\x86R"
+OF_F8 = b"cnumpy\ndtype\n(X\x02\0\0\0f8\x89\x88tR(K\x03X\x01\0\0\0<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\0tb"
+EMPTY = b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(K\0tC\x01btR"
+# A tuple of two of a tuple of two ...: to look at all 2^60 parts would take years.
+DOUBLED = b"N\x94" + b"".join(b"h" + bytes([n, ord("h"), n]) + b"\x86\x94" for n in range(60))
+ARRAYS = (
+    ("ImageNet3D", "objects that execute", executing(NPZ, executed_objects), "holds 'posix.mkdir', which is not read"),
+    ("ImageNet3D", "command", with_command, "holds 'os.system', which is not read"),
+    ("ImageNet3D", "text of 10^18 letters", put(NPZ, ended(b"\x8d", struct.pack("<Q", 10**18))), "damaged"),
+    ("ImageNet3D", "number of 2 GB", put(NPZ, ended(b"\x8b\xff\xff\xff\x7f")), "damaged"),
+    ("ImageNet3D", "lists in lists", put(NPZ, ended(b"]" * 500_000)), "more than 100000 parts"),
+    ("ImageNet3D", "marks", put(NPZ, ended(b"(" * 90_000)), "damaged"),
+    ("ImageNet3D", "text encoded again and again", put(NPZ, ended(LETTERS, ENCODED * 9_000)), "more than 1 MiB of it"),
+    ("ImageNet3D", "key of 2^60 parts", put(NPZ, ended(DOUBLED, b"}h\x3cNs")), "other keys than texts"),
+    (
+        "ImageNet3D",
+        "objects of 2^60 parts",
+        put(NPZ, ended(DOUBLED, EMPTY, b"h\x3cb")),
+        "a state as NumPy does not write it",
+    ),
+    (
+        "ImageNet3D",
+        "array of 10^18 numbers",
+        put(NPZ, ended(EMPTY, b"(K\x01\x8a\x08", struct.pack("<Q", 10**18), b"\x85", OF_F8, b"\x89C\0tb")),
+        "damaged",
+    ),
+    (
+        "ImageNet3D",
+        "number of a million bits",
+        put(NPZ, archive(pickle_of([thing(distance=2**1_000_000)], 4))),
+        "no finite number",
+    ),
+    ("ImageNet3D", "64 MiB in 64 KiB", put(NPZ, archive(bytes(2**26), zipfile.ZIP_DEFLATED)), "more than 1 MiB of it"),
+    ("ImageNet3D", "another compression", put(NPZ, archive(b"N.", zipfile.ZIP_LZMA)), "another way than NumPy's"),
+    ("ImageNet3D", "no archive", put(NPZ, b"\0" * 200), "not an .npz file"),
+    ("ImageNet3D", "another array", put(NPZ, pickled_archive({})), "no annotations.npy in it"),
+    ("ImageNet3D", "image elsewhere", put("lists/*train.txt", b"../../../n0_0\n"), "the name of one image"),
+    ("ImageNet3D", "image absolute", put("lists/*train.txt", b"/etc/passwd\n"), "the name of one image"),
+)
+
 # ---- the cases
 
 OBJ, MTL, PNG = "*/*/models/*.obj", "*/*/models/*.mtl", "*/*/images/*.png"
@@ -340,4 +402,4 @@ OWN = (
     ("list of viewpoints", "infinite", put("viewpoints.csv", instead(b"30.5", b"-inf")), ""),
     ("run that is drawn", "a list", put("run/result.json", b"[]"), ""),
 )
-CASES = (*(Case("CAD model", *case) for case in CAD), *(Case(*case) for case in (*DATA, *OWN)))
+CASES = (*(Case("CAD model", *case) for case in CAD), *(Case(*case) for case in (*DATA, *ARRAYS, *OWN)))

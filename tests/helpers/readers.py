@@ -13,8 +13,9 @@ from unittest import mock
 import numpy as np
 import pandas as pd
 import scipy.io
+from helpers import imagenet3d_files
 from helpers.cad_files import model_of, write_box
-from helpers.damage import damaged, other_array, other_record
+from helpers.damage import EXECUTED, damaged, other_array, other_objects, other_record
 from helpers.photo_data import write_crops
 from helpers.video_data import write_frames, write_freiburg, write_uco3d, write_video
 from hypothesis import strategies as st
@@ -24,7 +25,7 @@ from viewnet import paths
 from viewnet.config import PhotoConfig, VideoConfig
 from viewnet.data import backgrounds, clip_store, photo_store
 from viewnet.data.build import photo_views, video_views
-from viewnet.data.readers import pascal3d
+from viewnet.data.readers import imagenet3d, pascal3d
 from viewnet.data.readers.shapenet import find_models, load_model
 from viewnet.data.store import ViewStore
 from viewnet.data.synthetic import pascal3d_standin
@@ -239,6 +240,32 @@ def _pascal3d(root: Path) -> None:
     scipy.io.savemat(path, {"record": {"objects": _thing(), "imgsize": np.array([32.0, 24, 3])}})
 
 
+def _imagenet3d(root: Path) -> None:
+    small = {"bbox": np.array([2.0, 3, 60, 70]), "width": None, "height": np.uint16(90)}
+    for number, split in enumerate(pascal3d.SPLITS):
+        names = [f"n{number}_{i}" for i in range(2)]
+        for name in names:
+            things = (
+                imagenet3d_files.thing(elevation=-10),
+                imagenet3d_files.thing(object_status="status_barely", **small),
+            )
+            imagenet3d_files.write(root, name, *things)
+        imagenet3d_files.listed(root, split, *names)
+
+
+def _imagenet3d_objects(root: Path) -> object:
+    """What decides the views, without cutting them as PASCAL3D+'s are: there are many files to try."""
+    reasons = []
+    for split in pascal3d.SPLITS:
+        found, report = imagenet3d.read(root, "car", split)
+        assert all(0 <= a.azimuth < 360 and abs(a.elevation) <= 90 for a in found)
+        assert all(0 <= a.box[0] < a.box[2] <= 100 and 0 <= a.box[1] < a.box[3] <= 90 for a in found if a.box)
+        reasons += [reason for *_, reason in report.rejected]
+    assert not any("\n" in reason or len(reason) > 2000 for reason in reasons)
+    assert not EXECUTED.exists(), "a file was executed"
+    return "; ".join(reasons).encode().decode()  # which can be written
+
+
 # ---- videos
 
 _SMALL: dict[str, Any] = {"size": 8, "side": 1.0}
@@ -301,6 +328,7 @@ READERS = (
         {"Annotations/*/n0_*.mat": other_record, "Images/*/n0_0.JPEG": None, "Image_sets/*.txt": None},
         ("{folder}",),
     ),
+    Reader("ImageNet3D", _imagenet3d, _imagenet3d_objects, {"annotations/*/*.npz": other_objects}, ("{folder}",)),
     Reader(
         "Freiburg cars",
         _freiburg,

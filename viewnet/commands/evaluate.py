@@ -13,7 +13,7 @@ Examples:
 
 from viewnet.commands.options import JSON, Options, argument, print_results
 
-DATA = "other data: PASCAL3D+, photographs or crops with a list of viewpoints, or a ShapeNetCore folder"
+DATA = "other data: PASCAL3D+, ImageNet3D, photographs or crops with a list of viewpoints, or a ShapeNetCore folder"
 MOVED = "where the collection that a model was trained on lies, if it has moved"
 CALIBRATION = "views or photographs that alignments are fitted on (default: all)"
 ARGUMENTS = (

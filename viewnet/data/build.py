@@ -98,8 +98,9 @@ def built_in(
 def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
     """Open the photographs of `config` (section 4.3) as a view store, cutting them where that has not been done.
 
-    Viewpoints are calibrated on split "val", PASCAL3D+'s "train", and scored on "test", its "val". Stores lie in
-    `<paths.data()>/views/photos-<category>-<key>`; looking for one reads annotations, and images that may have changed.
+    Viewpoints are calibrated on split "val", the "train" of PASCAL3D+ and ImageNet3D, and scored on "test", their
+    "val". Stores lie in `<paths.data()>/views/photos-<category>-<key>`; looking for one reads annotations, and images
+    that may have changed.
     Raises ViewnetError for a root in no layout that can be read, settings that do not apply to it, a split without
     usable photographs, and one photograph in both.
     """
@@ -113,7 +114,7 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
         root = Path(config.root)
         found = [reader.photographs for reader in READERS.values() if reader.photographs and reader.recognises(root)]
         if not found:
-            expected = f"PASCAL3D+ 1.1 (Annotations, Images, Image_sets), images/ with {LIST} or test_crop/ with a list"
+            expected = f"PASCAL3D+ 1.1, ImageNet3D, images/ with {LIST} or test_crop/ with a list"
             raise ViewnetError(f"{root}: no photographs that can be read: expected {expected}")
         data = found[0](config, root)
         made_by["photographs"] = photo_store.digest(data)

@@ -13,6 +13,7 @@ from typing import Any
 
 from viewnet.config import PhotoConfig, RunConfig
 from viewnet.data import build, photo_store
+from viewnet.data.readers.registry import READERS
 from viewnet.data.store import ViewStore
 from viewnet.evaluation import baselines, features
 from viewnet.evaluation.predictions import Predictions
@@ -81,9 +82,9 @@ class PhotoExperiment(Experiment):
         """The kind of photographs, in words."""
         if self.data_root is None:
             return "a stand-in for photographs"
-        if (Path(self.data_root) / "Annotations").is_dir():
-            return f"PASCAL3D+ ({self.subset})"
-        return "photographs of another collection"
+        names = {"imagenet3d": "ImageNet3D", "pascal3d": f"PASCAL3D+ ({self.subset})"}
+        known = (name for key, name in names.items() if READERS[key].recognises(Path(str(self.data_root))))
+        return next(known, "photographs of another collection")
 
     def stores(self, progress: bool = True) -> dict[str, ViewStore]:
         """Category -> the view store of its photographs, made where it is missing."""

@@ -130,7 +130,7 @@ def _predictions(run: Run, data: ScoredData, steps: make_run.Steps) -> tuple[str
             views = steps.views(other)  # rendered as the model's own, so that only the objects differ
             return f"all models of {name}", other_views.transferred(_own(run, steps), views, steps), False
         if READERS[kind].photographs is None:
-            expected = "name PASCAL3D+, photographs or crops with a list, or a ShapeNetCore folder"
+            expected = "name PASCAL3D+, ImageNet3D, photographs or crops with a list, or a ShapeNetCore folder"
             raise ViewnetError(f"data_root {data.data_root}: is {kind}, whose viewpoints are not scored: {expected}")
     square = config.model.crop != "stretched"  # photographs are cut as the network was trained on views
     smoke = root is None and config.profile == "smoke"

@@ -12,6 +12,7 @@ Whatever is not used is listed with the reason.
 
 import itertools
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -91,11 +92,19 @@ def listed(root: Path, category: str, subset: str, split: str) -> list[str]:
     path = list_file(root, category, subset, split)
     if not path.is_file():
         raise ViewnetError(f"{path}: no such list: expected the folder of PASCAL3D+ release 1.1")
+    return names_in(path, states=subset == "pascal")
+
+
+def names_in(path: Path, states: bool = False) -> list[str]:
+    """The images of a list, one a line; with `states` -1, 0 or 1 follows, and those of -1 are left out.
+
+    Raises ViewnetError for a malformed line.
+    """
     text = read_text(path, "a text file, one image a line")
     lines = [line.split() for line in text.splitlines() if line.strip()]
-    states = [["-1"], ["0"], ["1"]] if subset == "pascal" else []
-    if bad := [" ".join(line) for line in lines if line[1:] not in [[], *states] or not _is_name(line[0])]:
-        expected = "an image and -1, 0 or 1" if subset == "pascal" else "the name of one image"
+    others = [["-1"], ["0"], ["1"]] if states else []
+    if bad := [" ".join(line) for line in lines if line[1:] not in [[], *others] or not _is_name(line[0])]:
+        expected = "an image and -1, 0 or 1" if states else "the name of one image"
         raise ViewnetError(f"{path}: line {bad[0][:60]!r}: expected {expected}")
     return [line[0] for line in lines if line[1:] != ["-1"]]
 
@@ -118,9 +127,12 @@ def annotation_file(root: Path, category: str, subset: str, image: str) -> Path:
 
 def image_file(root: Path, category: str, subset: str, image: str) -> Path:
     """Where an image lies, or would in the release."""
-    folder = Path(root) / "Images" / f"{category}_{subset}"
-    usual = folder / f"{image}{EXTENSIONS[subset]}"
-    others = (folder / f"{image}{suffix}" for suffix in _SUFFIXES)
+    return with_suffix(Path(root) / "Images" / f"{category}_{subset}" / f"{image}{EXTENSIONS[subset]}")
+
+
+def with_suffix(usual: Path) -> Path:
+    """An image by the name in the release, or where it is missing, the one with another suffix in its place."""
+    others = (usual.with_name(f"{usual.name.removesuffix(usual.suffix)}{suffix}") for suffix in _SUFFIXES)
     return usual if usual.is_file() else next((path for path in others if path.is_file()), usual)
 
 
@@ -147,7 +159,8 @@ def _read_image(
         try:
             if keep == "first" and place:
                 raise ViewnetError("not the first of its image")
-            box = _box(item, size, annotated, corrections)
+            # Pixels are counted from 1, and the last one belongs to the box.
+            box = mended_box(getattr(item, "bbox", ()), 1, size, annotated, corrections)
             azimuth, elevation = _viewpoint(item)
             hard = [_number(item, flag, 0.0) for flag in ("truncated", "occluded", "difficult")]
             if keep == "easy" and any(hard):
@@ -178,20 +191,28 @@ def _record(path: Path) -> tuple[list[Any], tuple[float, float] | None]:
         width, height = (float(value) for value in np.asarray(record.imgsize).ravel()[:2])
     except (AttributeError, TypeError, ValueError):
         return objects, None
-    return objects, (width, height) if width > 0 and height > 0 else None
+    return objects, (width, height) if min(width, height) >= 1 else None
 
 
-def _box(item: Any, size: tuple[int, int], annotated: tuple[float, float] | None, corrections: list[str]) -> Box:
-    """The object's box as edges within its image; what had to be corrected joins `corrections`."""
-    corners = np.asarray(getattr(item, "bbox", ()))
-    if corners.size != 4 or corners.dtype.kind not in "fiu" or not np.isfinite(corners).all():
+def mended_box(
+    box: Any, first: int, size: tuple[int, int], annotated: tuple[float, float] | None, corrections: list[str]
+) -> Box:
+    """The edges within an image of an annotated box, an array; what had to be corrected joins `corrections`.
+
+    `first` is the number of the first pixel, `annotated` the size of the image that the box is of.
+    Raises ViewnetError for a box that is not four numbers, or has no part in the image.
+    """
+    array = np.asarray(box)
+    corners = (
+        [float(value) for value in array.ravel().tolist()] if array.dtype.kind in "fiu" and array.size == 4 else []
+    )
+    if not corners or not all(abs(value) < 1e9 for value in corners):  # no NaN either
         raise ViewnetError("box is not four numbers")
-    x0, y0, x1, y1 = (float(value) for value in corners.ravel())
+    x0, y0, x1, y1 = corners
     if x0 > x1 or y0 > y1:
         corrections.append("box with exchanged corners")
         x0, x1, y0, y1 = *sorted((x0, x1)), *sorted((y0, y1))
-    # Pixels are counted from 1, and the last one belongs to the box.
-    edges = np.array([x0 - 1, y0 - 1, x1, y1])
+    edges = np.array([x0 - first, y0 - first, x1, y1])
     limits = np.array([*size, *size], dtype=np.float64)
     if annotated and annotated != size:
         scale = limits / [*annotated, *annotated]
@@ -246,8 +267,13 @@ def _number(item: Any, name: str, default: float | None = None) -> float:
 
 
 def read_both_splits(config: PhotoConfig, root: Path) -> Photographs:
-    """What a configuration asks for: viewpoints are calibrated on the data set's "train" and scored on its "val"."""
-    parts = {use: read(root, config.category, config.subset, split, config.keep) for split, use in USES.items()}
+    """What a configuration asks for."""
+    return both_splits(root, lambda split: read(root, config.category, config.subset, split, config.keep))
+
+
+def both_splits(root: Path, read_split: Callable[[str], tuple[list[Photograph], Report]]) -> Photographs:
+    """Viewpoints are calibrated on a data set's "train" and scored on its "val"."""
+    parts = {use: read_split(split) for split, use in USES.items()}
     usable = [replace(photograph, split=use) for use, (photographs, _) in parts.items() for photograph in photographs]
     reports = [report for _, report in parts.values()]
     mended = tally(what for report in reports for _, what in report.mended)

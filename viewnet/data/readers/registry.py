@@ -4,6 +4,7 @@ from viewnet.data.readers import (
     crop_list,
     freiburg,
     image_folder,
+    imagenet3d,
     objectron,
     pascal3d,
     photo_folder,
@@ -15,6 +16,7 @@ from viewnet.data.readers.reader import Reader
 
 READERS: dict[str, Reader] = {
     "shapenet": shapenet.READER,
+    "imagenet3d": imagenet3d.READER,  # before PASCAL3D+, for file systems that do not tell capitals
     "pascal3d": pascal3d.READER,
     "photographs": photo_folder.READER,
     "crops": crop_list.READER,
