@@ -33,6 +33,7 @@ PROSE = {
     "README.md": "overview",
     "docs/README.md": "documents",
     "docs/results.md": "results",
+    "docs/claims.md": "claims",
     "docs/running.md": "running",
     "docs/estimator.md": "estimator",
     "docs/models.md": "models",

@@ -20,12 +20,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from viewnet.tables import definitions, kept_predictions
+from viewnet.tables import claims, definitions, kept_predictions
 from viewnet.tables.table import Table
 
 __all__ = [
-    "HEADINGS", "ROOT", "TABLES", "definitions", "frame", "markdown", "pd", "recipes_compared", "remade", "score",
-    "scores", "tables_1_and_2", "trainings", "value",
+    "HEADINGS", "ROOT", "TABLES", "claims_counted", "claims_explained", "definitions", "frame", "markdown", "pd",
+    "recipes_compared", "remade", "score", "scores", "tables_1_and_2", "trainings", "value",
 ]  # fmt: skip
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -167,6 +167,35 @@ def trainings() -> pd.DataFrame:
                 "processor": hardware["gpu"] or hardware["processor"], "commit": training["git"]["commit"][:7],
             })  # fmt: skip
     return pd.DataFrame(list(found.values()))
+
+
+@functools.cache
+def judged() -> list[claims.Judged]:
+    """The claims of the paper with their verdicts."""
+    return claims.judge(TABLES)
+
+
+def claims_counted() -> str:
+    """How many claims have each verdict, with a link to their page."""
+    return claims.counts(judged()).replace("claims", "[claims of the paper](docs/claims.md)", 1) + "."
+
+
+def claims_explained() -> str:
+    """The claims as a Markdown table, then the criterion and the evidence of each."""
+    table = markdown(
+        ["", "the paper says", "where", "verdict"],
+        [[f"[{each.claim.id}](#{each.claim.id})", each.claim.says, each.claim.place, f"**{each.verdict}**"]
+         for each in judged()],
+    )  # fmt: skip
+    parts = [f"{claims.counts(judged())}.\n{table}"]
+    for each in judged():
+        evidence = "".join(f"- {line}\n" for line in each.evidence)
+        files = ", ".join(dict.fromkeys(f"[{rule.file}](../paper_tables/{rule.file})" for rule in each.claim.rules))
+        scope = "decide the claim" if each.claim.scope == "full" else "can say it at toy scale only"
+        about = f"*{each.claim.says}* ({each.claim.place}) **{each.verdict.capitalize()}.**"
+        criterion = f"Criterion: {each.claim.criterion} The data here {scope}: {files}."
+        parts.append(f"### {each.claim.id}\n\n{about}\n\n{criterion}\n\n{evidence}")
+    return "\n".join(parts)
 
 
 def markdown(header: Sequence[object], rows: Iterable[Sequence[object]]) -> str:

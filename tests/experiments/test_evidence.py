@@ -19,7 +19,7 @@ import pytest
 from viewnet import paths
 from viewnet.experiments import notebooks, show
 from viewnet.experiments.request import DESIGNS
-from viewnet.tables import definitions, kept_predictions, plots
+from viewnet.tables import claims, definitions, kept_predictions, plots
 from viewnet.tables.columns import METRICS
 
 CALL = re.compile(r'show\.evidence\("(\w+)"(?:, "([\w-]+)")?\)')
@@ -190,6 +190,13 @@ def test_definitions_are_those_of_the_predictions_beside_them():
         kept = pd.read_csv(path, index_col=["row", "category"])
         again = definitions.by_definition(table)
         pd.testing.assert_frame_equal(kept, again, check_dtype=False, atol=0.11)
+
+
+def test_verdicts_stand_below_the_evidence_that_they_read():
+    judged = [each for each in claims.judge(TABLES, ["novel_views.csv"])]
+    assert len(judged) > 1
+    assert show.committed("novel_views")[-1].content == "".join(f"{each}\n" for each in judged)
+    assert not any("Claim " in part.content for part in show.committed("recipe_ablation") if part.kind == "text/plain")
 
 
 def test_without_files_a_line_says_so(monkeypatch, tmp_path):

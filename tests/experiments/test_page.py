@@ -18,6 +18,7 @@ from viewnet import cli
 from viewnet.errors import ViewnetError
 from viewnet.experiments.page import page
 from viewnet.runtime.files import write_json
+from viewnet.tables import claims
 from viewnet.tables.columns import METRICS
 
 COMMITTED = Path(__file__).resolve().parents[2] / "paper_tables"
@@ -158,6 +159,29 @@ def test_links_lead_somewhere_and_ids_are_there_once(folder):
     assert "table2_ablation.json" in hrefs
 
 
+def test_claims_come_first_with_their_verdict_and_lead_to_their_evidence(folder):
+    places = ("table2_ablation.json", "tiny/car/table2_ablation.json")
+    shutil.copytree(folder, folder.parent / "copy")
+    shutil.move(folder.parent / "copy", folder / "tiny" / "car")
+    rules = "".join(f"[[claim.rules]]\nfile = '{place}'\ncannot = 'no <i>'\n" for place in places)
+    about = {"id": "a", "says": "More is <b>better</b>.", "place": "Table 2", "criterion": "It is.", "scope": "toy"}
+    entry = "".join(f"{name} = '{text}'\n" for name, text in about.items())
+    (folder / claims.NAME).write_text(f"[[claim]]\n{entry}{rules}")
+    page = written(folder)
+    assert "1 claim: 1 cannot be tested here" in page.text and "More is <b>better</b>." in page.text
+    assert page.text.index("Claims of the paper") < page.text.index("is the number in the paper")
+    hrefs, ids = ([attributes.get(name) for _, attributes in page.elements] for name in ("href", "id"))
+    for anchor in ("table2_ablation", "table2_ablation-tiny-car"):
+        assert f"#{anchor}" in hrefs and anchor in ids
+    assert claims.NAME in hrefs
+    (folder / claims.NAME).unlink()
+    assert "Claims of the paper" not in written(folder).text
+
+
+def test_reported_numbers_have_their_notes(folder):
+    assert "reported for Constant: no constant scores so" in written(folder).text
+
+
 def test_what_is_not_there_is_named_with_its_command(folder):
     text = written(folder).text
     assert "Not made yet" in text and "viewnet notebook table4_freiburg" in text
@@ -222,8 +246,8 @@ def test_every_committed_file_has_its_place(committed):
         for setting in section.settings:
             shown |= {COMMITTED / file for file in setting.files}
             shown |= {COMMITTED / file for image in setting.images for file in image.files}
-    there = {p for p in COMMITTED.rglob("*") if p.is_file() and "published" not in p.parts and p.name != "index.html"}
-    assert shown == there
+    there = {p for p in COMMITTED.rglob("*") if p.is_file() and "published" not in p.parts}
+    assert shown == there - {COMMITTED / name for name in ("index.html", claims.NAME)}
     assert "other" not in {section.name for section in committed}
 
 
@@ -256,7 +280,8 @@ def test_the_committed_page_is_of_the_committed_files(committed):
     """Images apart, whose bytes differ with the version of the library that encodes them."""
     text = (COMMITTED / "index.html").read_text(encoding="utf-8")
     there = re.sub(r"data:image/webp;base64,[A-Za-z0-9+/=]+", "data", text)
-    assert there == page.render(committed).replace("data:image", "data"), "run viewnet tables --page"
+    now = page.render(committed, claims.judge(COMMITTED)).replace("data:image", "data")
+    assert there == now, "run viewnet tables --page"
 
 
 def test_a_list_of_categories_and_of_seeds_is_told(folder):

@@ -10,6 +10,7 @@ Examples:
     viewnet tables --profile smoke                                  does it all work? in minutes
     viewnet tables --only table1_shapenet table2_ablation --seeds 3
     viewnet tables --page                                           the page alone, from what is in paper_tables/
+    viewnet tables --claims                                         the verdict on each claim of the paper
     viewnet tables --from-predictions                               is every number that of the predictions beside it?
     viewnet tables --cluster tcp://HOST:8786                        rendered and trained on a Dask cluster
 """
@@ -27,6 +28,7 @@ ARGUMENTS = (
     argument("--seeds", "how many (3), or which (0,2), for every notebook that takes them", metavar="N"),
     argument("--only", "these and no others", nargs="+", metavar="NOTEBOOK"),
     argument("--page", "run nothing: write the page from what is there", action="store_true"),
+    argument("--claims", "run nothing: the verdict on each claim of the paper", action="store_true"),
     argument("--from-predictions", AGAIN, action="store_true"),
     CLUSTER,
     argument("--json", "what was made, and what failed, as JSON", action="store_true"),
@@ -39,9 +41,11 @@ def run(options: Options) -> int:
     from viewnet.experiments import notebooks
     from viewnet.experiments.page import page
 
-    alone = [name for name in ("page", "from_predictions") if getattr(options, name)]
+    alone = [name for name in ("page", "claims", "from_predictions") if getattr(options, name)]
     if alone and (len(alone) > 1 or options.only or options.profile or options.seeds):
         raise ViewnetError(f"--{alone[0].replace('_', '-')} cannot be combined with other options")
+    if options.claims:
+        return _judge(options, paths.tables())
     if options.from_predictions:
         return _compare(options, paths.tables())
     choose_resources(options)
@@ -58,6 +62,22 @@ def run(options: Options) -> int:
     values = {"notebooks": [outcome.as_dict() for outcome in done], "page": str(written)}
     print_results(options, values, written, *failures)
     return 1 if failed else 0
+
+
+def _judge(options: Options, folder: Path) -> int:
+    """Print the verdicts on the claims. ViewnetError where the folder has none, and as viewnet.tables.claims.judge."""
+    from viewnet.tables import claims
+
+    if not (judged := claims.judge(folder)):
+        raise ViewnetError(f"{folder / claims.NAME}: no such file: give VIEWNET_TABLES a folder that has it")
+    names = ("id", "says", "place", "criterion", "scope")
+    values = [
+        {name: getattr(each.claim, name) for name in names}
+        | {"verdict": each.verdict, "recipes": each.by_recipe, "evidence": each.evidence}
+        for each in judged
+    ]
+    print_results(options, values, claims.counts(judged), *judged)
+    return 0
 
 
 def _compare(options: Options, folder: Path) -> int:

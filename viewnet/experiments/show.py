@@ -24,7 +24,7 @@ from viewnet.experiments.reported_constants import audit_file
 from viewnet.recipes import make_config
 from viewnet.runtime.files import write_csv
 from viewnet.runtime.image_files import opened
-from viewnet.tables import definitions, image_grids, kept_predictions, novel_view_scores, plots, run_renderer
+from viewnet.tables import claims, definitions, image_grids, kept_predictions, novel_view_scores, plots, run_renderer
 from viewnet.tables.architecture import architectures
 
 UNKNOWN = "drawn by an earlier version: the files do not say from which runs"
@@ -55,10 +55,14 @@ def live(request: Experiment, submissions: Sequence[Submission] = ()) -> None:
 
 
 def committed(name: str, setting: str = "") -> list[Shown]:
-    """What `evidence` shows; a line that says so where nothing is committed."""
+    """What `evidence` shows, then the verdicts of claims that read it; a line says so where nothing is committed."""
     files = page.found(paths.part("paper_tables")).get(name, {}).get(setting, [])
     where = f"paper_tables/{setting}".rstrip("/")
-    return drawn(name, files) if files else [_text([f"{where} has nothing of this notebook yet: run it below"])]
+    if not files:
+        return [_text([f"{where} has nothing of this notebook yet: run it below"])]
+    folder = paths.part("paper_tables")
+    judged = claims.judge(folder, [path.relative_to(folder).as_posix() for path in files])
+    return [*drawn(name, files), *([_text(list(map(str, judged)))] if judged else [])]
 
 
 def drawn(name: str, files: Sequence[Path]) -> list[Shown]:

@@ -11,7 +11,8 @@ from viewnet.tables.layouts import LAYOUTS
 
 TABLES = tuple(name for name, layout in LAYOUTS.items() if layout.reported)
 """Each has a file of its name."""
-COLUMNS = ("row", "metric", "category", "value", "bold", "source")
+COLUMNS = ("row", "metric", "category", "value", "bold", "source", "note")
+"""The last says how a number was measured, where that is not as ours are."""
 
 
 def folder() -> Path:
@@ -27,6 +28,13 @@ def load(table: str) -> pd.DataFrame:
     path = folder() / f"{known(table, TABLES, 'table')}.csv"
     frame = read_csv(path, COLUMNS, dtype=str, keep_default_na=False)
     return frame.assign(bold=frame["bold"] == "1")  # values stay text, with the digits of the paper
+
+
+def notes(table: str) -> list[str]:
+    """How the numbers of a table of the paper were measured otherwise than ours, a line for the rows of each note."""
+    numbers, labels = load(table), {row: label for label, row in LAYOUTS[table].reported_as.items()}
+    groups = numbers["row"].replace(labels).groupby(numbers["note"], sort=False)
+    return [f"reported for {'; '.join(dict.fromkeys(rows))}: {note}" for note, rows in groups if note]
 
 
 def architecture(part: str) -> pd.DataFrame:

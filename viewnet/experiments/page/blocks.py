@@ -12,7 +12,7 @@ from viewnet.errors import ViewnetError
 from viewnet.experiments.alignment_study import Study
 from viewnet.experiments.reported_constants import ConstantAudit
 from viewnet.runtime.files import read_csv, read_json
-from viewnet.tables import benchmark
+from viewnet.tables import benchmark, reported
 from viewnet.tables.architecture import COLUMNS, Architecture
 from viewnet.tables.columns import Column, best, by_key, column_of
 from viewnet.tables.kept_predictions import NUMBERS, cells_of
@@ -69,6 +69,7 @@ def tables(files: Files) -> Content:
             blocks.append(metric_table(cells_of(table), table["title"]))
             # Shown once, however many tables.
             notes += [table["measured on"], *table.get("remarks", ()), table["error"], table["interval"]]
+            notes += reported.notes(table["table"]) if table["table"] in reported.TABLES else []
             runs |= {run_of(key): origin(run) for key, run in table["runs"].items()}
         if path.suffix == ".csv" and (title := BESIDE.get(path.stem.rpartition("_")[2])):
             blocks.append(plain_table(title, read_csv(path).round(3), folded=True, index=False))

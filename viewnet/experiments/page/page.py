@@ -9,7 +9,7 @@ import itertools
 import logging
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -26,6 +26,7 @@ from viewnet.experiments.page.images import SUFFIXES, TEMPLATES, EmbeddedImage, 
 from viewnet.experiments.request import DESIGNS
 from viewnet.runtime.files import write_text
 from viewnet.runtime.progress import bar
+from viewnet.tables import claims
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +35,7 @@ LIMIT = 8_000_000
 """Bytes; the figures of a larger page are shrunk."""
 WIDTHS = (1700, 1000, 500)
 """Maximal pixels across a figure, tried in turn until the page is within the limit."""
-IGNORED = ("published/*", NAME, ".*", "*_logs.csv")
+IGNORED = ("published/*", NAME, claims.NAME, ".*", "*_logs.csv")
 _OPTIONS: Any = {"autoescape": True, "undefined": jinja2.StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
 ENVIRONMENT = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), **_OPTIONS)
 
@@ -70,8 +71,9 @@ KINDS = [Section(**rule) for rule in tomllib.loads((TEMPLATES / "sections.toml")
 
 def write(folder: Path) -> Path:
     """Write the page of a folder; returns its path. ViewnetError for an empty folder and for an unreadable file."""
+    judged = claims.judge(folder)
     for widest in WIDTHS:
-        page = render(sections(folder, widest))
+        page = render(sections(folder, widest), judged)
         if len(page.encode()) <= LIMIT:
             break
         log.warning("the page has %.1f MB with figures of %d pixels", len(page.encode()) / 1e6, widest)
@@ -79,15 +81,30 @@ def write(folder: Path) -> Path:
     return folder / NAME
 
 
-def render(content: list[Section]) -> str:
-    """The page as HTML."""
+def render(content: list[Section], judged: Sequence[claims.Judged] = ()) -> str:
+    """The page as HTML, first the claims with their verdicts."""
     chapters = {name: list(group) for name, group in itertools.groupby(content, lambda section: section.chapter)}
     names = {section.name for section in content}
     missing = {k.name: headed(k).title for k in KINDS if k.name in DESIGNS and k.name not in names}
     origins = {o["key"]: o for section in content for setting in section.settings for o in setting.origins}
     return ENVIRONMENT.get_template("overview.html").render(
-        chapters=chapters, missing=missing, summary=summary(origins.values()), runs=len(origins)
+        chapters=chapters,
+        missing=missing,
+        summary=summary(origins.values()),
+        runs=len(origins),
+        claims=[(each, _places(each, content)) for each in judged],
+        counts=claims.counts(judged),
     )
+
+
+def _places(judged: claims.Judged, content: Iterable[Section]) -> dict[str, str]:
+    """Where the page shows what a claim's rules read: the id of a section, or of one of its settings -> title."""
+    titles = {section.name: section.title for section in content}
+    places = dict.fromkeys(_place(Path(rule.file)) for rule in judged.claim.rules)
+    return {
+        "-".join(filter(None, (name, setting.replace("/", "-")))): ", ".join(filter(None, (titles[name], setting)))
+        for name, setting in places
+    }
 
 
 def sections(folder: Path, widest: int = WIDTHS[0]) -> list[Section]:
