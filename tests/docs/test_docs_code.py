@@ -287,6 +287,14 @@ def test_python_runs(source, world, monkeypatch, capsys):
     assert len(names) > 2
 
 
+@pytest.mark.slow
+def test_the_image_of_the_cameras_axes_is_drawn(tmp_path):
+    documents.script("camera_axes").main(tmp_path / "axes.png")
+    with Image.open(tmp_path / "axes.png") as drawn, Image.open(ROOT / "docs" / "camera_axes.png") as shown:
+        assert drawn.size == shown.size
+        assert np.asarray(drawn.convert("L")).std() > 20  # not an empty page
+
+
 def strings(path: Path) -> set[str]:
     """Every string of a Python file, whole, and every name in it."""
     found = set()

@@ -106,10 +106,10 @@ def pytorch3d(rotation: np.ndarray, point: np.ndarray, distance: float) -> np.nd
 
 def blender(rotation: np.ndarray, point: np.ndarray, distance: float) -> np.ndarray:
     """`matrix_world` is from the camera's own axes, in which it looks along -z with y up, to the world's."""
-    world = np.eye(4)
-    world[:3, :3] = rotation
-    world[:3, 3] = distance * rotation @ [0, 0, 1]
-    x, y, z, _ = np.linalg.inv(world) @ [*point, 1]
+    matrix_world = np.eye(4)
+    matrix_world[:3, :3] = rotation
+    matrix_world[:3, 3] = distance * rotation @ [0, 0, 1]
+    x, y, z, _ = np.linalg.inv(matrix_world) @ [*point, 1]
     assert z < 0
     return np.array([x, -y]) / -z
 
@@ -162,6 +162,12 @@ def look_at_rotation(position: np.ndarray, up: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
+def look_at_view_transform(elevation: float, azimuth: float) -> np.ndarray:
+    """The rotation of PyTorch3D's, by its description: y is up, and the azimuth runs from z to x."""
+    a, e = np.radians([azimuth, elevation])
+    return look_at_rotation(np.array([np.cos(e) * np.sin(a), np.sin(e), np.cos(e) * np.cos(a)]), np.array([0, 1, 0]))
+
+
 @everywhere
 def test_pytorch3d_s_look_at_rotation_is_the_same(view):
     _, up, back = camera(*view)
@@ -176,10 +182,8 @@ def test_pytorch3d_s_look_at_rotation_of_a_level_camera_has_z_up(azimuth, elevat
 
 @given(st.floats(0, 359.9), st.floats(-89, 89))
 def test_in_pytorch3d_s_own_world_the_rows_are_in_another_order(azimuth, elevation):
-    """look_at_view_transform(d, elevation, azimuth): y is up, azimuth runs from z to x."""
-    a, e = np.radians([azimuth, elevation])
-    position = np.array([np.cos(e) * np.sin(a), np.sin(e), np.cos(e) * np.cos(a)])
-    expected = look_at_rotation(position, np.array([0, 1, 0]))
+    """For a mesh with y up, front along z and left along x."""
+    expected = look_at_view_transform(elevation, azimuth)
     assert np.allclose(viewpoint(azimuth, elevation).rotation("pytorch3d")[[1, 2, 0]], expected, atol=1e-7)
 
 
