@@ -70,7 +70,8 @@ def score(
 ) -> str:
     """A cell of a table: the measured value, its 95 % interval in square brackets, the reported value in round ones.
 
-    What was not measured is a dash; what the paper does not report is left out.
+    What was not measured is a dash, and "n.d." where an alignment is not determined; what the paper does not report is
+    left out.
     """
     cells = frame(file, row=row, category=category, metric=metric)
     if len(cells) != 1:
@@ -78,7 +79,9 @@ def score(
     cell = cells.iloc[0]
     places = DIGITS.get(metric, 1) if digits is None else digits
     text = "-" if pd.isna(cell["measured"]) else f"{cell['measured']:.{places}f}"
-    if interval and not pd.isna(cell["low"]):
+    if pd.notna(cell.get("degenerate")) and cell["degenerate"]:
+        text = "n.d."
+    elif interval and not pd.isna(cell["low"]):
         text += f" [{cell['low']:.{places}f}, {cell['high']:.{places}f}]"
     if reported and not pd.isna(cell.get("printed")):
         text += f" ({cell['printed']})"
@@ -113,7 +116,7 @@ def scores(
 
 
 def tables_1_and_2(metrics: Iterable[str] = ("acc30", "median"), interval: bool = False) -> str:
-    """Tables 1 and 2 as one Markdown table: measured (reported), "n.d." where an alignment is not determined."""
+    """Tables 1 and 2 as one Markdown table of scores: measured (reported)."""
     files: dict[str, str] = {}
     for file in ("table1_shapenet.csv", "table2_ablation.csv"):
         measured = frame(file).dropna(subset="measured")
@@ -123,15 +126,11 @@ def tables_1_and_2(metrics: Iterable[str] = ("acc30", "median"), interval: bool 
     for metric in metrics:
         header += [f"{HEADINGS[metric]}: aeroplane", "car", "chair"]
         columns += [(metric, category) for category in ("aeroplane", "car", "chair")]
-
-    def cell(row: str, file: str, metric: str, category: str) -> str:
-        where = {"row": row, "category": category, "metric": metric}
-        if value(file, "degenerate", **where):
-            return f"n.d. ({frame(file, **where)['printed'].item()})".removesuffix(" (nan)")
-        return score(file, row, category, metric, interval=interval)
-
-    body = [[row.replace(" (matting)", ""), *(cell(row, file, *column) for column in columns)]
-            for row, file in files.items()]  # fmt: skip
+    body = [
+        [row.replace(" (matting)", ""), *(score(file, row, category, metric, interval=interval)
+                                          for metric, category in columns)]
+        for row, file in files.items()
+    ]  # fmt: skip
     return markdown(header, body)
 
 

@@ -40,11 +40,13 @@ def test_a_number_that_differs_is_noticed(tmp_path):
 def tables(tmp_path, monkeypatch):
     monkeypatch.setattr(measured, "TABLES", tmp_path)
     (tmp_path / "scores.csv").write_text(
-        "row,category,metric,printed,measured,low,high\n"
-        "ViewNet,car,acc30,89,89.66,86.8,92.5\n"
-        "ViewNet,car,median,6.7,5.9863,,\n"
-        "Older,car,acc30,87,,,\n"
-        "Older,car,median,,1.0,0.5,2\n"
+        "row,category,metric,printed,measured,low,high,degenerate\n"
+        "ViewNet,car,acc30,89,89.66,86.8,92.5,False\n"
+        "ViewNet,car,median,6.7,5.9863,,,False\n"
+        "Older,car,acc30,87,,,,\n"
+        "Older,car,median,,1.0,0.5,2,False\n"
+        "Constant,car,acc30,9,3.2,3.0,3.4,True\n"
+        "Constant,car,median,,88.1,87,89,True\n"
     )
 
 
@@ -54,6 +56,11 @@ def test_a_score_has_its_interval_and_what_the_paper_reports(tables):
     assert measured.score("scores.csv", "ViewNet", "car", "median") == "6.0 (6.7)"
     assert measured.score("scores.csv", "Older", "car", "acc30") == "- (87)"
     assert measured.score("scores.csv", "Older", "car", "median", interval=False) == "1.0"
+
+
+def test_a_score_without_a_determined_alignment_is_not_shown(tables):
+    assert measured.score("scores.csv", "Constant", "car", "acc30") == "n.d. (9)"
+    assert measured.score("scores.csv", "Constant", "car", "median") == "n.d."
 
 
 def test_a_table_has_a_row_for_each_name_and_a_column_for_each_score(tables):

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from helpers.untrained_models import untrained_run
+from matplotlib.text import Text
 
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import align
-from viewnet.tables import plots
+from viewnet.tables import image_grids, plots
 
 
 def test_azimuths_are_those_of_the_aligned_selection(smoke_runs):
@@ -75,6 +77,43 @@ def test_recipes_are_told_apart_over_the_targets_they_saw(tmp_path):
     assert [line.get_xdata().tolist() for line in figure.axes[0].lines] == [[9 * 16, 18 * 16], [9 * 64, 18 * 64]]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == ["ViewNet (paper)", "ViewNet (matting)"]
+
+
+NAMES = ("a$b$c", r"$\foo", r"$\frac{1}$", "x_1^2", r"50\$")
+"""Names that mathtext would typeset, refuse or change."""
+
+
+def of_logs(name: str):
+    rows = [{"row": name, "recipe": recipe, "category": name, "seed": 0, "targets": targets, "epoch": 1, name: 2.0}
+            for recipe in (name, "paper") for targets in (100, 3000)]  # fmt: skip
+    return plots.training_curves(pd.DataFrame(rows))
+
+
+def of_calibration(name: str):
+    row = {"predictor": name, "alignment": "linear", "category": name} | dict.fromkeys(plots.AXES, 50.0)
+    return plots.calibration_curves(pd.DataFrame([row | {"images": images} for images in (4, 16)]))
+
+
+def of_collapse(name: str):
+    row = {"predictor": name, "category": name, "concentration": 0.5, "side": 0.2, "spread_linear": 1.0}
+    gains = {f"{metric}_{kind}": 10.0 for metric in ("acc30", "dva") for kind in ("linear", "rigid")}
+    return plots.collapse_curves(pd.DataFrame([row | gains]))
+
+
+def of_images(name: str):
+    return image_grids.image_grid([[np.zeros((4, 4, 3), np.uint8)]], [name], [name], [[name]])
+
+
+@pytest.mark.parametrize("draw", [of_logs, of_calibration, of_collapse, of_images])
+@pytest.mark.parametrize("name", NAMES)
+def test_names_are_text_whatever_is_in_them(draw, name, tmp_path):
+    figure = draw(name)
+    plots.save(figure, tmp_path, "figure")
+    texts = [text for text in figure.findobj(Text) if text.get_text()]
+    assert any(name in text.get_text() for text in texts)
+    assert not any(text.get_parse_math() for text in texts)
+    own = [text.get_text() for text in texts if name not in text.get_text()]
+    assert not any("$" in text for text in own), "numbers along the axes are no mathtext either"
 
 
 def test_a_run_without_a_log_is_named(tmp_path):

@@ -8,7 +8,6 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from viewnet.bench import steps
 from viewnet.bench.contestants import BOTH
@@ -115,15 +114,13 @@ def _bars(axes: Axes, rows: list[Row]) -> None:
             axes.annotate(number(value), (max(value, *ends[name], 1), place + shift), (2, 0),
                           textcoords="offset points", va="center", fontsize=6)  # fmt: skip
     axes.axvline(1, color="0.2", linewidth=0.6)
-    labels = [f"{row['work']}\n{row['volume']}, ${row['size']}^3$" for row in rows]
+    labels = [f"{row['work']}\n{row['volume']}, {row['size']}³" for row in rows]
     axes.set_yticks(range(len(rows)), labels, fontsize=6)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     axes.invert_yaxis()
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    plots.plain_ticks(axes.xaxis)
     axes.set_xlim(right=1.6 * axes.get_xlim()[1])  # room for the numbers
     axes.set_xlabel("times as much (thin lines: least to most)")
     handles = [Patch(color=colour, label=name) for name, colour in RATIOS.items()]
@@ -149,4 +146,5 @@ def _curves(axes: Axes, rows: list[Row], column: str, scale: float, unit: str) -
         axes.plot(sizes, cubes, color="0.6", linewidth=0.8, linestyle=":", zorder=0, label=label)
     axes.set_xscale("log", base=2)
     axes.set(yscale="log", ylabel=unit)
+    plots.plain_ticks(axes.yaxis)
     axes.set_xticks(sizes, [str(size) for size in sizes])

@@ -9,9 +9,10 @@ import matplotlib
 import numpy as np
 import pandas as pd
 import torch
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import EngFormatter
+from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
 from viewnet import geometry
 from viewnet.errors import ViewnetError
@@ -28,6 +29,7 @@ STYLE: Any = {
     "axes.spines.right": False,
     "pdf.fonttype": 42,  # TrueType: text stays text
     "svg.hashsalt": "viewnet",
+    "text.parse_math": False,  # names are text, whatever is in them
 }
 INK = "#1f4e79"
 STYLES = {"none": "-", "procrustes": "-", "robust": "-.", "linear": "--", "per_angle": ":"}
@@ -49,6 +51,13 @@ def angles(vectors: Floats) -> tuple[Floats, Floats]:
     """Azimuths in [0, 360) and elevations (N,) of view vectors (N, 3), degrees."""
     azimuth, elevation = geometry.azimuth_elevation(torch.from_numpy(np.array(vectors)))
     return azimuth.numpy(), elevation.numpy()
+
+
+def plain_ticks(axis: Axis) -> None:
+    """Numbers along a logarithmic axis that are not written as powers, which would need mathtext."""
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 @matplotlib.rc_context(STYLE)
@@ -116,6 +125,7 @@ def training_curves(logs: pd.DataFrame) -> Figure:
         if recipes:
             # Trainings by different recipes see numbers of images that are far apart.
             axes.set(xscale="log", xlim=(logs["targets"].min() * 0.8, logs["targets"].max() * 1.25))
+            plain_ticks(axes.xaxis)
         else:
             axes.set_xlim(left=0)
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
