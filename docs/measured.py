@@ -24,7 +24,7 @@ from viewnet.tables import claims, definitions, kept_predictions
 from viewnet.tables.table import Table
 
 __all__ = [
-    "HEADINGS", "ROOT", "TABLES", "claims_counted", "claims_explained", "definitions", "frame", "markdown", "pd",
+    "HEADINGS", "ROOT", "TABLES", "claims_by_verdict", "claims_explained", "definitions", "frame", "markdown", "pd",
     "recipes_compared", "remade", "score", "scores", "tables_1_and_2", "trainings", "value",
 ]  # fmt: skip
 
@@ -174,9 +174,12 @@ def judged() -> list[claims.Judged]:
     return claims.judge(TABLES)
 
 
-def claims_counted() -> str:
-    """How many claims have each verdict, with a link to their page."""
-    return claims.counts(judged()).replace("claims", "[claims of the paper](docs/claims.md)", 1) + "."
+def claims_by_verdict() -> str:
+    """A Markdown table of verdicts, how many claims of the paper have each, and which, with links to their page."""
+    found = {verdict: [each.claim.id for each in judged() if each.verdict == verdict] for verdict in claims.VERDICTS}
+    rows = [[verdict, len(ids), ", ".join(f"[{name.replace('_', ' ')}](docs/claims.md#{name})" for name in ids)]
+            for verdict, ids in found.items() if ids]  # fmt: skip
+    return markdown(["verdict", "", "claims of the paper"], rows)
 
 
 def claims_explained() -> str:
