@@ -121,7 +121,8 @@ def test_a_killed_run_goes_on_as_if_nothing_had_been(store, tmp_path, monkeypatc
     resumed = trained(store, tmp_path / "killed", variant, **overrides)
     assert same(weights(resumed), weights(whole))
     assert log(resumed) == log(whole)
-    assert {path.name for path in resumed.iterdir()} == {"checkpoint.safetensors", "log.csv"}
+    assert {path.name for path in resumed.iterdir()} == {path.name for path in whole.iterdir()}
+    assert {path.name for path in whole.iterdir()} - {ROBUST} == {"checkpoint.safetensors", "log.csv"}
 
 
 def test_a_finished_run_is_left_alone(store, tmp_path):
