@@ -137,7 +137,7 @@ def describe_crop(crop: Crop) -> dict[str, Any]:
 
 
 def check_apart(photographs: Sequence[Photograph]) -> None:
-    """Raise where a file is in both splits."""
+    """ViewnetError where a file is in both splits."""
     seen: dict[Path, str] = {}
     for photograph in photographs:
         if seen.setdefault(photograph.image_path, photograph.split) != photograph.split:
