@@ -38,8 +38,8 @@ LISTS = {
 
 def written(folder: Path, content: bytes, form: str = "NFC") -> Path:
     (folder / "images").mkdir()
-    for name in ("été.jpg", "b.jpg"):
-        Image.fromarray(PHOTOGRAPH).save(folder / "images" / unicodedata.normalize(form, name))
+    for grey, name in enumerate(("été.jpg", "b.jpg")):  # they differ: one photograph in both splits is refused
+        Image.fromarray(PHOTOGRAPH + np.uint8(200 * grey)).save(folder / "images" / unicodedata.normalize(form, name))
     (folder / "viewpoints.csv").write_bytes(content)
     return folder
 
