@@ -199,5 +199,5 @@ READERS: dict[str, Callable[[Files], Content]] = {
     "audit_metrics": audit,
     "architecture": architecture,
     "bench": bench,
-    **dict.fromkeys(("fuzz", "faults", "crashes", "predicting"), csv_files),
+    **dict.fromkeys(("fuzz", "faults", "crashes", "videos", "predicting"), csv_files),
 }
