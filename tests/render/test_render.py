@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -50,6 +54,22 @@ def triangle_mesh(corners: np.ndarray, *materials: Material, uv: np.ndarray | No
 def colour_at(image: np.ndarray, row: float = 0.5, column: float = 0.5) -> np.ndarray:
     """Colour in 0..1 at a place in 0..1 of an image."""
     return image[int(row * len(image)), int(column * len(image)), :3] / 255
+
+
+ALONE = """
+import sys
+import numpy as np
+from viewnet.render import render_mesh
+from viewnet.render.mesh import Material, Mesh
+mesh = Mesh(np.eye(3) / 4, np.array([[0, 1, 2]], np.int32), np.zeros(1, np.int32), (Material(),))
+assert render_mesh(mesh, 45, 35, 8)[0, ..., 3].any()
+sys.exit("trimesh" in sys.modules or "pyrender" in sys.modules)
+"""
+
+
+def test_the_ray_caster_does_not_load_the_libraries_of_the_other() -> None:
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    subprocess.run([sys.executable, "-c", ALONE], env=environment, check=True)
 
 
 # Geometry

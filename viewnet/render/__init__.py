@@ -50,10 +50,12 @@ def render_cameras(
         raise ViewnetError(f"size {size}, supersample {supersample}: expected 1 or more")
     if (reach := float(np.abs(mesh.vertices).max(initial=0))) > RADIUS + 1e-6:
         raise ViewnetError(f"the mesh reaches {reach:g} from its centre: normalise it to a bounding-box diagonal of 1")
-    from viewnet.render import opengl, raycast
-
     if backend == "pyrender":
+        from viewnet.render import opengl  # late: its libraries take a third of a second in each process
+
         return opengl.render(mesh, world_from_camera, lights, size, supersample)
+    from viewnet.render import raycast
+
     return raycast.render(raycast.prepare(mesh), world_from_camera, lights, size, supersample)
 
 
