@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Callable
@@ -53,8 +54,7 @@ def measure(root: Path, count: int, times: int) -> pd.DataFrame:
         assert view_store(config, progress=False).identity == before
 
     def read_anew() -> None:
-        for table in (paths.data() / "contents").iterdir():
-            table.unlink()
+        shutil.rmtree(paths.data() / "contents", ignore_errors=True)
         find()
 
     rows = []
