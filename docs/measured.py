@@ -152,7 +152,7 @@ def trainings() -> pd.DataFrame:
     Columns table, recipe, category, seed, core_hours (wall time times threads), processor, commit.
     """
     found = {}
-    for path in sorted(TABLES.rglob("table*.json")) + sorted(TABLES.rglob("[!t]*.json")):
+    for path in sorted(TABLES.rglob("*.json"), key=lambda path: (not path.name.startswith("table"), path)):
         about = json.loads(path.read_text("utf-8"))
         runs = about.get("runs", {}) if isinstance(about, dict) else {}
         for run in (run for run in runs.values() if isinstance(run, dict) and run.get("training")):

@@ -76,6 +76,11 @@ DEFINITIONS: dict[str, Callable[[Floats], Floats]] = {"geodesic": np.asarray, "f
 """Definitions in the literature, as functions of geodesic errors (...); only the first is an angle between frames."""
 
 
+def hits(errors: Floats) -> Floats:
+    """Whether geodesic errors (...) are right for Acc@30, in per cent: 100 or 0, so that their mean is the accuracy."""
+    return np.where(np.asarray(errors) < 30, 100.0, 0.0)
+
+
 def accuracy(errors: Floats, threshold: float) -> float:
     """Accuracy: per cent of errors strictly below `threshold` degrees (Acc@30)."""
     return 100 * float(np.mean(np.asarray(errors) < threshold))

@@ -10,6 +10,7 @@ table's files.
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from viewnet.experiments import experiment
 from viewnet.experiments.cad import Experiment
 from viewnet.runs.make_run import Steps
 from viewnet.runs.run_store import ensure
-from viewnet.runtime.files import read_csv, write_csv
+from viewnet.runtime.files import read_csv, read_json, write_csv
 from viewnet.tables import definitions, kept_predictions, plots
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import CHOSEN_ROBUSTLY, Entry, by_robust_weights, entries
@@ -55,7 +56,7 @@ class Replication:
         """
         queue = cls([experiment(name, **(parameters | own)) for name, own in parts])
         for request in queue.requests:
-            path = request.folder / f"{request.name}.json"
+            path = _file(request)
             if path.with_suffix(".parquet").is_file():
                 queue._add(kept_predictions.read(path).entries)
         return queue
@@ -96,7 +97,9 @@ class Replication:
         Raises ViewnetError as viewnet.runs.run_store.ensure does, after the others have ended.
         """
         for request in self.requests:  # runs that one table has kept may be another's rows
-            if any(config.settings_key() in self.kept for config in request.configs):
+            path = _file(request)
+            shown = {run.get("settings") for run in read_json(path)["runs"].values()} if path.is_file() else set()
+            if {config.settings_key() for config in request.configs} & self.kept.keys() - shown:
                 self._write(request)
         ensure(self.missing, workers, progress, steps, finished=self.keep)
 
@@ -114,10 +117,7 @@ class Replication:
         labels = {row.label for row in LAYOUTS[request.name].rows}
         own = [entry for entry in found if entry.row in labels]
         chosen = [entry for entry in found if entry.row.endswith(CHOSEN_ROBUSTLY)]
-        table = request.table_of(own, chosen, _uneven(own))
-        table.write(request.folder)
-        if request.name == "table2_ablation":
-            definitions.write(table, request.folder)
+        definitions.write_with(request.table_of(own, chosen, _uneven(own)), request.folder)
 
     def _write_log(self, request: Experiment, run: Run) -> None:
         """The logs of the table's runs, of several machines perhaps, one below the other."""
@@ -128,6 +128,11 @@ class Replication:
             others = (before[columns] != log[columns].iloc[0]).any(axis=1)
             log = pd.concat([before[others], log], ignore_index=True)
         write_csv(path, log)
+
+
+def _file(request: Experiment) -> Path:
+    """The JSON of a part's table."""
+    return request.folder / f"{request.name}.json"
 
 
 def _uneven(own: Sequence[Entry]) -> list[str]:

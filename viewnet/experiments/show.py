@@ -164,9 +164,7 @@ def _parts(request: Any, submissions: Sequence[Submission]) -> Iterator[list[Pat
             tables = request.score(runs, submissions).values() if name == "your_method" else [request.table(runs)]
             for table in tables:
                 assert table.complete, f"{table.name}: not every row of ours is measured in every category"
-                yield table.write(folder)
-            if name == "table2_ablation":
-                yield [definitions.write(table, folder)]
+                yield definitions.write_with(table, folder)
             if name == "test_sets":
                 yield [write_csv(folder / "test_sets_nearest.csv", request.nearness(), index=True)]
 

@@ -308,10 +308,6 @@ def _bounded(
     return Finding(outcome, about if place == "." else f"{place}: {about}", f"{category} {text}", why, recipe)
 
 
-def _right(errors: Floats) -> Floats:
-    return np.where(errors < 30, 100.0, 0.0)
-
-
 def _symmetric(aligned: Aligned) -> Floats:
     why = causes(aligned.selected, aligned.predictions.truth)  # (N,)
     return np.where(why == "", np.nan, np.where(np.isin(why, CAUSES[:2]), 100.0, 0.0))
@@ -325,7 +321,7 @@ def _half_turns(aligned: Aligned) -> Floats:
 MEASURES: dict[str, Callable[[Aligned], Floats]] = {
     "symmetric errors": _symmetric,
     "half turns minus mirrored": _half_turns,
-    "selected minus best": lambda aligned: _right(aligned.selected_errors) - _right(aligned.errors.min(axis=1)),
+    "selected minus best": lambda each: metrics.hits(each.selected_errors) - metrics.hits(each.errors.min(axis=1)),
 }
 """Measures of predictions, in per cent, each view's value (N,), NaN where it does not count:
 

@@ -6,7 +6,6 @@ that most predictions agree on.
 """
 
 from collections.abc import Callable
-from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +24,6 @@ DEFINITIONS: dict[str, tuple[str, Callable[[Floats], Floats]]] = {
     "yaw": ("yaw", np.asarray),
 }
 """Column -> the alignment of predictions, and what is made of geodesic errors (N,); "geodesic" is the headline."""
-CUBE = [np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1, -1), repeat=3)]
-CUBE = [turn for turn in CUBE if np.linalg.det(turn) > 0]
-"""The 24 rotations of a cube, (3, 3) each."""
 
 
 def of_seeds(table: Table) -> pd.DataFrame:
@@ -40,6 +36,9 @@ def of_seeds(table: Table) -> pd.DataFrame:
     (`best_head_acc30`). `best_of_24_acc30` is the best of the 24 rotations of a cube after Procrustes, chosen by test
     labels, as some publish it: an upper bound and no score.
     """
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    cube = Rotation.create_group("O").as_matrix()  # (24, 3, 3)
     lines = []
     for entry in (entry for entry in table.entries if entry.alignment == "procrustes"):
         line: dict[str, object] = {"row": table.label(entry), "category": entry.category, "seed": entry.seed}
@@ -54,7 +53,7 @@ def of_seeds(table: Table) -> pd.DataFrame:
         line |= {"half_turns": 100 * float(turned.mean())}
         line |= {"half_turns_by_object": metrics.clustering(turned, robust.predictions.objects)}
         line |= {"best_head_acc30": metrics.accuracy(robust.errors.min(axis=1), 30)}
-        turns = (metrics.geodesic_error(usual.selected @ turn.T, usual.predictions.truth) for turn in CUBE)
+        turns = (metrics.geodesic_error(usual.selected @ turn.T, usual.predictions.truth) for turn in cube)
         lines.append(line | {"best_of_24_acc30": max(metrics.accuracy(errors, 30) for errors in turns)})
     return pd.DataFrame(lines)
 
@@ -63,6 +62,11 @@ def by_definition(table: Table) -> pd.DataFrame:
     """`of_seeds` as means over seeds; `degenerate` counts them, of so many `seeds`."""
     seeds = of_seeds(table).drop(columns="seed").groupby(["row", "category"], sort=False)
     return seeds.mean().round(4).assign(degenerate=seeds["degenerate"].sum(), seeds=seeds.size())
+
+
+def write_with(table: Table, folder: Path) -> list[Path]:
+    """The files of a table (Table.write), and beside Table 2 its definitions."""
+    return [*table.write(folder), *([write(table, folder)] if table.name == "table2_ablation" else [])]
 
 
 def write(table: Table, folder: Path) -> Path:

@@ -233,7 +233,7 @@ class Table:
         found: dict[tuple[str, str], tuple[list[np.ndarray], list[np.ndarray]]] = {}
         for entry in self.entries:
             hits, objects = found.setdefault((self.label(entry), entry.category), ([], []))
-            hits.append(np.where(entry.aligned().selected_errors < 30, 100.0, 0.0))
+            hits.append(metrics.hits(entry.aligned().selected_errors))
             objects.append(entry.aligned().predictions.objects)
         return found
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from viewnet.config import CATEGORIES, PhotoConfig, known
 from viewnet.data.photo_store import Photograph, Photographs
-from viewnet.data.readers.reader import Contents, Reader
+from viewnet.data.readers.reader import Contents, Reader, require_all
 from viewnet.data.store import Rejected, in_words
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import SUFFIXES
@@ -121,8 +121,7 @@ def _recognises(root: Path) -> bool:
 
 
 def _read_all(config: PhotoConfig, root: Path) -> Photographs:
-    if config.keep != "all":
-        raise ViewnetError(f"{root}: its list has no difficulty flags: use keep='all', or PASCAL3D+")
+    require_all(config, root)
     return read(root, config.category)
 
 

@@ -18,9 +18,8 @@ import numpy as np
 
 from viewnet.errors import ViewnetError
 
-LARGEST = (
-    2**20
-)  # bytes of a file, of it once it is unpacked, and of what it makes arrays of: a thousand objects have less
+# Bytes of a file, of it once it is unpacked, and of what it makes arrays of: a thousand objects have less.
+LARGEST = 2**20
 MOST_PARTS = 100_000  # opcodes: an annotated object has about a hundred
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from viewnet.config import CATEGORIES, PhotoConfig, known
 from viewnet.data.photo_store import SPLITS, Photograph, Photographs
-from viewnet.data.readers.reader import Contents, Reader
+from viewnet.data.readers.reader import Contents, Reader, require_all
 from viewnet.errors import ViewnetError
 from viewnet.runtime.lists import one_form, read_list
 
@@ -86,8 +86,7 @@ def _value(row: dict[Any, Any], name: str, where: str) -> float:
 
 
 def _read_all(config: PhotoConfig, root: Path) -> Photographs:
-    if config.keep != "all":
-        raise ViewnetError(f"{root}: its list has no difficulty flags: use keep='all', or PASCAL3D+")
+    require_all(config, root)
     return Photographs(root, read(root, config.category), upright=True)
 
 

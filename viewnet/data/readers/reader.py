@@ -112,6 +112,12 @@ class Reader:
     accepts: Callable[[Path], bool] = lambda folder: False
 
 
+def require_all(config: PhotoConfig, root: Path) -> None:
+    """ViewnetError where a configuration chooses by flags of difficulty, which a plain list has not."""
+    if config.keep != "all":
+        raise ViewnetError(f"{root}: its list has no difficulty flags: use keep='all', or PASCAL3D+")
+
+
 def read_text(path: Path, expected: str) -> str:
     """The content of a text file. ViewnetError, which says what was `expected`, where it cannot be read."""
     try:
