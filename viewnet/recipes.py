@@ -97,6 +97,23 @@ ABLATIONS: dict[str, Changes] = {
 Each is a variant, "without_" and its name: a row of the notebook recipe_ablation."""
 VARIANTS |= {f"without_{name}": changes for name, changes in ABLATIONS.items()}
 
+PEERS: dict[str, Changes] = {}
+"""Methods of other papers (viewnet.peers) -> what they change of their recipe: rows of the tables as well."""
+ABSOLUTE: tuple[str, ...] = ()
+"""Peers that learn from viewpoints and predict them in the annotated frame: no alignment is fitted."""
+PEER_RECIPES: dict[str, Changes] = {
+    "peer": {"model": {"heads": 1}, "train": {"perceptual": "none", "select_by": "reconstruction"}}
+}
+PEER_RECIPES["peer_photos"] = merged(
+    PEER_RECIPES["peer"],
+    {
+        "data": RECIPES["photos"]["data"],
+        "model": {"crop": "stretched"},
+        "train": {"photo": {"box_error": 0.05, "tilt": 5.0, "exposure": 1.0}},
+    },
+)
+"""How peers are trained: on views of CAD models, or before backgrounds for photographs. None of ViewNet's settings."""
+
 _TINY: Changes = {
     "data": {"models": 1000},
     "model": {
@@ -197,20 +214,23 @@ def make_config(
     Traceback (most recent call last):
     viewnet.errors.ViewnetError: unknown profile 'huge': choose one of smoke, tiny, pocket, small, paper
     """
-    known(variant, VARIANTS, "variant")
+    known(variant, (*VARIANTS, *PEERS), "variant")
     known(category, CATEGORIES, "category")
     known(profile, PROFILES, "profile")
-    recipe = PROFILE_RECIPE[profile] if recipe is None else known(recipe, RECIPES, "recipe")
+    recipes = (*RECIPES, *PEER_RECIPES) if variant in PEERS else RECIPES
+    recipe = PROFILE_RECIPE[profile] if recipe is None else known(recipe, recipes, "recipe")
+    if variant in PEERS:
+        recipe = "peer_photos" if "photos" in recipe else "peer"
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
         raise ViewnetError(f"seed {seed!r}: expected a whole number of 0 or more")
     changes = [
         {"data": {"category": category, "root": data_root, "splits": splits}, "model": {}, "train": {}},
-        RECIPES[recipe],
+        (RECIPES | PEER_RECIPES)[recipe],
         PROFILES[profile],
         TOGETHER.get((profile, recipe), {}),
         FILMED.get(profile, {}) if overrides.get("video") is not None else {},
         STARTED if overrides.get("start") is not None else {},
-        VARIANTS[variant],
+        (VARIANTS | PEERS)[variant],
         COLLECTED if data_root is not None and profile != "smoke" else {},
         overridden(overrides),
     ]

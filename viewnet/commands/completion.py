@@ -18,10 +18,10 @@ from viewnet import paths
 from viewnet.commands.options import Options, argument
 from viewnet.config import CATEGORIES
 from viewnet.errors import ViewnetError
-from viewnet.recipes import PROFILES, RECIPES, VARIANTS
+from viewnet.recipes import PEERS, PROFILES, RECIPES, VARIANTS
 
 # The values of arguments that have few; whatever uses an argument checks it.
-VALUES = {"categories": CATEGORIES, "variant": VARIANTS, "profile": PROFILES, "recipe": RECIPES}
+VALUES = {"categories": CATEGORIES, "variant": VARIANTS | PEERS, "profile": PROFILES, "recipe": RECIPES}
 FILES, FOLDERS = ("FILE", "IMAGE", "WHERE"), ("FOLDER",)  # metavars of arguments that take files and folders
 ARGUMENTS = (argument("shell", choices=("bash", "zsh", "tcsh")),)
 

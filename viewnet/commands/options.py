@@ -7,7 +7,7 @@ from typing import Any
 
 from viewnet.config import CATEGORIES, RunConfig
 from viewnet.errors import ViewnetError
-from viewnet.recipes import PROFILES, RECIPES, VARIANTS, make_config
+from viewnet.recipes import PEERS, PROFILES, RECIPES, VARIANTS, make_config
 from viewnet.runtime import parallel
 
 Options = argparse.Namespace  # the parsed arguments that a command is run with
@@ -32,7 +32,7 @@ MODEL = (
 )
 SCHEDULER = "a Dask scheduler that renders and trains: tcp://HOST:PORT or scheduler-file:PATH"
 CLUSTER = argument("--cluster", f"{SCHEDULER} (default: ${parallel.CLUSTER})", metavar="ADDRESS")
-VARIANT = argument("--variant", f"{', '.join(VARIANTS)} (default: viewnet)", default="viewnet")
+VARIANT = argument("--variant", f"{', '.join((*VARIANTS, *PEERS))} (default: viewnet)", default="viewnet")
 RECIPE = argument("--recipe", f"{', '.join(RECIPES)} (default: the profile's)")
 ONE = f"threads of one run, or of the prediction (default: ${parallel.THREADS}, or its share of the cores)"
 THREADS = argument("--threads", ONE, type=int, metavar="N")

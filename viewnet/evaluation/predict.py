@@ -10,15 +10,20 @@ from viewnet.data import augment
 from viewnet.data.pairs import model_views
 from viewnet.data.store import ViewStore
 from viewnet.evaluation.predictions import ID_COLUMNS, Predictions
-from viewnet.model.checkpoint import CHECKPOINT, load_model
+from viewnet.model.checkpoint import CHECKPOINT
 from viewnet.model.viewnet import ViewNet
+from viewnet.peers import registry
+from viewnet.peers.peer import Peer
 
 BATCH = 256  # images at once
 
 
 @torch.no_grad()
 def predict(
-    model: Path | ViewNet, store: ViewStore, splits: tuple[str, ...] = ("val", "test"), checkpoint: str = CHECKPOINT
+    model: Path | ViewNet | Peer,
+    store: ViewStore,
+    splits: tuple[str, ...] = ("val", "test"),
+    checkpoint: str = CHECKPOINT,
 ) -> Predictions:
     """Viewpoint hypotheses for every view of the given splits, in the store's order, by a network or a run's folder.
 
@@ -27,7 +32,7 @@ def predict(
     have no annotated viewpoint.
     """
     store.require_viewpoints(splits, "what cannot be scored is not predicted: use an annotated store")
-    network, config = load_model(model, checkpoint) if isinstance(model, Path) else (model.eval(), None)
+    network, config = registry.load(model, checkpoint) if isinstance(model, Path) else (model.eval(), None)
     device, size = network.focal.device, network.config.input_size
     backgrounds = augment.load(config.data, size, device) if config else None
     rows, batches = [], []

@@ -10,6 +10,7 @@ from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.predictions import Predictions
+from viewnet.recipes import ABSOLUTE
 from viewnet.runtime.files import read_csv, read_json
 
 NOT_SCORED = "its own views have no annotated val and test split"
@@ -44,7 +45,8 @@ class Run:
     @property
     def alignments(self) -> tuple[str, ...]:
         """The alignments it is scored by."""
-        return LEARNED_ALIGNMENTS if self.trained else FITTED_ALIGNMENTS
+        fitted = not self.trained or self.config.variant in ABSOLUTE
+        return FITTED_ALIGNMENTS if fitted else LEARNED_ALIGNMENTS
 
     @property
     def alignment(self) -> str:

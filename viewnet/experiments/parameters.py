@@ -15,7 +15,7 @@ from viewnet.data.readers import objectron
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, features
 from viewnet.model import checkpoint
-from viewnet.recipes import PROFILES, RECIPES, VARIANTS
+from viewnet.recipes import PEERS, PROFILES, RECIPES, VARIANTS
 
 SHAPENET = "shapenet"
 """The value of `start` for which ViewNet is first trained on CAD models of the category, with the same seed."""
@@ -156,7 +156,7 @@ PARAMETERS: dict[str, Parameter] = {
     "recipe": Parameter("default", _recipes,
                         "how models are trained (viewnet.recipes), one or more: paper,matting; default: the profile's",
                         "{}", "-".join, "recipes"),
-    "variant": _one_name("", (*VARIANTS, *baselines.UNTRAINED), "one row, such as viewnet; empty: all",
+    "variant": _one_name("", (*VARIANTS, *PEERS, *baselines.UNTRAINED), "one row, such as viewnet; empty: all",
                          "variants", "{0[0]}"),
     "categories": Parameter("all", _categories,
                             "car, or car,chair, or a list; all: the notebook's; everything: all twelve of PASCAL3D+",

@@ -19,7 +19,7 @@ from viewnet.evaluation import baselines, features
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.cad import Experiment, Rows
-from viewnet.recipes import RECIPES, VARIANTS
+from viewnet.recipes import PEERS, RECIPES, VARIANTS
 from viewnet.runs import other_views
 from viewnet.runtime import provenance
 from viewnet.tables.layouts import LAYOUTS
@@ -56,7 +56,7 @@ class PhotoExperiment(Experiment):
     @property
     def trained_variants(self) -> list[str]:
         """The variants that are not fitted on photographs."""
-        return [variant for variant in self.variants if variant in VARIANTS]
+        return [variant for variant in self.variants if variant in VARIANTS | PEERS]
 
     @property
     def configs(self) -> list[RunConfig]:
@@ -141,7 +141,7 @@ class PhotoExperiment(Experiment):
 
         for entry in entries(name, runs, predictions, self.calibration):
             result.append(replace(entry, origin=entry.origin | {"photographs": stores[entry.category].identity}))
-        untrained = [variant for variant in LAYOUTS[name].variants if variant not in VARIANTS]
+        untrained = [variant for variant in LAYOUTS[name].variants if variant not in VARIANTS | PEERS]
         for (category, store), variant in product(stores.items(), untrained):
             fitted, settings = self.fitted(variant, store, self.calibration)
             alignment = ALIGNED.get(variant, "none")

@@ -27,7 +27,7 @@ from viewnet.evaluation.run import Run
 from viewnet.experiments import photos
 from viewnet.experiments.parameters import SUBSETS, folder_named
 from viewnet.model import checkpoint
-from viewnet.recipes import make_config
+from viewnet.recipes import PEERS, make_config
 from viewnet.runs import make_run, other_views
 from viewnet.runtime.files import read_json, write_json
 from viewnet.tables.benchmark import aligned
@@ -126,7 +126,8 @@ def _predictions(run: Run, data: ScoredData, steps: make_run.Steps) -> tuple[str
         description = f"photographs of {name}"
         kind = catalogue.recognise(Path(data.data_root))  # by what is in it, whatever its name
         if kind == "shapenet":
-            other = make_config("viewnet", config.category, config.profile, config.recipe, data_root=root).data
+            variant = config.variant if config.variant in PEERS else "viewnet"
+            other = make_config(variant, config.category, config.profile, config.recipe, data_root=root).data
             views = steps.views(other)  # rendered as the model's own, so that only the objects differ
             return f"all models of {name}", other_views.transferred(_own(run, steps), views, steps), False
         if READERS[kind].photographs is None:

@@ -12,12 +12,14 @@ from typing import Any
 
 import torch
 
+from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.evaluate import evaluate
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import NOT_SCORED, ROBUST_PREDICTIONS, Run, can_be_scored, read_log, read_result
 from viewnet.model import checkpoint
+from viewnet.recipes import PEERS
 from viewnet.runtime import distributed, provenance
 from viewnet.runtime.files import locked, write_json, write_text
 
@@ -43,9 +45,17 @@ def default_steps() -> Steps:
     from viewnet.data.build import view_store
     from viewnet.data.store import ViewStore
     from viewnet.evaluation.predict import predict
-    from viewnet.training.train import train
 
-    return Steps(view_store, ViewStore.open, train, predict)
+    return Steps(view_store, ViewStore.open, train_any, predict)
+
+
+def train_any(config: RunConfig, *where: Any, **how: Any) -> None:
+    """Training of ViewNet (viewnet.training.train.train), or of a peer (viewnet.training.train_peer.train_peer)."""
+    if config.variant in PEERS:
+        from viewnet.training.train_peer import train_peer as train
+    else:
+        from viewnet.training.train import train
+    train(config, *where, **how)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,8 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.run import Run
 from viewnet.model import checkpoint
+from viewnet.peers import registry
+from viewnet.recipes import PEERS
 from viewnet.runs import dask_cluster, make_run, worker_pool
 from viewnet.runtime import distributed, provenance
 from viewnet.runtime.parallel import cores, pool
@@ -49,6 +51,14 @@ TRAINING = (
 A module that training starts to use must be added here, or a change in it would go unnoticed; a test compares this list
 with what viewnet.training.train imports.
 """
+PEER_TRAINING = (
+    *(f"peers/{name}.py" for name in ("peer", "registry")),
+    "training/train_peer.py",
+    *(f"training/{name}.py" for name in ("history", "optimisers")),
+    "geometry.py", "data/augment.py", "data/pairs.py", "evaluation/alignment.py",
+    *(f"runtime/{name}.py" for name in ("images", "random", "torchvision_weights")),
+)  # fmt: skip
+"""The same of peers; to it comes the file of the method itself."""
 UNTRAINED_CODE = ("evaluation/baselines.py", "geometry.py")  # the same of predictors that need no training
 
 
@@ -61,6 +71,8 @@ def untrained(variant: str, config: RunConfig) -> RunConfig:
 def locate(config: RunConfig, identity: str, backgrounds: str = "") -> Path:
     """The folder of a run on views, and before backgrounds, of these identities, wherever their files lie."""
     code = TRAINING if config.variant not in UNTRAINED else UNTRAINED_CODE
+    if config.variant in PEERS:
+        code = (*PEER_TRAINING, *registry.code_of(config.variant))
     data = replace(config.data, root=None, splits=None, extra=None, backgrounds=None)
     if data.video is not None:
         video = replace(data.video, root=None, mask_folder=VideoConfig.mask_folder)

@@ -1,0 +1,66 @@
+"""What a method of another paper is to training, prediction and tables: a network with a loss of its own."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from viewnet.config import ModelConfig
+from viewnet.model.viewnet import Hypotheses
+from viewnet.runtime.images import composite
+from viewnet.runtime.random import RandomSource
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Views of B objects: one of each, and K further ones of each, N = B K, object by object.
+
+    Images are RGB times mask, and mask, in [0, 1]. What a method does not say that it needs is not there.
+    """
+
+    first: Tensor  # (B, 4, S, S)
+    images: Tensor  # (N, 4, S, S)
+    world_from_camera: Tensor | None = None  # (N, 3, 3), true camera frames (viewnet.geometry.look_at)
+    boxes: Tensor | None = None  # (N, 3), sides along x, y and z of the box around the object, centred at the origin
+
+
+class Peer(nn.Module):
+    """A method of another paper. A subclass says how it learns; everything else is as for ViewNet.
+
+    supervision  what is known in training, in the words of the tables' column
+    needs        of that, what a batch must have beyond images and masks: "viewpoints" and "boxes"
+    absolute     whether it predicts viewpoints in the annotated frame, so that no alignment is fitted
+    judged       the terms of its loss that rank weights on validation views
+    """
+
+    supervision: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]] = ()
+    absolute: ClassVar[bool] = False
+    judged: ClassVar[tuple[str, ...]]
+    focal: Tensor
+
+    def __init__(self, config: ModelConfig):
+        super().__init__()
+        self.config = config
+        self.register_buffer("focal", torch.tensor(float("nan")), persistent=False)  # the renderer's, nothing learned
+
+    def composite(self, images: Tensor, background: Tensor | None = None) -> Tensor:
+        """Images (N, 4, S, S) over backgrounds (N, 3, S, S) or the backdrop: (N, 3, S, S), for `viewpoint`."""
+        return composite(images, self.config.backdrop if background is None else background)
+
+    def viewpoint(self, images: Tensor) -> Hypotheses:
+        """The hypotheses for images (N, 3, S, S), as `composite` gives them; the one with the largest logit counts."""
+        raise NotImplementedError
+
+    def losses(self, batch: Batch, progress: float, generator: RandomSource) -> dict[str, Tensor]:
+        """Name -> weighted term of the loss, a scalar; their sum is minimised by one step of Adam.
+
+        `progress` is the share of training that is done. All random numbers come from `generator`, so that a training
+        that was interrupted ends as one that was not.
+        """
+        raise NotImplementedError
+
+    def parameter_groups(self, learning_rate: float) -> list[dict[str, object]]:
+        """The optimiser's groups: all weights at one learning rate, unless a method says otherwise."""
+        return [{"params": list(self.parameters()), "lr": learning_rate}]

@@ -1,0 +1,45 @@
+"""The methods by their variants' names, and a trained one from its file."""
+
+from pathlib import Path
+
+import torch
+
+from viewnet.config import ModelConfig, RunConfig, known
+from viewnet.errors import ViewnetError
+from viewnet.model import checkpoint
+from viewnet.model.viewnet import ViewNet
+from viewnet.peers.peer import Peer
+
+METHODS: dict[str, type[Peer]] = {}
+"""Variant (viewnet.recipes.PEERS) -> its network."""
+
+
+def make(variant: str, config: ModelConfig) -> Peer:
+    """An untrained network. ViewnetError for a variant that is no peer."""
+    return METHODS[known(variant, METHODS, "peer")](config)
+
+
+def code_of(variant: str) -> tuple[str, ...]:
+    """The modules of the package, as files, that a method's network and loss are written in."""
+    modules = dict.fromkeys(
+        kind.__module__ for kind in METHODS[variant].__mro__ if kind.__module__.startswith("viewnet")
+    )
+    return tuple(f"{name.partition('.')[2].replace('.', '/')}.py" for name in modules)
+
+
+def load(folder: Path, name: str = checkpoint.CHECKPOINT) -> tuple[ViewNet | Peer, RunConfig]:
+    """`viewnet.model.checkpoint.load_model` for a run of ViewNet or of a peer.
+
+    Raises ViewnetError as that does, and for weights that are not those of the configuration's network.
+    """
+    path = folder / name
+    if not path.is_file() or (config := checkpoint.config_of(path)).variant not in METHODS:
+        return checkpoint.load_model(folder, name)
+    network = make(config.variant, config.model)
+    try:
+        network.load_state_dict(checkpoint.read(path)[0])
+    except RuntimeError as error:
+        problem = checkpoint.first_line(error)
+        raise ViewnetError(f"{path}: weights and configuration are not of one network ({problem})") from error
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return network.to(device).eval(), config
