@@ -18,7 +18,7 @@ PAGES := README.md $(wildcard docs/*.md)
 NOTEBOOK := $(VENV)/bin/viewnet notebook
 COG := $(RUN) cogapp -P -I docs -p "from measured import *" --verbosity=1
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 replication test test-fast lint format numbers notebooks docs lock clean
+.PHONY: help setup table2 replication test test-fast style lint format numbers notebooks docs lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z0-9-]*\):.*## /\1\t/p' Makefile | expand -t 12
@@ -50,16 +50,18 @@ table2: setup ## Table 2 on built-in data, trained here where it is missing
 replication: setup ## every training behind the tables of CAD models, kept in paper_tables/; stop and start it at will
 	$(VENV)/bin/viewnet replicate
 
-test: lint ## style, types, all tests and every notebook
+test: style ## style, types, all tests and every notebook; what else lint checks is among the tests
 	$(RUN) pytest --nbval -n auto --maxprocesses 2 --dist loadfile
 
 test-fast: setup ## the tests that take seconds, without notebooks
 	OMP_NUM_THREADS=1 $(RUN) pytest tests -m "not slow" -q -n auto --maxprocesses 4 --dist loadfile
 
-lint: setup ## style, types, imports between rooms, numbers in the documents, form of notebooks
+style: setup ## style and types
 	$(RUN) ruff check
 	$(RUN) ruff format --check
 	$(RUN) mypy
+
+lint: style ## style, types, imports between rooms, numbers in the documents, form of notebooks
 	$(VENV)/bin/lint-imports
 	$(COG) --check --check-fail-msg="not as in paper_tables/: run make numbers" $(PAGES)
 	$(RUN) pytest -q tests/experiments/test_notebooks.py -k TestForm

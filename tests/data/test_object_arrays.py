@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import datetime
 import pickletools
+import random
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -155,3 +158,27 @@ def test_a_letter_that_is_none_is_refused(tmp_path):
     assert pickled.count(b"b\0\0\0") == 1
     with pytest.raises(ViewnetError, match="damaged"):
         load(stored(tmp_path, pickled.replace(b"b\0\0\0", b"\xff\xff\xff\xff")), "annotations")
+
+
+def test_nothing_is_imported_compiled_or_called_for_a_damaged_file(tmp_path):
+    path, listening = stored(tmp_path, pickle_of([thing(bbox=np.array([1.0, 2, 3, 4]))], 4)), False
+    happened: list[tuple[str, str]] = []
+
+    def hook(event: str, arguments: object) -> None:
+        if listening and event in ("import", "compile", "exec", "marshal.loads", "pickle.find_class", "os.system"):
+            happened.append((event, str(arguments)[:80]))
+
+    sys.addaudithook(hook)  # cannot be taken away again, so it is told when to listen
+    whole = path.read_bytes()
+    b"".decode("cp437")  # a name in an archive may be in this code, which Python loads when it first meets one
+    numbers = random.Random(0)
+    for _ in range(300):
+        damaged = bytearray(whole)
+        for _ in range(numbers.randint(1, 6)):
+            damaged[numbers.randrange(len(damaged))] = numbers.randrange(256)
+        path.write_bytes(damaged)
+        listening = True
+        with contextlib.suppress(ViewnetError):
+            load(path, "annotations")
+        listening = False
+    assert not happened

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import shutil
@@ -18,10 +19,11 @@ from helpers.tables import cell_of
 from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
+from viewnet.evaluation.baselines import oracle, random
 from viewnet.evaluation.evaluate import align
 from viewnet.recipes import make_config
 from viewnet.runs.run_store import ensure, untrained
-from viewnet.tables import kept_predictions, reported
+from viewnet.tables import columns, kept_predictions, reported
 from viewnet.tables.columns import DASH
 from viewnet.tables.latex import escape
 from viewnet.tables.layouts import LAYOUTS
@@ -79,7 +81,8 @@ def test_printed_numbers_stay_as_printed_and_apart(table):
     assert list(frame.index)[:3] == ["ViewNet (matting)", "Single-head (matting)", "Segmentation Target"]
     assert list(frame.index)[3:] == [row.label for row in LAYOUTS["table2_ablation"].rows[3:]]
     assert frame.columns.nlevels == 3
-    assert frame.shape == (10, 12)
+    assert frame.shape == (10, 13)
+    assert frame.loc["Random", "supervision"] == "none"
     assert frame.loc["ViewNet (matting)", ("acc30", "aeroplane", "print")] == "82"
     assert frame.loc["No Shape Prior", ("acc30", "car", "ours")] == DASH
     assert frame.loc["Constant", ("acc30", "car", "ours")] == DASH
@@ -92,7 +95,7 @@ def test_latex_is_a_whole_booktabs_tabular(table):
     assert_tabular(text)
     assert "\\textbf{82}" in text  # bold in the paper
     assert "made-up 100 \\% \\& more" in text
-    assert "No Shape Prior & 78 & -- &" in text
+    assert "No Shape Prior & pairs + masks & 78 & -- &" in text
 
 
 def on_photographs(name: str, categories: tuple[str, ...]) -> Table:
@@ -111,8 +114,9 @@ def test_few_categories_have_two_columns_each_and_metrics_stand_below_one_anothe
     table = on_photographs(name, ("car", "chair"))
     text = table.latex()
     assert_tabular(text)
-    assert text.count("\\midrule") == len(LAYOUTS[name].metrics)
-    assert "VGG view* (x\\_y) & 56 &" in text
+    bounds = any(columns.upper_bound(row.supervision) for row in LAYOUTS[name].rows)
+    assert text.count("\\midrule") == len(LAYOUTS[name].metrics) * (1 + bounds)
+    assert "VGG view* (x\\_y) & ImageNet labels, viewpoints of calibration images & 56 &" in text
     assert text.index("\\end{tabular}") < text.index("ours: made up\\\\\ncar: 3 left out \\& more")
     assert table.complete
 
@@ -128,8 +132,8 @@ def test_many_categories_have_one_column_each_and_ours_below_print(name):
     after = lines[lines.index(next(line for line in lines if line.startswith("ViewNet* & "))) + 1]
     assert after.startswith("\\quad\\textit{ours} & ")
     if name == "table3_pascal3d":
-        assert "SSV* & -- & -- & -- & -- & \\textbf{82} \\\\" in lines
-        assert not lines[lines.index("SSV* & -- & -- & -- & -- & \\textbf{82} \\\\") + 1].startswith("\\quad")
+        ssv = "SSV* & single images, range of viewpoints & -- & -- & -- & -- & \\textbf{82} \\\\"
+        assert not lines[lines.index(ssv) + 1].startswith("\\quad")
         assert any(line.startswith("Constant (rotation), \\textit{ours} & ") for line in lines)
 
 
@@ -171,8 +175,22 @@ def test_the_best_measured_value_of_a_column_is_bold_and_alone_values_are_not(ta
     }
     two = [cell(table, row, "car", "acc30")["measured"] for row in ("ViewNet (matting)", "Single-head (matting)")]
     best = f"{'ViewNet' if round(two[0]) >= round(two[1]) else 'Single-head'} (matting)"
-    assert rows[best][4].startswith("\\textbf{")
-    assert not rows["ViewNet (matting)"][2].startswith("\\textbf{")  # the only one measured on aeroplanes
+    assert rows[best][5].startswith("\\textbf{")
+    assert not rows["ViewNet (matting)"][3].startswith("\\textbf{")  # the only one measured on aeroplanes
+
+
+def test_upper_bounds_stand_below_a_rule_and_compete_with_no_other_row(monkeypatch):
+    layout = LAYOUTS["table2_ablation"]
+    bound = dataclasses.replace(layout.rows[-1], supervision="absolute viewpoints")
+    monkeypatch.setitem(LAYOUTS, "table2_ablation", dataclasses.replace(layout, rows=(*layout.rows[:-1], bound)))
+    index = make_index(40, 3, "car")
+    made = (("ViewNet", noisy(index)), ("Single-head", random(index)), ("Random", oracle(index)))
+    own = [Entry(row, "car", 0, "procrustes", row, predictions, {}) for row, predictions in made]
+    table = Table.of("table2_ablation", own, ["car"])
+    *_, before, rule, last = table.latex().partition("\\bottomrule")[0].splitlines()
+    assert before.startswith("Constant, as printed & ") and rule == "\\midrule"
+    assert last.startswith("Random & absolute viewpoints & -- & 100 & ")
+    assert {key[0] for key in columns.best(table.cells, lambda metric: 1)} == {"ViewNet"}
 
 
 def test_files_are_written_whole_and_name_what_is_behind_each_cell(table, runs, tmp_path):

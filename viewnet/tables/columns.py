@@ -82,14 +82,19 @@ def measured(
     return dict(zip(UNMEASURED, (*numbers, len(objects), len(objects[0]), len(set(objects[0])), 0), strict=True))
 
 
+def upper_bound(supervision: str) -> bool:
+    """Whether a row learns from viewpoints, which the others are not told: it stands apart, below a rule."""
+    return supervision.startswith(("absolute viewpoints", "relative rotations"))
+
+
 def best(cells: pd.DataFrame, digits: Callable[[str], int]) -> set[Key]:
     """The best measured cells of each column when rounded to `digits`, ties included; none in a column of one.
 
-    Those of degenerate alignments are not among them.
+    Those of degenerate alignments and of upper bounds are not among them.
     """
     keys: set[Key] = set()
     scores = cells.dropna(subset="measured")
-    scores = scores[scores["degenerate"] == 0]
+    scores = scores[(scores["degenerate"] == 0) & ~scores["supervision"].map(upper_bound)]
     for (category, metric), column in scores.groupby(["category", "metric"]):
         rounded = column["measured"].astype(float).round(digits(metric))
         if len(rounded) > 1:

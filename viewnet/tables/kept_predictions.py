@@ -24,8 +24,11 @@ TOLERANCE = 1e-3
 
 def cells_of(about: Mapping[str, Any]) -> pd.DataFrame:
     """The cells of the JSON of a table, as viewnet.tables.table.Table has them."""
-    # Files of earlier versions have neither recipes nor degenerate alignments.
-    lines = [{"recipe": "", "degenerate": 0} | cell | {"runs": " ".join(cell["runs"])} for cell in about["cells"]]
+    # Files of earlier versions have neither recipes nor degenerate alignments, nor supervision.
+    lines = [
+        {"recipe": "", "supervision": "", "degenerate": 0} | cell | {"runs": " ".join(cell["runs"])}
+        for cell in about["cells"]
+    ]
     return pd.DataFrame(lines).astype(dict.fromkeys(NUMBERS, float))  # null where there is none
 
 

@@ -1,12 +1,12 @@
 """Tables as LaTeX (booktabs), to \\input as they stand."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import pandas as pd
 
-from viewnet.tables.columns import DASH, METRICS, Key, best, by_key, text
+from viewnet.tables.columns import DASH, METRICS, Key, best, by_key, text, upper_bound
 from viewnet.tables.layouts import Layout
 
 # The paper's short names of categories.
@@ -17,6 +17,8 @@ NAMED |= {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}"}  # ot
 SPECIAL = str.maketrans(
     NAMED | {c: f"\\{c}" for c in "&%$#_{}"} | {c: f"{{{c}}}" for c in "[]"} | dict.fromkeys("\t\n\v\f\r", " ")
 )
+SUPERVISION = "supervision"  # the heading of the second column
+LABELS = 2  # columns before those of numbers
 WIDE = 4  # with more categories than this, a measured number stands below the reported one and not beside it
 
 
@@ -26,14 +28,14 @@ def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> s
     headings = [METRICS[metric].latex for metric in layout.metrics]
     count = len(headings) * len(categories)  # each of two columns
     body = [
-        spanned(headings, [len(categories) * 2] * len(headings)),
-        spanned(categories * len(headings), [2] * count),
-        line(["", *["print", "ours"] * count]) + "\\midrule\n",
+        spanned(headings, [len(categories) * 2] * len(headings), LABELS),
+        spanned(categories * len(headings), [2] * count, LABELS),
+        line(["", SUPERVISION, *["print", "ours"] * count]) + "\\midrule\n",
     ]
-    for row in dict.fromkeys(cells["row"]):
+    for row, supervision, rule in _labels(cells):
         shown = (pairs.get((row, c, metric), (DASH, DASH)) for metric in layout.metrics for c in categories)
-        body.append(line([escape(row), *(part for pair in shown for part in pair)]))
-    return tabular(f"l{'r' * 2 * count}", body, lines)
+        body.append(rule + line([escape(row), supervision, *(part for pair in shown for part in pair)]))
+    return tabular(f"ll{'r' * 2 * count}", body, lines)
 
 
 def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> str:
@@ -44,24 +46,25 @@ def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> str:
     categories, pairs = list(dict.fromkeys(cells["category"])), _pairs(cells)
     measured_rows = set(cells.loc[cells["variant"] != "", "row"])  # others have no line of ours
     if wide := len(categories) > WIDE:
-        body = [line(["", *(SHORT.get(category, category) for category in categories)])]
+        body = [line(["", SUPERVISION, *(SHORT.get(category, category) for category in categories)])]
     else:
-        body = [spanned(categories, [2] * len(categories)), line(["", *["print", "ours"] * len(categories)])]
+        heads = line(["", SUPERVISION, *["print", "ours"] * len(categories)])
+        body = [spanned(categories, [2] * len(categories), LABELS), heads]
     width = len(categories) * (1 if wide else 2)
     for metric in layout.metrics:
-        body.append(_heading(METRICS[metric].latex, width + 1))
-        for row in dict.fromkeys(cells["row"]):
+        body.append(_heading(METRICS[metric].latex, width + LABELS))
+        for row, supervision, rule in _labels(cells):
             shown = [pairs.get((row, c, layout.own.get(row, metric)), (DASH, DASH)) for c in categories]
             if not wide:
-                body.append(line([escape(row), *(part for pair in shown for part in pair)]))
+                body.append(rule + line([escape(row), supervision, *(part for pair in shown for part in pair)]))
                 continue
-            label = f"{escape(row)}, \\textit{{ours}}"
+            label, words = f"{escape(row)}, \\textit{{ours}}", supervision
             if row not in measured_rows or any(reported != DASH for reported, _ in shown):
-                body.append(line([escape(row), *(reported for reported, _ in shown)]))
-                label = "\\quad\\textit{ours}"  # the row is named above
+                body.append(rule + line([escape(row), supervision, *(reported for reported, _ in shown)]))
+                label, words, rule = "\\quad\\textit{ours}", "", ""  # the row is named above
             if row in measured_rows:
-                body.append(line([label, *(f"\\textit{{{measured}}}" for _, measured in shown)]))
-    table = tabular(f"l{'r' * width}", body) + (f"\n{boxed(lines, 'footnotesize')}\n" if lines else "")
+                body.append(rule + line([label, words, *(f"\\textit{{{measured}}}" for _, measured in shown)]))
+    table = tabular(f"ll{'r' * width}", body) + (f"\n{boxed(lines, 'footnotesize')}\n" if lines else "")
     return f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{3pt}}\n{table}}}\n" if wide else table
 
 
@@ -98,12 +101,12 @@ def line(cells: Iterable[str]) -> str:
     return " & ".join(cells) + " \\\\\n"
 
 
-def spanned(labels: Sequence[str], spans: Sequence[int]) -> str:
-    """A row of headings after an empty cell, each over several columns, with a rule below each."""
+def spanned(labels: Sequence[str], spans: Sequence[int], before: int = 1) -> str:
+    """A row of headings after `before` empty cells, each over several columns, with a rule below each."""
     cells = [f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label, span in zip(labels, spans, strict=True)]
-    ends = np.cumsum(spans) + 1  # the first column holds the labels
+    ends = np.cumsum(spans) + before
     rules = [f"\\cmidrule(lr){{{end - span + 1}-{end}}}" for end, span in zip(ends, spans, strict=True)]
-    return line(["", *cells]) + " ".join(rules) + "\n"
+    return line([*[""] * before, *cells]) + " ".join(rules) + "\n"
 
 
 def escape(plain: str) -> str:
@@ -114,6 +117,16 @@ def escape(plain: str) -> str:
 
 def _heading(latex: str, width: int) -> str:
     return f"\\midrule\n\\multicolumn{{{width}}}{{l}}{{{latex}}} \\\\\n"
+
+
+def _labels(cells: pd.DataFrame) -> Iterator[tuple[str, str, str]]:
+    """Of each row: its label, what is known in training, and the rule above it: over the first upper bound."""
+    above = False
+    rows = cells.drop_duplicates("row")
+    for row, supervision in zip(rows["row"], rows["supervision"], strict=True):
+        bound = upper_bound(supervision)
+        yield row, escape(supervision), "\\midrule\n" if bound and not above else ""
+        above = bound
 
 
 def _pairs(cells: pd.DataFrame) -> dict[Key, tuple[str, str]]:

@@ -14,6 +14,14 @@ MARKS = {None: "", "linear": "*", "robust": " (robust)"}
 """Alignment of a row -> what its label ends with, as in the paper."""
 
 
+PAIRS = "pairs + masks"
+"""What ViewNet knows of its training images: which show the same object, and where in them it is."""
+CALIBRATION = "viewpoints of calibration images"
+TRAINING = "viewpoints of training images"
+IMAGENET = "ImageNet labels"
+NONE = "none"
+
+
 @dataclass(frozen=True)
 class Row:
     """A row of a table."""
@@ -21,6 +29,7 @@ class Row:
     name: str  # its label without the mark of an alignment
     variant: str | None = None  # the variant that fills it; None: this project has no such method
     alignment: str | None = None  # of its predictions; None: the usual one of its variant
+    supervision: str = PAIRS  # what is known in training, beyond images
 
     @property
     def label(self) -> str:
@@ -61,7 +70,7 @@ class Layout:
         for label in labels:
             if label in {*self.reported_as.values(), *(row.label for row in rows)}:
                 raise ViewnetError(f"row {label!r}: the table has a row of that name: choose another label")
-            rows += (Row(label, ADDED),)
+            rows += (Row(label, ADDED, supervision=""),)
         return replace(self, rows=rows)
 
 
@@ -72,8 +81,10 @@ def _aligned(name: str, variant: str = "viewnet") -> tuple[Row, ...]:
 
 _ON_PHOTOGRAPHS = (*_aligned("ViewNet"), *_aligned("ViewNet + cycle", "viewnet_cycle"))
 _CONSTANTS = (
-    Row("Constant", "constant"),
-    Row("Constant (rotation)", "constant_rotation"),  # not in the paper: mean of frames, not of view vectors
+    Row("Constant", "constant", supervision=CALIBRATION),
+    Row(
+        "Constant (rotation)", "constant_rotation", supervision=CALIBRATION
+    ),  # not in the paper: mean of frames, not of view vectors
 )
 
 _TAKEN_AWAY = {
@@ -89,7 +100,11 @@ _TAKEN_AWAY = {
 LAYOUTS = {
     "table1_shapenet": Layout(
         "ShapeNet results of unsupervised methods",
-        (Row("MVC"), Row("Pointcloud"), Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle")),
+        (
+            Row("MVC", supervision=f"{PAIRS}, camera, distribution of viewpoints"),
+            Row("Pointcloud", supervision=f"{PAIRS}, camera"),
+            Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
+        ),
     ),
     "table2_ablation": Layout(
         "Ablation study",
@@ -98,9 +113,10 @@ LAYOUTS = {
             Row("Segmentation Target", "segmentation_target"), Row("No Shape Prior", "no_shape_prior"),
             Row("Encoder-Decoder", "encoder_decoder"), Row("HoloGAN-Decoder", "hologan_decoder"),
             Row("ViewNet without search", "no_search"),  # not in the paper: what HoloGAN's row is compared with
-            Row("Constant", "best_constant"),
-            Row("Constant, as printed", "constant"),  # the mean of view vectors, which points to the sky
-            Row("Random", "random"),  # not in the paper
+            Row("Constant", "best_constant", supervision=TRAINING),
+            # The mean of view vectors, which points to the sky.
+            Row("Constant, as printed", "constant", supervision=TRAINING),
+            Row("Random", "random", supervision=NONE),  # not in the paper
         ),
     ),
     "recipe_ablation": Layout(
@@ -117,33 +133,41 @@ LAYOUTS = {
     "table3_pascal3d": Layout(
         "PASCAL3D+ results",
         (
-            *_CONSTANTS, Row("VGG view*", "view_regression"), Row("SSV*"), *_ON_PHOTOGRAPHS,
-            Row("Liao (withdrawn)"), Row("Liao (corrected)"), Row("Grabner"),
+            *_CONSTANTS, Row("VGG view*", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),
+            Row("SSV*", supervision="single images, range of viewpoints"), *_ON_PHOTOGRAPHS,
+            Row("Liao (withdrawn)", supervision=f"absolute viewpoints, {IMAGENET}"),
+            Row("Liao (corrected)", supervision=f"absolute viewpoints, {IMAGENET}"),
+            Row("Grabner", supervision=f"absolute viewpoints, boxes, {IMAGENET}"),
         ),
         reported_as={"Liao (withdrawn)": "Liao"}, blocks=True,
     ),
     "table4_freiburg": Layout(
         "Trained on Freiburg Cars, evaluated on PASCAL3D+",
         (
-            Row("Constant", "constant"),  # not in the paper
+            Row("Constant", "constant", supervision=CALIBRATION),  # not in the paper
             # Reported with Table 3's numbers, so fitted as there, on calibration photographs.
-            Row("VGG view", "view_regression"),
-            Row("VGG view, videos", "video_regression"),  # not in the paper: fitted on the videos' viewpoints
-            Row("VpDR-Net + FrC"), Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
+            Row("VGG view", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),
+            # Not in the paper: fitted on the videos' viewpoints.
+            Row("VGG view, videos", "video_regression", supervision=f"{IMAGENET}, {TRAINING}"),
+            Row("VpDR-Net + FrC", supervision=f"relative rotations, {IMAGENET}"),
+            Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
         ),
         categories=("car",), blocks=True,
     ),
     "objectron": Layout(
         "Trained on Objectron, evaluated on PASCAL3D+",
         (
-            Row("Constant", "constant"),  # not in the paper
+            Row("Constant", "constant", supervision=CALIBRATION),  # not in the paper
             *_aligned("ShapeNet"), *_aligned("+ Objectron, supervised masks"), *_aligned("+ Objectron, weak masks"),
         ),
         categories=("chair",), blocks=True,
     ),
     "table5_dva": Layout(
         "Discretized viewpoint accuracy",
-        (Row("Confidence index", "photographs"), *_CONSTANTS, Row("VGG view*", "view_regression"), *_ON_PHOTOGRAPHS),
+        (
+            Row("Confidence index", "photographs", supervision=NONE), *_CONSTANTS,
+            Row("VGG view*", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"), *_ON_PHOTOGRAPHS,
+        ),
         metrics=("dva",), own={"Confidence index": "confidence_index"}, blocks=True,
     ),
 }  # fmt: skip

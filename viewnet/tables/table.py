@@ -114,10 +114,10 @@ def by_robust_weights(name: str, runs: Sequence[Run]) -> list[Entry]:
 class Table:
     """One table. `cells` has a row for each (row, category, metric), measured or not:
 
-    row, variant, recipe, category, metric, printed (text in the paper), bold (in the paper), measured (mean over
-    seeds), sd (over seeds), low and high (95 % bootstrap interval over seeds and objects of that mean), seeds (how
-    many), images, objects, degenerate (of how many seeds the predictions determine hardly any rotation), runs (their
-    keys)
+    row, variant, recipe, supervision (what is known in training), category, metric, printed (text in the paper), bold
+    (in the paper), measured (mean over seeds), sd (over seeds), low and high (95 % bootstrap interval over seeds and
+    objects of that mean), seeds (how many), images, objects, degenerate (of how many seeds the predictions determine
+    hardly any rotation), runs (their keys)
 
     A trained row is there once for each recipe, which its label names.
     """
@@ -167,7 +167,7 @@ class Table:
                 raise ViewnetError(f"{name}: two runs of {label}, {category} have the same seed: choose one")
             variant = "" if row.variant is None or label in unmeasured else row.variant
             about = {"row": named(renamed.get(label, label), recipe), "variant": variant, "recipe": recipe}
-            about |= {"category": category}
+            about |= {"supervision": row.supervision, "category": category}
             row_metrics = (layout.own[label],) if label in layout.own else layout.metrics
             measured = _measure(mine, row_metrics) if mine else {}
             for metric in row_metrics:
@@ -215,6 +215,8 @@ class Table:
         wide = cells.pivot(index="row", columns=["metric", "category"], values=["print", "ours"])
         order = list(itertools.product(shown, self.categories, ("print", "ours")))
         wide = wide.reorder_levels([1, 2, 0], axis=1).loc[list(self.rows), order]
+        known_of = self.cells.drop_duplicates("row").set_index("row")["supervision"]
+        wide.insert(0, ("supervision", "", ""), known_of.loc[wide.index])
         return wide.rename_axis(index=None, columns=[None] * 3)
 
     def label(self, entry: Entry) -> str:

@@ -56,7 +56,7 @@ def train_peer(
     ]
     for group in optimisers[0].param_groups:
         group["initial_lr"] = group["lr"]  # what a schedule scales
-    history = resume(model, optimisers, folder)
+    history = resume(model, optimisers, folder)  # type: ignore[arg-type]  # it needs the state alone
     steps = max(1, len(source.training.objects) // settings.batch_size)
     total = settings.epochs * steps
     title = f"{config.variant} {config.category} seed {config.seed}"
@@ -112,14 +112,14 @@ class _Source:
 
     def _batch(self, views: Views, first: Tensor, rows: Tensor, generator: torch.Generator) -> Batch:
         size = self.config.model.input_size
-        images = [views.viewpoint_input(each, size, self.device) for each in (first, rows)]
+        images = tuple(views.viewpoint_input(each, size, self.device) for each in (first, rows))
         if self.backgrounds is not None:
             photo = self.config.train.photo
-            images = [augment.photograph(each, self.backgrounds, photo, generator) for each in images]
+            images = tuple(augment.photograph(each, self.backgrounds, photo, generator) for each in images)
         frames = None
         if "viewpoints" in self.model.needs:
             frames = look_at(view_vector(*views.truth[rows].unbind(1))).to(self.device)  # (N, 3, 3)
-        return Batch(*images, frames)
+        return Batch(images[0], images[1], frames)
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:

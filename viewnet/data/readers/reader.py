@@ -43,12 +43,12 @@ class Contents:
         name = f"{category}: " if category else ""
         self.problems += [f"{name}{count} left out: {reason}" for reason, count in sorted(tally(reasons).items())]
 
-    def opened(self, category: str, count: int, what: str, part: str = "") -> range:
+    def opened(self, category: str, count: int, what: str, part: str = "", most: int = SAMPLE) -> range:
         """The numbers of those to open of a category's `count` models, images or clips; a note says so if not all.
 
-        `part` is what of each is opened, where it is not the whole.
+        `part` is what of each is opened, where it is not the whole, and `most` how many are without `deep`.
         """
-        numbers = range(0, count, 1 if self.deep else max(1, -(-count // SAMPLE)))
+        numbers = range(0, count, 1 if self.deep else max(1, -(-count // most)))
         if len(numbers) < count or (part and not self.deep):
             name = f"{category}: " if category else ""
             self.notes.append(f"{name}{len(numbers)} of {count} {what} opened{part}: --deep opens all")

@@ -59,8 +59,8 @@ def _count(root: Path, contents: Contents) -> None:
     for category in CLASSES:
         videos, masks, rejected = _sequences(root, category)
         reasons = {name: reason for name, _, reason in rejected}
-        opened = list(videos) if contents.deep else list(videos)[:SAMPLE]
-        for name in opened:
+        names = list(videos)
+        for name in (names[number] for number in contents.opened(category, len(names), "videos", most=SAMPLE)):
             try:
                 frame_count(videos[name])
                 if name in masks:
@@ -71,8 +71,6 @@ def _count(root: Path, contents: Contents) -> None:
         if usable or reasons:
             kinds = ["videos"] * len(usable) + ["videos with masks"] * sum(name in masks for name in usable)
             contents.add(category, kinds, reasons.values())
-        if len(opened) < len(videos):
-            contents.notes.append(f"{category}: {len(opened)} of {len(videos)} videos opened: --deep opens all")
     if others := sorted({path.name for path in root.glob("*/*") if path.is_dir()} - set(CLASSES.values())):
         contents.notes.append(f"folders of other categories: {', '.join(others)}")
 

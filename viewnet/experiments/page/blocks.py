@@ -14,7 +14,7 @@ from viewnet.experiments.reported_constants import ConstantAudit
 from viewnet.runtime.files import read_csv, read_json
 from viewnet.tables import benchmark, reported
 from viewnet.tables.architecture import COLUMNS, Architecture
-from viewnet.tables.columns import Column, best, by_key, column_of
+from viewnet.tables.columns import Column, best, by_key, column_of, upper_bound
 from viewnet.tables.kept_predictions import NUMBERS, cells_of
 from viewnet.tables.table import run_of
 
@@ -35,6 +35,8 @@ class MetricTable:
     categories: tuple[str, ...]
     with_reported: bool
     parts: tuple[tuple[Column, dict[str, list[dict[str, Any]]]], ...]  # metric, and label -> cells by category
+    supervision: dict[str, str]  # label -> what is known in training
+    bounds: set[str]  # labels of upper bounds
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,9 @@ def metric_table(cells: pd.DataFrame, title: str) -> MetricTable:
     for metric, part in cells.groupby("metric", sort=False):
         rows = {row: [lines.get((row, category, metric), {}) for category in categories] for row in part["row"]}
         parts.append((column_of(metric), rows))
-    return MetricTable(title, categories, bool((cells["printed"] != "").any()), tuple(parts))
+    supervision = dict(zip(cells["row"], cells["supervision"], strict=True))
+    bounds = {row for row, words in supervision.items() if upper_bound(words)}
+    return MetricTable(title, categories, bool((cells["printed"] != "").any()), tuple(parts), supervision, bounds)
 
 
 def novel_views(files: Files) -> Content:
@@ -110,7 +114,9 @@ def novel_views(files: Files) -> Content:
     # Keys alone: where a run is from stands in the JSON files of tables that have it, too.
     keys: Runs = {key: {} for keys in cells["runs"] for key in keys.split()}
     note = "intervals: 95 % percentile bootstrap over seeds and objects"
-    table = metric_table(cells.assign(printed="", bold=False, degenerate=0), "Scores of rendered novel views")
+    table = metric_table(
+        cells.assign(printed="", bold=False, degenerate=0, supervision=""), "Scores of rendered novel views"
+    )
     return Content((table,), (note,), keys)
 
 
