@@ -20,12 +20,17 @@ from pathlib import Path
 
 import pandas as pd
 
+from viewnet.model.networks import parameters
+from viewnet.model.viewnet import ViewNet
+from viewnet.peers import registry
+from viewnet.recipes import PEERS, make_config
 from viewnet.tables import claims, definitions, kept_predictions
+from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Table
 
 __all__ = [
-    "HEADINGS", "ROOT", "TABLES", "claims_by_verdict", "claims_explained", "definitions", "frame", "markdown", "pd",
-    "recipes_compared", "remade", "score", "scores", "tables_1_and_2", "trainings", "value",
+    "HEADINGS", "ROOT", "TABLES", "claims_by_verdict", "claims_explained", "definitions", "frame", "markdown",
+    "methods", "pd", "recipes_compared", "remade", "score", "scores", "tables_1_and_2", "trainings", "value",
 ]  # fmt: skip
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -166,6 +171,31 @@ def trainings() -> pd.DataFrame:
                 "processor": hardware["gpu"] or hardware["processor"], "commit": training["git"]["commit"][:7],
             })  # fmt: skip
     return pd.DataFrame(list(found.values()))
+
+
+def methods(table: str = "table1_shapenet") -> str:
+    """A Markdown table of what each trained row of a table knows in training, and of what its trainings cost.
+
+    Means over categories and seeds; minutes are of one thread of the processor named. Where no log is kept, target
+    images are those of all epochs.
+    """
+    runs = json.loads((TABLES / f"{table}.json").read_text("utf-8"))["runs"].values()
+    logs = frame(f"{table}_logs.csv")
+    seen = logs.groupby(["row", "category", "seed"])["targets"].max().groupby("row").mean()
+    an_epoch = (logs["targets"] / logs["epoch"]).median()  # all are trained on equally many views
+    rows = []
+    for row in LAYOUTS[table].rows:
+        if not (own := [run for run in runs if run["variant"] == row.variant and run["training"]]):
+            continue
+        config = make_config(own[0]["variant"], profile=own[0]["profile"], recipe=own[0]["recipe"])
+        network = registry.make(config.variant, config.model) if config.variant in PEERS else ViewNet(config.model)
+        targets = seen.get(row.label, config.train.epochs * an_epoch)
+        minutes = sum(run["training"]["seconds"] for run in own) / len(own) / 60
+        machines = ", ".join(sorted({run["training"]["hardware"]["processor"] for run in own}))
+        cost = [f"{parameters(network):,}", f"{targets:,.0f}", f"{minutes:.1f}", machines, len(own)]
+        rows.append([row.label, row.supervision, *cost])
+    header = ["", "known in training", "parameters", "target images", "minutes", "processor", "trainings"]
+    return markdown(header, rows)
 
 
 @functools.cache

@@ -104,6 +104,7 @@ LAYOUTS = {
             Row("MVC", supervision=f"{PAIRS}, camera, distribution of viewpoints"),
             Row("Pointcloud", supervision=f"{PAIRS}, camera"),
             Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
+            Row("ViewNet, as many targets", "as_many_targets"),  # not in the paper: as MVC and Pointcloud have here
         ),
     ),
     "table2_ablation": Layout(
