@@ -36,6 +36,10 @@ class Row:
         """The name with the mark of the alignment."""
         return self.name + MARKS[self.alignment]
 
+    def supervision_as(self, label: str) -> str:
+        """What is known in training where a table calls the row `label`: features of pixels need no network."""
+        return self.supervision.removeprefix(f"{IMAGENET}, ") if label.endswith("(pixels)") else self.supervision
+
 
 @dataclass(frozen=True)
 class Layout:

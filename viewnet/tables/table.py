@@ -166,8 +166,9 @@ class Table:
             if len({e.seed for e in mine}) < len(mine):
                 raise ViewnetError(f"{name}: two runs of {label}, {category} have the same seed: choose one")
             variant = "" if row.variant is None or label in unmeasured else row.variant
-            about = {"row": named(renamed.get(label, label), recipe), "variant": variant, "recipe": recipe}
-            about |= {"supervision": row.supervision, "category": category}
+            shown = renamed.get(label, label)
+            about = {"row": named(shown, recipe), "variant": variant, "recipe": recipe}
+            about |= {"supervision": row.supervision_as(shown), "category": category}
             row_metrics = (layout.own[label],) if label in layout.own else layout.metrics
             measured = _measure(mine, row_metrics) if mine else {}
             for metric in row_metrics:
