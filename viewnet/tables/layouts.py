@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from viewnet.config import SHAPENET_CATEGORIES
 from viewnet.errors import ViewnetError
 from viewnet.recipes import ABLATIONS
-from viewnet.tables.columns import HEADLINE
+from viewnet.tables.columns import HEADLINE, upper_bound
 
 ADDED = "method"
 """The variant of rows for the user's own methods (viewnet.experiments.own_method)."""
@@ -69,12 +69,16 @@ class Layout:
         return [row for row in self.rows if row.variant == variant]
 
     def extended(self, labels: Iterable[str]) -> "Layout":
-        """The layout with a row for each of `labels` added at the bottom. ViewnetError for a label that is taken."""
+        """The layout with a row for each of `labels` added. ViewnetError for a label that is taken.
+
+        Upper bounds come last.
+        """
         rows = self.rows
         for label in labels:
             if label in {*self.reported_as.values(), *(row.label for row in rows)}:
                 raise ViewnetError(f"row {label!r}: the table has a row of that name: choose another label")
             rows += (Row(label, ADDED, supervision=""),)
+        rows = tuple(sorted(rows, key=lambda row: upper_bound(row.supervision)))  # stable
         return replace(self, rows=rows)
 
 
@@ -161,8 +165,8 @@ LAYOUTS = {
             Row("VGG view", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),
             # Not in the paper: fitted on the videos' viewpoints.
             Row("VGG view, videos", "video_regression", supervision=f"{IMAGENET}, {TRAINING}"),
-            Row("VpDR-Net + FrC", supervision=f"relative rotations, {IMAGENET}"),
             Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
+            Row("VpDR-Net + FrC", supervision=f"relative rotations, {IMAGENET}"),
         ),
         categories=("car",), blocks=True,
     ),
