@@ -118,10 +118,15 @@ def confidence_index(azimuths: Floats) -> float:
     return float(np.mean(np.bincount(azimuth_bins(azimuths), minlength=AZIMUTH_BINS) > CONFIDENT))
 
 
+COUNTED: dict[str, Callable[[Floats], NDArray[np.bool_]]] = {
+    **{f"acc{threshold}": partial(np.greater, threshold) for threshold in THRESHOLDS},
+    "flips": partial(np.less, FLIP),
+}
+"""Statistics that are the share of errors (N,) of which something is true, in per cent: what that is."""
 STATISTICS: dict[str, Callable[[Floats], float]] = {
     **{f"acc{threshold}": partial(accuracy, threshold=threshold) for threshold in THRESHOLDS},
     "median": median,
-    "flips": lambda errors: 100 * float(np.mean(np.asarray(errors) > FLIP)),
+    "flips": lambda errors: 100 * float(np.mean(COUNTED["flips"](errors))),
 }
 """Statistics of errors (N,) by name: acc10, acc15, acc30 and flips in per cent, median in degrees."""
 
@@ -150,26 +155,45 @@ def bootstrap_intervals(
     if "dva" in statistics and len(azimuths) != len(errors):
         raise ViewnetError(f"bootstrap: dva of {len(errors)} runs needs their true azimuths, got {len(azimuths)}")
     names, owners = _owners(objects)
-    if len(names) < 2:
+    if len(names) < 2 or not statistics:
         return dict.fromkeys(statistics)
-    # Sorted once: repeating sorted errors keeps them sorted, and medians of sorted arrays are fast.
-    order = [np.argsort(e, kind="stable") for e in errors]  # (N,) each
-    runs = [(np.asarray(e)[o], owner[o]) for e, owner, o in zip(errors, owners, order, strict=True)]
-    binned = [(azimuth_bins(a), np.asarray(e) < 30, w) for a, e, w in zip(azimuths, errors, owners, strict=False)]
-    values: dict[str, list[float]] = {name: [] for name in statistics}
-    for times, weights in _resamples(len(names), len(runs), rng, draws):
-        samples = [np.repeat(e, times[owner]) for e, owner in runs]
-        if not all(map(len, samples)):
-            continue  # a run without any of the drawn objects has no statistic
-        for name, drawn in values.items():
-            if name == "dva":
-                of_runs = [_weighted_dva(*run, times) for run in binned]
-            else:
-                of_runs = [STATISTICS[name](sample) for sample in samples]
-            drawn.append(float(weights @ of_runs))
-    tail = 100 * (1 - 0.95) / 2
-    bounds = {name: np.percentile(v, [tail, 100 - tail]).tolist() for name, v in values.items()}
-    return {name: (low, high) for name, (low, high) in bounds.items()}
+    drawn = list(_resamples(len(names), len(errors), rng, draws))
+    times, shares = (np.stack(part) for part in zip(*drawn, strict=True))  # (draws, K), (draws, R)
+    values: dict[str, list[Floats]] = {name: [] for name in statistics}  # for each run (draws,)
+    for run, (error, owner) in enumerate(zip(errors, owners, strict=True)):
+        bins = azimuth_bins(azimuths[run]) if "dva" in statistics else None
+        for name, of_runs in values.items():
+            of_runs.append(_of_draws(name, np.asarray(error), owner, times, bins))
+    whole = ~np.isnan(next(iter(values.values()))).any(axis=0)  # a run without any of the drawn objects has none
+    bounds = {
+        name: np.percentile((shares.T * of_runs).sum(axis=0)[whole], [2.5, 97.5]) for name, of_runs in values.items()
+    }  # of 95 %
+    return {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
+
+
+def _of_draws(
+    name: str, errors: Floats, owner: NDArray[np.intp], times: NDArray[np.intp], bins: NDArray[np.intp] | None
+) -> Floats:
+    """A statistic (draws,) of errors (N,), each counted as often as its object is drawn; NaN where none is.
+
+    `times` (draws, K), `owner` (N,); the statistic "dva" needs the `bins` (N,) of true azimuths.
+    """
+    with np.errstate(invalid="ignore"):  # 0 / 0
+        if name == "median":
+            order = np.argsort(errors, kind="stable")  # (N,)
+            ends = np.cumsum(times[:, owner[order]], axis=1)  # (draws, N), where the copies of each error end
+            middle = [(ends[:, -1:] - 1) // 2, ends[:, -1:] // 2]  # (draws, 1) each
+            places = [(ends <= place).sum(axis=1).clip(max=len(order) - 1) for place in middle]  # (draws,)
+            found = sum(errors[order][place] for place in places) / 2  # (draws,)
+            return np.where(ends[:, -1] > 0, found, np.nan)
+        parts = bins if name == "dva" and bins is not None else np.zeros(len(errors), dtype=np.intp)
+        flags = COUNTED["acc30" if name == "dva" else name](errors)  # (N,)
+        shape = (times.shape[1], AZIMUTH_BINS)
+        cells = owner * AZIMUTH_BINS + parts  # (N,), of objects and bins
+        right, all_ = (np.bincount(cells, weights, np.prod(shape)).reshape(shape) for weights in (flags, None))
+        drawn = times @ all_  # (draws, 12), images
+        of_bins = (times @ right) / np.maximum(drawn, 1)
+        return 100 * of_bins.sum(axis=1) / (drawn > 0).sum(axis=1)  # (draws,), over bins that are not empty
 
 
 def mean_interval(
@@ -221,15 +245,6 @@ def _owners(objects: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], list[NDArray
     """The names of all objects of several runs, and the number of each image's object among them, for each run."""
     names, owner = np.unique(np.concatenate([np.asarray(o, dtype=str) for o in objects]), return_inverse=True)
     return names, np.split(owner, np.cumsum([len(o) for o in objects])[:-1])
-
-
-def _weighted_dva(
-    bins: NDArray[np.intp], correct: NDArray[np.bool_], owner: NDArray[np.intp], times: NDArray[np.intp]
-) -> float:
-    """`dva` of images (N,), each counted as often as its object was drawn."""
-    weights = times[owner].astype(np.float64)  # (N,)
-    total, hits = (np.bincount(bins, w, AZIMUTH_BINS) for w in (weights, weights * correct))  # (12,) each
-    return 100 * float((hits[total > 0] / total[total > 0]).mean())
 
 
 def _tensor(values: Floats) -> torch.Tensor:

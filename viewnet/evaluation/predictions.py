@@ -95,7 +95,16 @@ class Predictions:
         """The rows of a mask (N,) or of a list of positions, in that order."""
         rows = np.asarray(rows)
         ups = None if self.ups is None else self.ups[rows]
-        return Predictions(self.ids.iloc[rows], self.hypotheses[rows], self.logits[rows], ups)
+        ids, hypotheses, logits = self.ids.iloc[rows], self.hypotheses[rows], self.logits[rows]
+        if not len(ids) or (rows.dtype != np.bool_ and len(np.unique(rows)) < len(rows)):
+            return Predictions(ids, hypotheses, logits, ups)  # which refuses it
+        part = object.__new__(Predictions)  # rows of what was checked need no check
+        values = {"hypotheses": hypotheses, "logits": logits} | ({} if ups is None else {"ups": ups})
+        for array in values.values():
+            array.flags.writeable = False
+        for name, value in {"ids": ids.reset_index(drop=True), "ups": None, **values}.items():
+            object.__setattr__(part, name, value)
+        return part
 
     def to_frame(self) -> pd.DataFrame:
         """A column for each number: the ids, then h0_x h0_y h0_z logit_0 (up0_x up0_y up0_z), h1_x and so on."""
