@@ -156,7 +156,8 @@ def test_the_same_predictions_score_the_same_as_ours_to_the_last_bit(photographs
         for metric in ("acc30", "median"):
             mine, theirs = (cell_of(table, r, "car", metric) for r in (f"By file, {kind}", named(row, "photos")))
             assert [mine[s] for s in SCORES] == [theirs[s] for s in SCORES]
-    assert table.rows[-3:] == tuple(f"By file, {kind}" for kind in kinds.values())
+    added = [row for row in table.rows if row.startswith("By file")]
+    assert added == [f"By file, {kind}" for kind in kinds.values()]
     assert table.complete
 
 
@@ -217,7 +218,7 @@ def test_rows_stand_in_everything_a_reader_sees(photographs, tmp_path):
     assert any(line.startswith("Mine^2 & 100 % beside ViewNet (") for line in table.verdict())
     files = table.write(tmp_path / "written")
     assert_tabular(files[0].read_text().replace(r"\textasciicircum{}", ""))
-    assert r"Mine\textasciicircum{}2 \& 100 \% & -- &" in files[0].read_text()
+    assert r"Mine\textasciicircum{}2 \& 100 \% &  & -- &" in files[0].read_text()
     told = json.loads(files[2].read_text())
     (cell,) = [c for c in told["cells"] if c["row"] == mine.label and c["metric"] == "acc30"]
     assert cell["printed"] == "" and cell["measured"] > 95
@@ -411,7 +412,7 @@ class TestTheNotebook:
         tables = request.score(finished(request), [Submission("Mine", Says(straight))])
         for name, table in tables.items():
             assert table.name == name and table.complete
-            assert table.rows[-1] == "Mine"
+            assert "Mine" in table.rows and table.rows[-1] == "Grabner (trained here)"
 
     def test_its_tables_go_where_no_other_does(self, tmp_path):
         options = [{}, {"profile": "tiny"}, {"categories": "car"}, {"calibration": 8}, {"backgrounds": str(tmp_path)},
