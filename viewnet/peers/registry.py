@@ -10,11 +10,13 @@ from viewnet.errors import ViewnetError
 from viewnet.model import checkpoint
 from viewnet.model.viewnet import ViewNet
 from viewnet.peers.box_corners import BoxCorners, BoxCornersImageNet
+from viewnet.peers.mvc import MVC
 from viewnet.peers.peer import Peer
 from viewnet.peers.relative_pose import RelativePose
 from viewnet.peers.spherical_regression import SphericalRegression, SphericalRegressionImageNet
 
 METHODS: dict[str, type[Peer]] = {
+    "mvc": MVC,
     "spherical_regression": SphericalRegression,
     "spherical_regression_imagenet": SphericalRegressionImageNet,
     "box_corners": BoxCorners,

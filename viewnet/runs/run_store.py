@@ -55,10 +55,8 @@ PEER_TRAINING = (
     "peers/peer.py",
     *(f"training/{name}.py" for name in ("history", "optimisers", "train_peer")),
     "geometry.py", "data/augment.py", "data/boxes.py", "data/pairs.py", "evaluation/alignment.py", "render/camera.py",
-    *(f"model/{name}.py" for name in ("fast_layers", "networks")),
-    *(f"model/kernels/{name}.py" for name in (
-        "bfloat16_numba", "norm_relu_cpu", "norm_relu_numba", "numba_call", "rotation_numba")),
-    *(f"runtime/{name}.py" for name in ("images", "random", "torchvision_weights")),
+    *(name for name in TRAINING if name.startswith("model/")),
+    *(f"runtime/{name}.py" for name in ("images", "memory", "random", "torchvision_weights")),
 )  # fmt: skip
 """The same of peers; to it come the files of the method itself (viewnet.peers.registry.code_of)."""
 UNTRAINED_CODE = ("evaluation/baselines.py", "geometry.py")  # the same of predictors that need no training

@@ -113,7 +113,7 @@ LAYOUTS = {
     "table1_shapenet": Layout(
         "ShapeNet results of unsupervised methods",
         (
-            Row("MVC", supervision=f"{PAIRS}, camera, distribution of viewpoints"),
+            Row("MVC", "mvc", supervision=f"{PAIRS}, camera, distribution of viewpoints"),
             Row("Pointcloud", supervision=f"{PAIRS}, camera"),
             Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
             Row("ViewNet, as many targets", "as_many_targets"),  # not in the paper: as MVC and Pointcloud have here
