@@ -29,7 +29,10 @@ ELEVATIONS = (-20.0, 40.0)  # degrees: the known distribution is uniform there, 
 
 
 class MVC(Peer):
-    """Two encoders, a volume, and an adversary that tells predicted viewpoints from those of the known distribution."""
+    """Two encoders, a volume, and an adversary that tells predicted viewpoints from those of the known distribution.
+
+    Raises ViewnetError where views are cut: their camera is not the one that is known.
+    """
 
     supervision = "pairs + masks, camera distance and focal length, distribution of viewpoints"
     judged = ("view",)
