@@ -134,10 +134,15 @@ def _from_folder(folder: Path) -> Pretrained:
     except ViewnetError as error:
         raise ViewnetError(f"{path} is of another version of viewnet ({error}): install that one") from error
     weights, metadata = checkpoint.read(file, "save the model again")
-    network = checkpoint.build(config.model, weights, file)
+    network = _network(config, weights, file)
     if metadata.get("config") != _digest(values):
         raise ViewnetError(f"{folder}: {WEIGHTS} was not saved with this {CONFIG}: save the model again")
     return Pretrained(network, config, _rotation(values["alignment"], path), values["about"])
+
+
+def _network(config: RunConfig, weights: dict[str, torch.Tensor], file: Path) -> ViewNet:
+    """A run's network. A peer predicts viewpoints as ViewNet does; what else ViewNet can it is not asked for."""
+    return cast(ViewNet, registry.build(config, weights, file))
 
 
 def _rotation(alignment: dict[str, Any] | None, path: Path) -> np.ndarray | None:

@@ -46,6 +46,7 @@ def train_peer(
     folder.mkdir(parents=True, exist_ok=True)
     if (folder / CHECKPOINT).exists():
         return  # finished before: nothing to do
+    memory.keep_freed()
     settings, device = config.train, torch.device("cuda" if torch.cuda.is_available() else "cpu")
     torch.manual_seed(config.seed)  # the seed alone decides the initial weights
     model = registry.make(config.variant, config.model)
