@@ -68,8 +68,8 @@ NO_SEARCH: Changes = {"train": {"search": {"share": 0.0}, "comparison": {"neighb
 VARIANTS: dict[str, Changes] = {
     "viewnet": {},
     "viewnet_cycle": {"train": {"cycle": {"on": True}}},
-    # What MVC and Pointcloud see in their trainings, four times the usual: a comparison that is fair in data.
-    "as_many_targets": {"train": {"epochs": 60, "patience": 60}},
+    # What MVC and Pointcloud see in their trainings, seven times the usual: a comparison that is fair in data.
+    "as_many_targets": {"train": {"epochs": 100, "patience": 100}},
     "single_head": {"model": {"heads": 1}},
     "segmentation_target": {"train": {"target": "mask"}},
     "no_shape_prior": {"model": {"shape_prior": False}},
@@ -122,6 +122,25 @@ PEERS: dict[str, Changes] = {
             "batch_size": 48,
             "targets_per_object": 3,
             "optimiser": {"learning_rate": 2e-3, "schedule": "hold"},
+        },
+    },
+    # Eight objects a step, four views of each. The heads are a student and four candidates.
+    "pointcloud": {
+        "model": {
+            "heads": 5,
+            "backdrop": 1.0,
+            "input_size": 32,
+            "volume_size": 24,
+            "encoder_channels": (16, 32, 64),
+            "code_size": 256,
+        },
+        "train": {
+            "epochs": 100,
+            "patience": 100,
+            "batch_size": 24,
+            "targets_per_object": 3,
+            "validate_every": 10,
+            "optimiser": {"learning_rate": 1e-3, "schedule": "hold"},
         },
     },
     "spherical_regression": _SUPERVISED,

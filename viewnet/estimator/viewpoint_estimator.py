@@ -36,7 +36,6 @@ from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
 from viewnet.model.reconstruction import Encoded
 from viewnet.model.viewnet import Hypotheses
-from viewnet.recipes import PEERS
 from viewnet.runtime.images import tight_crop
 
 if TYPE_CHECKING:

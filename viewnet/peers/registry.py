@@ -12,11 +12,13 @@ from viewnet.model.viewnet import ViewNet
 from viewnet.peers.box_corners import BoxCorners, BoxCornersImageNet
 from viewnet.peers.mvc import MVC
 from viewnet.peers.peer import Peer
+from viewnet.peers.pointcloud import Pointcloud
 from viewnet.peers.relative_pose import RelativePose
 from viewnet.peers.spherical_regression import SphericalRegression, SphericalRegressionImageNet
 
 METHODS: dict[str, type[Peer]] = {
     "mvc": MVC,
+    "pointcloud": Pointcloud,
     "spherical_regression": SphericalRegression,
     "spherical_regression_imagenet": SphericalRegressionImageNet,
     "box_corners": BoxCorners,
@@ -52,7 +54,7 @@ def load(folder: Path, name: str = checkpoint.CHECKPOINT) -> tuple[ViewNet | Pee
 
 
 def build(config: RunConfig, weights: dict[str, Tensor], path: Path) -> ViewNet | Peer:
-    """`viewnet.model.checkpoint.build` for a run's network, be it ViewNet or a peer; raises ViewnetError as that does."""
+    """`viewnet.model.checkpoint.build` for the network of ViewNet or of a peer; raises ViewnetError as that does."""
     if config.variant not in METHODS:
         return checkpoint.build(config.model, weights, path)
     network = make(config.variant, config.model)

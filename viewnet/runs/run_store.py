@@ -55,8 +55,8 @@ PEER_TRAINING = (
     "peers/peer.py",
     *(f"training/{name}.py" for name in ("history", "optimisers", "train_peer")),
     "geometry.py", "data/augment.py", "data/boxes.py", "data/pairs.py", "evaluation/alignment.py", "render/camera.py",
-    *(name for name in TRAINING if name.startswith("model/")),
-    *(f"runtime/{name}.py" for name in ("images", "memory", "random", "torchvision_weights")),
+    *(name for name in TRAINING if name.startswith("model/")), "model/kernels/splat_numba.py",
+    *(f"runtime/{name}.py" for name in ("distributed", "images", "memory", "random", "torchvision_weights")),
 )  # fmt: skip
 """The same of peers; to it come the files of the method itself (viewnet.peers.registry.code_of)."""
 UNTRAINED_CODE = ("evaluation/baselines.py", "geometry.py")  # the same of predictors that need no training

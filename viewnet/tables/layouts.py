@@ -114,7 +114,7 @@ LAYOUTS = {
         "ShapeNet results of unsupervised methods",
         (
             Row("MVC", "mvc", supervision=f"{PAIRS}, camera, distribution of viewpoints"),
-            Row("Pointcloud", supervision=f"{PAIRS}, camera"),
+            Row("Pointcloud", "pointcloud", supervision=f"{PAIRS}, camera"),
             Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
             Row("ViewNet, as many targets", "as_many_targets"),  # not in the paper: as MVC and Pointcloud have here
             # Not in the paper: what more supervision would bring.
