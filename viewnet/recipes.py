@@ -2,7 +2,8 @@
 
 Each is a dictionary of changes to the base configuration, so Table 2 is literally `VARIANTS`. A setting has its value
 from the last of these layers that changes it: the recipe, the profile, both together (`TOGETHER`), videos (`FILMED`),
-weights to start from (`STARTED`), the variant, a collection of files (`COLLECTED`), and what the user sets.
+weights to start from (`STARTED`), the variant, its length at the smallest profile (`BRIEF`), a collection of files
+(`COLLECTED`), and what the user sets. Methods of other papers have recipes of their own (`PEERS`, `PEER_RECIPES`).
 
 >>> config = make_config("single_head", "chair", profile="smoke", epochs=3)
 >>> config.model.heads, config.train.epochs, config.data.models, config.recipe
@@ -153,7 +154,7 @@ PEERS: dict[str, Changes] = {
 ABSOLUTE = tuple(name for name in PEERS if name.startswith(("spherical_regression", "box_corners")))
 """Peers that learn from viewpoints and predict them in the annotated frame: no alignment is fitted."""
 BRIEF: Changes = {"train": {"epochs": 2, "patience": 2}}
-"""What the profile smoke changes of peers, whose sizes are their own."""
+"""What the profile smoke changes of peers and variants that have a length of training of their own."""
 PEER_RECIPES: dict[str, Changes] = {
     "peer": {"model": {"heads": 1}, "train": {"perceptual": "none", "select_by": "reconstruction"}}
 }
@@ -286,7 +287,7 @@ def make_config(
         FILMED.get(profile, {}) if overrides.get("video") is not None else {},
         STARTED if overrides.get("start") is not None else {},
         (VARIANTS | PEERS)[variant],
-        BRIEF if variant in PEERS and profile == "smoke" else {},
+        BRIEF if "epochs" in (VARIANTS | PEERS)[variant].get("train", {}) and profile == "smoke" else {},
         COLLECTED if data_root is not None and profile != "smoke" else {},
         overridden(overrides),
     ]
