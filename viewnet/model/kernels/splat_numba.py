@@ -50,6 +50,7 @@ def _inside(z, y, x):
 
 @compiled
 def spread(places, grid):
+    """Adds the points at places (N, P, 3) to the grids (N, n, n, n)."""
     size = grid.shape[1]
     for n in prange(len(places)):
         for p in range(places.shape[1]):
@@ -68,6 +69,7 @@ def spread(places, grid):
 
 @compiled
 def spread_backward(places, grad, moved):
+    """Fills gradients (N, P, 3), zero before, of the places (N, P, 3) from the grids' (N, n, n, n)."""
     size = grad.shape[1]
     for n in prange(len(places)):
         for p in range(places.shape[1]):
