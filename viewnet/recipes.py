@@ -147,6 +147,15 @@ PEERS: dict[str, Changes] = {
     "box_corners": _SUPERVISED,
     "box_corners_imagenet": _SUPERVISED,
     "relative_pose": merged(_SUPERVISED, {"model": {"in_plane": True}}),
+    "ssv": {
+        "model": {"input_size": 32, "volume_size": 8, "elevation_limits": (-20.0, 40.0)},
+        "train": {
+            "epochs": 40,
+            "patience": 40,
+            "targets_per_object": 1,
+            "optimiser": {"learning_rate": 1e-3, "betas": (0.0, 0.99), "schedule": "hold"},
+        },
+    },
 }
 """Methods of other papers (viewnet.peers) -> what they change of their recipe: rows of the tables as well."""
 ABSOLUTE = tuple(name for name in PEERS if name.startswith(("spherical_regression", "box_corners")))

@@ -15,6 +15,7 @@ from viewnet.peers.peer import Peer
 from viewnet.peers.pointcloud import Pointcloud
 from viewnet.peers.relative_pose import RelativePose
 from viewnet.peers.spherical_regression import SphericalRegression, SphericalRegressionImageNet
+from viewnet.peers.ssv import SSV
 
 METHODS: dict[str, type[Peer]] = {
     "mvc": MVC,
@@ -24,6 +25,7 @@ METHODS: dict[str, type[Peer]] = {
     "box_corners": BoxCorners,
     "box_corners_imagenet": BoxCornersImageNet,
     "relative_pose": RelativePose,
+    "ssv": SSV,
 }
 """Variant (viewnet.recipes.PEERS) -> its network."""
 

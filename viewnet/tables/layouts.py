@@ -93,6 +93,7 @@ _SUPERVISED = (
     Row("Grabner (trained here)", "box_corners", supervision="absolute viewpoints, boxes"),
 )
 """Trained with viewpoints, on CAD models as all are here; the paper's rows of these methods saw photographs."""
+_SINGLE_IMAGES = "single images, range of viewpoints, mirror symmetry"
 _CONSTANTS = (
     Row("Constant", "constant", supervision=CALIBRATION),
     # Not in the paper: the mean of frames, not of view vectors.
@@ -117,6 +118,7 @@ LAYOUTS = {
             Row("Pointcloud", "pointcloud", supervision=f"{PAIRS}, camera"),
             Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
             Row("ViewNet, as many targets", "as_many_targets"),  # not in the paper: as MVC and Pointcloud have here
+            Row("SSV (reduced)", "ssv", supervision=_SINGLE_IMAGES),  # not in the paper: no pairs
             # Not in the paper: what more supervision would bring.
             Row("VpDR-Net (pairs of CAD views)", "relative_pose", supervision="relative rotations"), *_SUPERVISED,
         ),
@@ -149,7 +151,8 @@ LAYOUTS = {
         "PASCAL3D+ results",
         (
             *_CONSTANTS, Row("VGG view*", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),
-            Row("SSV*", supervision="single images, range of viewpoints"), *_ON_PHOTOGRAPHS,
+            Row("SSV*", supervision="single images, range of viewpoints"),
+            Row("SSV (reduced)", "ssv", "linear", _SINGLE_IMAGES), *_ON_PHOTOGRAPHS,
             Row("Liao (withdrawn)", supervision=f"absolute viewpoints, {IMAGENET}"),
             Row("Liao (corrected)", supervision=f"absolute viewpoints, {IMAGENET}"),
             Row("Grabner", supervision=f"absolute viewpoints, boxes, {IMAGENET}"),
@@ -182,8 +185,8 @@ LAYOUTS = {
         "Discretized viewpoint accuracy",
         (
             Row("Confidence index", "photographs", supervision=NONE), *_CONSTANTS,
-            Row("VGG view*", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"), *_ON_PHOTOGRAPHS,
-            *_SUPERVISED,
+            Row("VGG view*", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),
+            Row("SSV (reduced)", "ssv", "linear", _SINGLE_IMAGES), *_ON_PHOTOGRAPHS, *_SUPERVISED,
         ),
         metrics=("dva",), own={"Confidence index": "confidence_index"}, blocks=True,
     ),
