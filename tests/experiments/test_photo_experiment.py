@@ -64,7 +64,7 @@ def test_defaults_train_over_backgrounds_and_make_a_stand_in(folders):
     assert (request.profile, request.recipe, request.label) == ("tiny", "photos", "")
     assert [(c.variant, c.category) for c in request.configs] == [
         (variant, category)
-        for variant in ("viewnet", "viewnet_cycle", "spherical_regression", "box_corners")
+        for variant in ("ssv", "viewnet", "viewnet_cycle", "spherical_regression", "box_corners")
         for category in SHAPENET_CATEGORIES
     ]
     assert all(c.data.backgrounds == "drawn" and c.data.root is None for c in request.configs)
