@@ -110,7 +110,7 @@ class PhotoExperiment(Experiment):
     @property
     def renamed_rows(self) -> dict[str, str]:
         """The names of regressions from other features than the reported ones."""
-        rows = [row.label for row in LAYOUTS[self.name].rows if (row.variant or "").endswith("_regression")]
+        rows = [r.label for r in LAYOUTS[self.name].rows if r.variant in ("view_regression", "video_regression")]
         return {row: f"{row} ({self.chosen_features})" for row in rows if self.chosen_features != "vgg16"}
 
     def remarks(self, stores: dict[str, ViewStore]) -> list[str]:
