@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import functools
 
 from viewnet.runtime import provenance
 
 
+@functools.cache
 def imports(module: str) -> set[str]:
     """Modules of this package that a module of it imports, anywhere in its source, as paths below the package."""
     found = set()
