@@ -8,7 +8,7 @@ import torch
 from viewnet.geometry import azimuth_elevation, look_at, view_vector
 from viewnet.peers import registry
 from viewnet.peers.peer import Batch
-from viewnet.peers.ssv import ANGLE, MIRRORED, SSV, Angles, Reading, angle_target, normalised
+from viewnet.peers.ssv import ANGLE, MIRRORED, SSV, WARM_UP, Angles, Reading, angle_target, normalised
 from viewnet.recipes import make_config
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -107,7 +107,7 @@ def test_each_term_teaches_one_network(network):
     assert set(network.losses(batch, 0.0, random())) == OF_CRITIC | OF_GENERATOR
     for term in sorted(OF_CRITIC | OF_GENERATOR):
         network.zero_grad()
-        network.losses(batch, 0.0, random())[term].backward()
+        network.losses(batch, 1.0, random())[term].backward()
         for name, terms in names.items():
             gradients = [weight.grad for weight in getattr(network, name).parameters()]
             assert any(each is not None and each.any() for each in gradients) == (term in terms), (term, name)
@@ -119,7 +119,7 @@ def test_one_pass_over_the_sum_gives_each_network_the_gradient_of_its_own_terms(
 
     def gradients(part: torch.nn.Module, terms: set[str]) -> list[torch.Tensor]:
         network.zero_grad()
-        losses = network.losses(batch, 0.0, random())
+        losses = network.losses(batch, 1.0, random())
         torch.stack([losses[name] for name in losses if name in terms]).sum().backward()
         return [weight.grad.clone() for weight in part.parameters() if weight.grad is not None]
 
@@ -127,6 +127,18 @@ def test_one_pass_over_the_sum_gives_each_network_the_gradient_of_its_own_terms(
         together, alone = gradients(part, OF_CRITIC | OF_GENERATOR), gradients(part, own)
         assert len(together) == len(alone) == len(list(part.parameters()))
         assert all(torch.allclose(*pair, atol=1e-7) for pair in zip(together, alone, strict=True))
+
+
+def test_the_viewpoint_of_generated_images_teaches_the_generator_bit_by_bit(network):
+    images = torch.rand(8, 4, 32, 32)
+    start, amid, later, end = (
+        network.losses(Batch(images, images), progress, random()) for progress in (0, WARM_UP / 2, WARM_UP, 1)
+    )
+    assert start["generator_viewpoint"] == 0
+    assert torch.allclose(2 * amid["generator_viewpoint"], end["generator_viewpoint"])
+    for name in OF_CRITIC | OF_GENERATOR:
+        assert torch.equal(later[name], end[name])
+        assert torch.equal(start[name], end[name]) or name == "generator_viewpoint"
 
 
 def test_images_of_a_batch_stand_alone(network):

@@ -26,7 +26,8 @@ from viewnet.runtime.random import RandomSource, rand
 GENERATED = 0.8  # weight of codes, and of viewpoints, of generated images [released]
 CONSISTENCY = 1.0  # of real images drawn again [ours, of pixels; released: 0.16 of AlexNet's features]
 MIRRORED, MIRRORED_GENERATED = 0.4, 0.5  # of mirrored real images, and of mirrored generated ones [released]
-PENALTY = 1.0  # of half the squared slope of real images' scores: R1 [ours; released: WGAN's penalty, 10]
+PENALTY = 0.05  # of half the squared slope of real images' scores: R1 [ours; released: WGAN's penalty, 10]
+WARM_UP = 0.3  # share of training over which the generator's viewpoints come to their weight [ours]
 SHARE = 4  # what needs further images drawn, and the penalty, is of every fourth image [ours]
 ELEVATIONS = (-20.0, 40.0)  # degrees, of generated images, where the settings have no limits
 LEAK = 0.2  # slope of leaky ReLUs below 0
@@ -180,12 +181,14 @@ class SSV(Peer):
         images, opposite = drawn.split([count, some])  # (N, 3, S, S), (some, 3, S, S)
         seen, flipped, found = map(Reading, self.critic(torch.cat([real, real.flip(-1), images.detach()])).chunk(3))
         judged = Reading(frozen(self.critic, images))
+        # A generator that sees to viewpoints first moves a blob about, as no real object does.
+        warm = min(1.0, progress / WARM_UP)
         return self.of_real(real, seen, flipped) | {
             "critic": (F.softplus(-seen.score) + F.softplus(found.score)).mean(),
             "penalty": PENALTY / 2 * self.squared_slope(real[:some]),
-            **_generated("", found, code, azimuth, elevation),
+            **_generated("", 1.0, found, code, azimuth, elevation),
             "adversary": F.softplus(-judged.score).mean(),
-            **_generated("generator_", judged, code, azimuth, elevation),
+            **_generated("generator_", warm, judged, code, azimuth, elevation),
             "generator_mirrored": MIRRORED_GENERATED * F.l1_loss(opposite, images[:some].flip(-1)),
         }
 
@@ -217,9 +220,11 @@ def _some(count: int) -> int:
     return math.ceil(count / SHARE)
 
 
-def _generated(name: str, found: Reading, code: Tensor, azimuth: Tensor, elevation: Tensor) -> dict[str, Tensor]:
+def _generated(
+    name: str, share: float, found: Reading, code: Tensor, azimuth: Tensor, elevation: Tensor
+) -> dict[str, Tensor]:
     viewpoint = found.azimuth.divergence(angle_target(azimuth)) + found.elevation.divergence(angle_target(elevation))
-    return {f"{name}code": GENERATED * F.mse_loss(found.code, code), f"{name}viewpoint": GENERATED * viewpoint}
+    return {f"{name}code": GENERATED * F.mse_loss(found.code, code), f"{name}viewpoint": share * GENERATED * viewpoint}
 
 
 def frozen(network: nn.Module, *inputs: Tensor) -> Tensor:
