@@ -97,10 +97,33 @@ ABLATIONS: dict[str, Changes] = {
 Each is a variant, "without_" and its name: a row of the notebook recipe_ablation."""
 VARIANTS |= {f"without_{name}": changes for name, changes in ABLATIONS.items()}
 
-PEERS: dict[str, Changes] = {}
+PEERS: dict[str, Changes] = {
+    "mvc": {
+        "model": {
+            "input_size": 32,
+            "backdrop": 1.0,
+            "heads": 8,
+            "encoder_channels": (16, 32, 64, 128, 128),
+            "appearance_size": 64,
+            "generator_channels": (32, 16),
+            "volume_size": 24,
+            "render_size": 32,
+            "shape_prior": False,
+        },
+        "train": {
+            "epochs": 100,
+            "patience": 100,
+            "batch_size": 48,
+            "targets_per_object": 3,
+            "optimiser": {"learning_rate": 2e-3, "schedule": "hold"},
+        },
+    }
+}
 """Methods of other papers (viewnet.peers) -> what they change of their recipe: rows of the tables as well."""
 ABSOLUTE: tuple[str, ...] = ()
 """Peers that learn from viewpoints and predict them in the annotated frame: no alignment is fitted."""
+BRIEF: Changes = {"train": {"epochs": 2, "patience": 2}}
+"""What the profile smoke changes of peers, whose sizes are their own."""
 PEER_RECIPES: dict[str, Changes] = {
     "peer": {"model": {"heads": 1}, "train": {"perceptual": "none", "select_by": "reconstruction"}}
 }
@@ -231,6 +254,7 @@ def make_config(
         FILMED.get(profile, {}) if overrides.get("video") is not None else {},
         STARTED if overrides.get("start") is not None else {},
         (VARIANTS | PEERS)[variant],
+        BRIEF if variant in PEERS and profile == "smoke" else {},
         COLLECTED if data_root is not None and profile != "smoke" else {},
         overridden(overrides),
     ]

@@ -8,9 +8,10 @@ from viewnet.config import ModelConfig, RunConfig, known
 from viewnet.errors import ViewnetError
 from viewnet.model import checkpoint
 from viewnet.model.viewnet import ViewNet
+from viewnet.peers.mvc import MVC
 from viewnet.peers.peer import Peer
 
-METHODS: dict[str, type[Peer]] = {}
+METHODS: dict[str, type[Peer]] = {"mvc": MVC}
 """Variant (viewnet.recipes.PEERS) -> its network."""
 
 

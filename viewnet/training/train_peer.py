@@ -22,7 +22,7 @@ from viewnet.geometry import look_at, view_vector
 from viewnet.model.checkpoint import CHECKPOINT
 from viewnet.peers import registry
 from viewnet.peers.peer import Batch, Peer
-from viewnet.runtime import distributed
+from viewnet.runtime import distributed, memory
 from viewnet.runtime.progress import bar
 from viewnet.training.history import keep_best, resume, write
 from viewnet.training.optimisers import set_learning_rates
@@ -39,6 +39,7 @@ def train_peer(
     """
     if distributed.size() > 1:
         raise ViewnetError(f"{config.variant} trains in one process: run it without torchrun")
+    memory.keep_freed()
     if threads:
         torch.set_num_threads(threads)
     folder.mkdir(parents=True, exist_ok=True)
