@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from viewnet.config import ModelConfig, RunConfig, known
 from viewnet.errors import ViewnetError
@@ -27,19 +28,23 @@ def code_of(variant: str) -> tuple[str, ...]:
     return tuple(f"{name.partition('.')[2].replace('.', '/')}.py" for name in modules)
 
 
-def load(folder: Path, name: str = checkpoint.CHECKPOINT) -> tuple[ViewNet | Peer, RunConfig]:
-    """`viewnet.model.checkpoint.load_model` for a run of ViewNet or of a peer.
-
-    Raises ViewnetError as that does, and for weights that are not those of the configuration's network.
-    """
-    path = folder / name
-    if not path.is_file() or (config := checkpoint.config_of(path)).variant not in METHODS:
-        return checkpoint.load_model(folder, name)
+def build(config: RunConfig, weights: dict[str, Tensor], path: Path) -> ViewNet | Peer:
+    """`viewnet.model.checkpoint.build` for the configuration of ViewNet or of a peer. ViewnetError as there."""
+    if config.variant not in METHODS:
+        return checkpoint.build(config.model, weights, path)
     network = make(config.variant, config.model)
     try:
-        network.load_state_dict(checkpoint.read(path)[0])
+        network.load_state_dict(weights)
     except RuntimeError as error:
         problem = checkpoint.first_line(error)
         raise ViewnetError(f"{path}: weights and configuration are not of one network ({problem})") from error
+    return network
+
+
+def load(folder: Path, name: str = checkpoint.CHECKPOINT) -> tuple[ViewNet | Peer, RunConfig]:
+    """`viewnet.model.checkpoint.load_model` for a run of ViewNet or of a peer. ViewnetError as there."""
+    path = folder / name
+    if not path.is_file() or (config := checkpoint.config_of(path)).variant not in METHODS:
+        return checkpoint.load_model(folder, name)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    return network.to(device).eval(), config
+    return build(config, checkpoint.read(path)[0], path).to(device).eval(), config

@@ -22,7 +22,7 @@ from viewnet.geometry import look_at, view_vector
 from viewnet.model.checkpoint import CHECKPOINT
 from viewnet.peers import registry
 from viewnet.peers.peer import Batch, Peer
-from viewnet.runtime import distributed
+from viewnet.runtime import distributed, memory
 from viewnet.runtime.progress import bar
 from viewnet.training.history import keep_best, resume, write
 from viewnet.training.optimisers import set_learning_rates
@@ -44,6 +44,7 @@ def train_peer(
     folder.mkdir(parents=True, exist_ok=True)
     if (folder / CHECKPOINT).exists():
         return  # finished before: nothing to do
+    memory.keep_freed()
     settings, device = config.train, torch.device("cuda" if torch.cuda.is_available() else "cpu")
     torch.manual_seed(config.seed)  # the seed alone decides the initial weights
     model = registry.make(config.variant, config.model).to(device)
@@ -56,7 +57,7 @@ def train_peer(
     ]
     for group in optimisers[0].param_groups:
         group["initial_lr"] = group["lr"]  # what a schedule scales
-    history = resume(model, optimisers, folder)
+    history = resume(model, optimisers, folder)  # type: ignore[arg-type]
     steps = max(1, len(source.training.objects) // settings.batch_size)
     total = settings.epochs * steps
     title = f"{config.variant} {config.category} seed {config.seed}"
@@ -119,7 +120,7 @@ class _Source:
         frames = None
         if "viewpoints" in self.model.needs:
             frames = look_at(view_vector(*views.truth[rows].unbind(1))).to(self.device)  # (N, 3, 3)
-        return Batch(*images, frames)
+        return Batch(images[0], images[1], frames)
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
