@@ -97,7 +97,27 @@ ABLATIONS: dict[str, Changes] = {
 Each is a variant, "without_" and its name: a row of the notebook recipe_ablation."""
 VARIANTS |= {f"without_{name}": changes for name, changes in ABLATIONS.items()}
 
-PEERS: dict[str, Changes] = {}
+PEERS: dict[str, Changes] = {
+    # Eight objects a step, four views of each. The heads are a student and four candidates.
+    "pointcloud": {
+        "model": {
+            "heads": 5,
+            "backdrop": 1.0,
+            "input_size": 32,
+            "volume_size": 24,
+            "encoder_channels": (16, 32, 64),
+            "code_size": 256,
+        },
+        "train": {
+            "epochs": 100,
+            "patience": 100,
+            "batch_size": 24,
+            "targets_per_object": 3,
+            "validate_every": 10,
+            "optimiser": {"learning_rate": 1e-3, "schedule": "hold"},
+        },
+    }
+}
 """Methods of other papers (viewnet.peers) -> what they change of their recipe: rows of the tables as well."""
 ABSOLUTE: tuple[str, ...] = ()
 """Peers that learn from viewpoints and predict them in the annotated frame: no alignment is fitted."""

@@ -10,8 +10,9 @@ from viewnet.errors import ViewnetError
 from viewnet.model import checkpoint
 from viewnet.model.viewnet import ViewNet
 from viewnet.peers.peer import Peer
+from viewnet.peers.pointcloud import Pointcloud
 
-METHODS: dict[str, type[Peer]] = {}
+METHODS: dict[str, type[Peer]] = {"pointcloud": Pointcloud}
 """Variant (viewnet.recipes.PEERS) -> its network."""
 
 

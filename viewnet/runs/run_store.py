@@ -55,8 +55,9 @@ PEER_TRAINING = (
     *(f"peers/{name}.py" for name in ("peer", "registry")),
     "training/train_peer.py",
     *(f"training/{name}.py" for name in ("history", "optimisers")),
-    "geometry.py", "data/augment.py", "data/pairs.py", "evaluation/alignment.py",
-    *(f"runtime/{name}.py" for name in ("images", "random", "torchvision_weights")),
+    "geometry.py", "data/augment.py", "data/pairs.py", "evaluation/alignment.py", "render/camera.py",
+    *(f"model/kernels/{name}.py" for name in ("bfloat16_numba", "numba_call", "splat_numba")),
+    *(f"runtime/{name}.py" for name in ("distributed", "images", "memory", "random", "torchvision_weights")),
 )  # fmt: skip
 """The same of peers; to it comes the file of the method itself."""
 UNTRAINED_CODE = ("evaluation/baselines.py", "geometry.py")  # the same of predictors that need no training

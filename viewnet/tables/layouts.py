@@ -89,7 +89,10 @@ _TAKEN_AWAY = {
 LAYOUTS = {
     "table1_shapenet": Layout(
         "ShapeNet results of unsupervised methods",
-        (Row("MVC"), Row("Pointcloud"), Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle")),
+        (
+            Row("MVC"), Row("Pointcloud", "pointcloud"),
+            Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
+        ),
     ),
     "table2_ablation": Layout(
         "Ablation study",
