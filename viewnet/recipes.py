@@ -97,9 +97,18 @@ ABLATIONS: dict[str, Changes] = {
 Each is a variant, "without_" and its name: a row of the notebook recipe_ablation."""
 VARIANTS |= {f"without_{name}": changes for name, changes in ABLATIONS.items()}
 
-PEERS: dict[str, Changes] = {}
+_SUPERVISED: Changes = {"train": {"targets_per_object": 4, "optimiser": {"learning_rate": 1e-3, "schedule": "cosine"}}}
+_FINE_TUNED = merged(_SUPERVISED, {"model": {"input_size": 128}})
+
+PEERS: dict[str, Changes] = {
+    "spherical_regression": _SUPERVISED,
+    "spherical_regression_imagenet": _FINE_TUNED,
+    "box_corners": _SUPERVISED,
+    "box_corners_imagenet": _FINE_TUNED,
+    "relative_pose": _SUPERVISED,
+}
 """Methods of other papers (viewnet.peers) -> what they change of their recipe: rows of the tables as well."""
-ABSOLUTE: tuple[str, ...] = ()
+ABSOLUTE: tuple[str, ...] = tuple(name for name in PEERS if name != "relative_pose")
 """Peers that learn from viewpoints and predict them in the annotated frame: no alignment is fitted."""
 PEER_RECIPES: dict[str, Changes] = {
     "peer": {"model": {"heads": 1}, "train": {"perceptual": "none", "select_by": "reconstruction"}}

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import ast
 import json
 import multiprocessing
 from dataclasses import replace
@@ -8,6 +7,7 @@ from dataclasses import replace
 import pytest
 from helpers import fake_steps
 from helpers.fake_steps import STEPS, calls, config, plan
+from helpers.imported_code import imports
 
 from viewnet.config import RunConfig, VideoConfig
 from viewnet.errors import ViewnetError
@@ -109,22 +109,6 @@ def test_bad_requests_are_said():
     with pytest.raises(ViewnetError, match="workers 0: expected 1 or more"):
         ensure([config()], workers=0, steps=STEPS)
     assert ensure([], steps=STEPS) == []
-
-
-def imports(module: str) -> set[str]:
-    """Modules of this package that a module of it imports, anywhere in its source, as paths below the package."""
-    found = set()
-    for node in ast.walk(ast.parse((provenance.PACKAGE / module).read_text())):
-        names: list[str] = []
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "viewnet":
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        elif isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names if alias.name.startswith("viewnet.")]
-        for name in names:
-            path = "/".join(name.split(".")[1:]) + ".py"
-            if (provenance.PACKAGE / path).is_file():
-                found.add(path)
-    return found
 
 
 def test_the_key_covers_all_code_that_training_reaches():

@@ -16,7 +16,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -27,6 +27,8 @@ from viewnet.errors import ViewnetError
 from viewnet.estimator import hub, model_card
 from viewnet.model import checkpoint
 from viewnet.model.viewnet import ViewNet
+from viewnet.peers import registry
+from viewnet.recipes import ABSOLUTE
 from viewnet.runtime.files import read_json, replacing, write_json, write_text
 
 FORMAT = 1
@@ -98,7 +100,9 @@ def _from_run(file: Path) -> Pretrained:
         raise ViewnetError(f"{file.parent}: the run is not finished: run viewnet train again to resume it")
     config, metrics = checkpoint.config_of(file), result["metrics"]
     alignment = None if metrics is None else metrics["procrustes"]["alignment"]
-    network = checkpoint.build(config.model, checkpoint.read(file)[0], file)
+    if config.variant in ABSOLUTE:
+        alignment = {"rotation": np.eye(3).tolist()}
+    network = _network(config, checkpoint.read(file)[0], file)
     about = {name: result[name] for name in RESULT if name in result}
     return Pretrained(network, config, _rotation(alignment, path), about)
 
@@ -122,10 +126,15 @@ def _from_folder(folder: Path) -> Pretrained:
     except ViewnetError as error:
         raise ViewnetError(f"{path} is of another version of viewnet ({error}): install that one") from error
     weights, metadata = checkpoint.read(file, "save the model again")
-    network = checkpoint.build(config.model, weights, file)
+    network = _network(config, weights, file)
     if metadata.get("config") != _digest(values):
         raise ViewnetError(f"{folder}: {WEIGHTS} was not saved with this {CONFIG}: save the model again")
     return Pretrained(network, config, _rotation(values["alignment"], path), values["about"])
+
+
+def _network(config: RunConfig, weights: dict[str, torch.Tensor], file: Path) -> ViewNet:
+    """A run's network. A peer predicts viewpoints as ViewNet does; what else ViewNet can it is not asked for."""
+    return cast(ViewNet, registry.build(config, weights, file))
 
 
 def _rotation(alignment: dict[str, Any] | None, path: Path) -> np.ndarray | None:

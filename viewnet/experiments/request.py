@@ -8,7 +8,7 @@ from typing import Any, Self
 from viewnet.config import SHAPENET_CATEGORIES, known
 from viewnet.errors import ViewnetError
 from viewnet.experiments.parameters import PARAMETERS, SHAPENET
-from viewnet.recipes import PROFILE_RECIPE, VARIANTS
+from viewnet.recipes import ABSOLUTE, PROFILE_RECIPE, VARIANTS
 from viewnet.tables.layouts import LAYOUTS
 
 PHOTO_RECIPE = {"smoke": "photos", "tiny": "photos", "pocket": "photos", "small": "photos", "paper": "paper_photos"}
@@ -82,7 +82,8 @@ DESIGNS = {
     **{name: Design(t.variants, _TABLE_KINDS.get(name, "cad"), t.categories) for name, t in LAYOUTS.items()},
     "recipe_ablation": Design(LAYOUTS["recipe_ablation"].variants, smoke=2),
     "objectron": Design(("viewnet",), "objectron", LAYOUTS["objectron"].categories, fixed={"start": SHAPENET}),
-    "alignment_study": Design(LAYOUTS["table3_pascal3d"].variants, "photos"),
+    # Supervised rows are in the annotated frame.
+    "alignment_study": Design(tuple(v for v in LAYOUTS["table3_pascal3d"].variants if v not in ABSOLUTE), "photos"),
     "figure3_azimuth": Design(("viewnet",)),
     "training_curves": Design(_ABLATION),
     # The supplement's figure is of the last four.

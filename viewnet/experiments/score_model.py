@@ -23,7 +23,7 @@ from viewnet.estimator import pretrained
 from viewnet.estimator.model_card import METRICS, with_interval
 from viewnet.evaluation.evaluate import evaluate
 from viewnet.evaluation.predictions import Predictions
-from viewnet.evaluation.run import Run
+from viewnet.evaluation.run import LEARNED_ALIGNMENTS, Run
 from viewnet.experiments import photos
 from viewnet.experiments.parameters import SUBSETS, folder_named
 from viewnet.model import checkpoint
@@ -66,9 +66,10 @@ def scores(
         run = _run(where, data.cad_root, Path(folder))
         description, predictions, is_photographs = _predictions(run, data, steps)
         result = run.result  # the folder is gone after the block
-    kinds = LEARNED if run.trained else run.alignments  # an untrained predictor is in the annotated frame already
+    own_frame = run.alignments == LEARNED_ALIGNMENTS
+    kinds = LEARNED if own_frame else run.alignments  # else predictions are in the annotated frame already
     alignments = {kind: evaluate(predictions, kind, calibration) for kind in kinds}
-    if is_photographs and result["metrics"] is not None:
+    if is_photographs and own_frame and result["metrics"] is not None:
         # What a user of the model gets: no label of the photographs is used.
         back = np.array(result["metrics"]["procrustes"]["alignment"]["rotation"]).T
         ups = None if predictions.ups is None else predictions.ups @ back

@@ -7,9 +7,10 @@ import torch
 from torch import Tensor, nn
 
 from viewnet.config import ModelConfig
+from viewnet.model.networks import Encoder
 from viewnet.model.viewnet import Hypotheses
 from viewnet.runtime.images import composite
-from viewnet.runtime.random import RandomSource
+from viewnet.runtime.random import RandomSource, rand
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,20 @@ class Batch:
     images: Tensor  # (N, 4, S, S)
     world_from_camera: Tensor | None = None  # (N, 3, 3), true camera frames (viewnet.geometry.look_at)
     boxes: Tensor | None = None  # (N, 3), sides along x, y and z of the box around the object, centred at the origin
+
+    def mirrored(self, generator: RandomSource) -> "Batch":
+        """The same with half of the objects, drawn at random, left and right exchanged: images, objects and cameras."""
+        drawn = rand(len(self.first), generator=generator) < 0.5  # (B,)
+        chosen = drawn.repeat_interleave(len(self.images) // len(drawn)).to(self.images.device)  # (N,)
+        frames = self.world_from_camera
+        if frames is not None:  # the object's y and the camera's right change their signs
+            signs = frames.new_tensor([[-1, 1, 1], [1, -1, -1], [-1, 1, 1]])
+            frames = torch.where(chosen[:, None, None], frames * signs, frames)
+        first, images = (
+            torch.where(which[:, None, None, None], views.flip(-1), views)
+            for which, views in ((drawn.to(chosen), self.first), (chosen, self.images))
+        )
+        return Batch(first, images, frames, self.boxes)
 
 
 class Peer(nn.Module):
@@ -44,6 +59,13 @@ class Peer(nn.Module):
         super().__init__()
         self.config = config
         self.register_buffer("focal", torch.tensor(float("nan")), persistent=False)  # the renderer's, nothing learned
+
+    def trunk(self, outputs: int) -> nn.Module:
+        """An untrained network from images (N, 3, S, S) to features (N, outputs): ViewNet's encoder."""
+        return Encoder(self.config.encoder_channels, outputs, self.config.input_size)
+
+    def begin(self) -> None:
+        """What comes once before training, such as pretrained weights: nothing, unless a method says otherwise."""
 
     def composite(self, images: Tensor, background: Tensor | None = None) -> Tensor:
         """Images (N, 4, S, S) over backgrounds (N, 3, S, S) or the backdrop: (N, 3, S, S), for `viewpoint`."""

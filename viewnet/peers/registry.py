@@ -3,14 +3,24 @@
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from viewnet.config import ModelConfig, RunConfig, known
 from viewnet.errors import ViewnetError
 from viewnet.model import checkpoint
 from viewnet.model.viewnet import ViewNet
+from viewnet.peers.box_corners import BoxCorners, BoxCornersImageNet
 from viewnet.peers.peer import Peer
+from viewnet.peers.relative_pose import RelativePose
+from viewnet.peers.spherical_regression import SphericalRegression, SphericalRegressionImageNet
 
-METHODS: dict[str, type[Peer]] = {}
+METHODS: dict[str, type[Peer]] = {
+    "spherical_regression": SphericalRegression,
+    "spherical_regression_imagenet": SphericalRegressionImageNet,
+    "box_corners": BoxCorners,
+    "box_corners_imagenet": BoxCornersImageNet,
+    "relative_pose": RelativePose,
+}
 """Variant (viewnet.recipes.PEERS) -> its network."""
 
 
@@ -35,11 +45,18 @@ def load(folder: Path, name: str = checkpoint.CHECKPOINT) -> tuple[ViewNet | Pee
     path = folder / name
     if not path.is_file() or (config := checkpoint.config_of(path)).variant not in METHODS:
         return checkpoint.load_model(folder, name)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return build(config, checkpoint.read(path)[0], path).to(device).eval(), config
+
+
+def build(config: RunConfig, weights: dict[str, Tensor], path: Path) -> ViewNet | Peer:
+    """`viewnet.model.checkpoint.build` for a run's network, be it ViewNet or a peer; it raises as that does."""
+    if config.variant not in METHODS:
+        return checkpoint.build(config.model, weights, path)
     network = make(config.variant, config.model)
     try:
-        network.load_state_dict(checkpoint.read(path)[0])
+        network.load_state_dict(weights)  # half precision is widened
     except RuntimeError as error:
         problem = checkpoint.first_line(error)
         raise ViewnetError(f"{path}: weights and configuration are not of one network ({problem})") from error
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    return network.to(device).eval(), config
+    return network

@@ -52,13 +52,15 @@ A module that training starts to use must be added here, or a change in it would
 with what viewnet.training.train imports.
 """
 PEER_TRAINING = (
-    *(f"peers/{name}.py" for name in ("peer", "registry")),
-    "training/train_peer.py",
-    *(f"training/{name}.py" for name in ("history", "optimisers")),
-    "geometry.py", "data/augment.py", "data/pairs.py", "evaluation/alignment.py",
+    "peers/peer.py",
+    *(f"training/{name}.py" for name in ("history", "optimisers", "train_peer")),
+    "geometry.py", "data/augment.py", "data/boxes.py", "data/pairs.py", "evaluation/alignment.py", "render/camera.py",
+    *(f"model/{name}.py" for name in ("fast_layers", "networks")),
+    *(f"model/kernels/{name}.py" for name in (
+        "bfloat16_numba", "norm_relu_cpu", "norm_relu_numba", "numba_call", "rotation_numba")),
     *(f"runtime/{name}.py" for name in ("images", "random", "torchvision_weights")),
 )  # fmt: skip
-"""The same of peers; to it comes the file of the method itself."""
+"""The same of peers; to it come the files of the method itself (viewnet.peers.registry.code_of)."""
 UNTRAINED_CODE = ("evaluation/baselines.py", "geometry.py")  # the same of predictors that need no training
 
 

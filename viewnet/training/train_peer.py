@@ -13,6 +13,7 @@ from torch import Tensor
 
 from viewnet.config import RunConfig
 from viewnet.data import augment
+from viewnet.data.boxes import boxes_of
 from viewnet.data.pairs import Views, model_views, sample_pairs, step_generator
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
@@ -46,7 +47,9 @@ def train_peer(
         return  # finished before: nothing to do
     settings, device = config.train, torch.device("cuda" if torch.cuda.is_available() else "cpu")
     torch.manual_seed(config.seed)  # the seed alone decides the initial weights
-    model = registry.make(config.variant, config.model).to(device)
+    model = registry.make(config.variant, config.model)
+    model.begin()
+    model.to(device)
     if "viewpoints" in model.needs:
         views.require_viewpoints(["train", "val"], f"{config.variant} learns from viewpoints: use an annotated store")
     source = _Source(config, views, model, device)
@@ -56,7 +59,7 @@ def train_peer(
     ]
     for group in optimisers[0].param_groups:
         group["initial_lr"] = group["lr"]  # what a schedule scales
-    history = resume(model, optimisers, folder)
+    history = resume(model, optimisers, folder)  # type: ignore[arg-type]
     steps = max(1, len(source.training.objects) // settings.batch_size)
     total = settings.epochs * steps
     title = f"{config.variant} {config.category} seed {config.seed}"
@@ -101,16 +104,21 @@ class _Source:
         self.config, self.model, self.device = config, model, device
         size = config.model.input_size
         held_out = "val" if (store.index["split"] == "val").any() else "train"
-        self.training, self.validation = (model_views(store, each, size, config.model) for each in ("train", held_out))
+        splits = ("train", held_out)
+        boxed = "boxes" in model.needs
+        self.boxes = [boxes_of(config.data, store, each).to(device) if boxed else None for each in splits]  # (O, 3)
+        self.training, self.validation = (model_views(store, each, size, config.model) for each in splits)
         self.backgrounds = augment.load(config.data, size, device)
 
     def batch(self, step: int, generator: torch.Generator) -> Batch:
         """The batch of a training step."""
         settings = self.config.train
         first, rows = sample_pairs(self.training, settings.objects, settings.targets_per_object, self.config.seed, step)
-        return self._batch(self.training, first, rows, generator)
+        return self._batch(self.training, first, rows, generator, self.boxes[0])
 
-    def _batch(self, views: Views, first: Tensor, rows: Tensor, generator: torch.Generator) -> Batch:
+    def _batch(
+        self, views: Views, first: Tensor, rows: Tensor, generator: torch.Generator, boxes: Tensor | None
+    ) -> Batch:
         size = self.config.model.input_size
         images = [views.viewpoint_input(each, size, self.device) for each in (first, rows)]
         if self.backgrounds is not None:
@@ -119,7 +127,8 @@ class _Source:
         frames = None
         if "viewpoints" in self.model.needs:
             frames = look_at(view_vector(*views.truth[rows].unbind(1))).to(self.device)  # (N, 3, 3)
-        return Batch(*images, frames)
+        sides = None if boxes is None else boxes[views.objects[rows]]  # (N, 3)
+        return Batch(images[0], images[1], frames, sides)
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -135,7 +144,7 @@ class _Source:
         parts = objects.split(16)
         for part in parts:
             rows = (views.first[part, None] + torch.arange(each)).flatten()  # (objects * each,)
-            batch = self._batch(views, rows[::each], rows, generator)
+            batch = self._batch(views, rows[::each], rows, generator, self.boxes[1])
             terms = self.model.losses(batch, 1.0, generator)
             error += sum(float(terms[name]) for name in self.model.judged) * len(part) / len(objects)
             found = self.model.viewpoint(self.model.composite(batch.images))
