@@ -97,15 +97,16 @@ ABLATIONS: dict[str, Changes] = {
 Each is a variant, "without_" and its name: a row of the notebook recipe_ablation."""
 VARIANTS |= {f"without_{name}": changes for name, changes in ABLATIONS.items()}
 
-_SUPERVISED: Changes = {"train": {"targets_per_object": 4, "optimiser": {"learning_rate": 1e-3, "schedule": "cosine"}}}
-_FINE_TUNED = merged(_SUPERVISED, {"model": {"input_size": 128}})
+_SUPERVISED: Changes = {
+    "train": {"targets_per_object": 4, "augment": True, "optimiser": {"learning_rate": 1e-3, "schedule": "cosine"}}
+}
 
 PEERS: dict[str, Changes] = {
     "spherical_regression": _SUPERVISED,
-    "spherical_regression_imagenet": _FINE_TUNED,
+    "spherical_regression_imagenet": _SUPERVISED,
     "box_corners": _SUPERVISED,
-    "box_corners_imagenet": _FINE_TUNED,
-    "relative_pose": _SUPERVISED,
+    "box_corners_imagenet": _SUPERVISED,
+    "relative_pose": merged(_SUPERVISED, {"model": {"in_plane": True}}),
 }
 """Methods of other papers (viewnet.peers) -> what they change of their recipe: rows of the tables as well."""
 ABSOLUTE: tuple[str, ...] = tuple(name for name in PEERS if name != "relative_pose")
@@ -186,6 +187,8 @@ TOGETHER: dict[tuple[str, str], Changes] = {
     ("tiny", "paper"): _REPORTED,
     ("tiny", "paper_photos"): merged(_REPORTED, {"train": {"epochs": 145, "validate_every": 5}}),
     ("tiny", "photos"): {"train": {"epochs": 6}},
+    ("tiny", "peer"): {"train": {"epochs": 24}},
+    ("tiny", "peer_photos"): {"train": {"epochs": 12}},
 }
 """What a profile and a recipe change only together: twice the views a model are half as many epochs, or less."""
 

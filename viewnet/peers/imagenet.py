@@ -23,7 +23,7 @@ class SqueezeNet(nn.Module):
 
         self.convolutions = models.get_model(NETWORK, weights=None).features
         self.last = nn.Sequential(
-            nn.Conv2d(512, 128, 1), nn.ReLU(), nn.AdaptiveAvgPool2d(4), nn.Flatten(), nn.Linear(128 * 16, outputs)
+            nn.Conv2d(512, 128, 1), nn.ReLU(), nn.AdaptiveAvgPool2d(3), nn.Flatten(), nn.Linear(128 * 9, outputs)
         )
         for name, values in (("mean", IMAGENET_MEAN), ("std", IMAGENET_STD)):
             self.register_buffer(name, torch.tensor(values)[:, None, None], persistent=False)  # (3, 1, 1)
