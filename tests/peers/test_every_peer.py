@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from helpers.boxes import box_store
@@ -14,6 +15,7 @@ from safetensors.torch import load_file
 from viewnet.config import RunConfig
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
+from viewnet.estimator import ViewpointEstimator
 from viewnet.evaluation.predict import predict
 from viewnet.evaluation.run import FITTED_ALIGNMENTS, LEARNED_ALIGNMENTS, Run
 from viewnet.geometry import look_at, view_vector
@@ -22,6 +24,7 @@ from viewnet.peers.imagenet import ImageNetTrunk
 from viewnet.peers.peer import Batch
 from viewnet.recipes import ABSOLUTE, PEERS, make_config
 from viewnet.runs import run_store
+from viewnet.runtime.files import write_json
 from viewnet.training import train_peer as training
 from viewnet.training.train_peer import train_peer
 
@@ -149,3 +152,25 @@ def test_a_mirrored_batch_is_of_mirrored_objects():
         assert torch.allclose(found.world_from_camera[chosen], expected, atol=1e-5)
         assert torch.equal(found.images[chosen], images[chosen].flip(-1) if sign < 0 else images[chosen])
     assert torch.equal(found.first, found.images[::views]) and torch.equal(found.boxes, batch.boxes)
+
+
+@every
+def test_a_finished_run_predicts_images_and_refuses_the_rest(variant, store, tmp_path, possible):
+    folder = tmp_path / "run"
+    trained(variant, store, folder, epochs=1)
+    turn = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    write_json(folder / "result.json", {"metrics": {"procrustes": {"alignment": {"rotation": turn}}}})
+    estimator = ViewpointEstimator.from_pretrained(folder, device="cpu")
+    image = np.asarray(store.images[0])
+    found = estimator.predict([image, image])
+    own = predict(folder, store, splits=("train",)).hypotheses[0, 0]
+    expected = own if variant in ABSOLUTE else np.array(turn) @ own
+    assert found.aligned and np.allclose(found.vector, expected, atol=1e-4)
+    for asked in (
+        lambda: estimator.volume(image),
+        lambda: estimator.save_pretrained(tmp_path / "saved"),
+        lambda: estimator.export_onnx(tmp_path / "model.onnx"),
+    ):
+        with pytest.raises(ViewnetError, match=f"{variant} only predicts viewpoints"):
+            asked()
+    assert not (tmp_path / "saved").exists()

@@ -38,6 +38,7 @@ def export(model: Pretrained, path: Path) -> Path:
     """
     if path.suffix != ".onnx":
         raise ViewnetError(f"{path}: unknown kind of model file: name it .onnx")
+    model.require_viewnet(f"{path}")
     try:
         import onnx
         import onnxscript  # noqa: F401

@@ -28,7 +28,7 @@ from viewnet.estimator import hub, model_card
 from viewnet.model import checkpoint
 from viewnet.model.viewnet import ViewNet
 from viewnet.peers import registry
-from viewnet.recipes import ABSOLUTE
+from viewnet.recipes import ABSOLUTE, PEERS
 from viewnet.runtime.files import read_json, replacing, write_json, write_text
 
 FORMAT = 1
@@ -53,6 +53,14 @@ class Pretrained:
     def aligned(self) -> bool:
         """Whether predicted viewpoints are in the annotated frame, not in the network's own."""
         return self.annotated_from_model is not None
+
+    def require_viewnet(self, what: str) -> None:
+        """Raise ViewnetError for a method of another paper, which predicts viewpoints and has nothing else of ViewNet.
+
+        `what` is what was asked for.
+        """
+        if self.config.variant in PEERS:
+            raise ViewnetError(f"{what}: {self.config.variant} only predicts viewpoints: take a run of ViewNet")
 
 
 def load(where: str | os.PathLike[str], **hub_options: Any) -> Pretrained:
@@ -102,7 +110,7 @@ def _from_run(file: Path) -> Pretrained:
     alignment = None if metrics is None else metrics["procrustes"]["alignment"]
     if config.variant in ABSOLUTE:
         alignment = {"rotation": np.eye(3).tolist()}
-    network = _network(config, checkpoint.read(file)[0], file)
+    network = cast(ViewNet, registry.build(config, checkpoint.read(file)[0], file))  # a peer has its `viewpoint`
     about = {name: result[name] for name in RESULT if name in result}
     return Pretrained(network, config, _rotation(alignment, path), about)
 
@@ -126,15 +134,10 @@ def _from_folder(folder: Path) -> Pretrained:
     except ViewnetError as error:
         raise ViewnetError(f"{path} is of another version of viewnet ({error}): install that one") from error
     weights, metadata = checkpoint.read(file, "save the model again")
-    network = _network(config, weights, file)
+    network = checkpoint.build(config.model, weights, file)
     if metadata.get("config") != _digest(values):
         raise ViewnetError(f"{folder}: {WEIGHTS} was not saved with this {CONFIG}: save the model again")
     return Pretrained(network, config, _rotation(values["alignment"], path), values["about"])
-
-
-def _network(config: RunConfig, weights: dict[str, torch.Tensor], file: Path) -> ViewNet:
-    """A run's network. A peer predicts viewpoints as ViewNet does; what else ViewNet can it is not asked for."""
-    return cast(ViewNet, registry.build(config, weights, file))
 
 
 def _rotation(alignment: dict[str, Any] | None, path: Path) -> np.ndarray | None:
@@ -155,6 +158,7 @@ def save(model: Pretrained, folder: Path, license: str | None, half: bool, score
     """
     if folder.is_file():
         raise ViewnetError(f"{folder}: is a file: name a folder")
+    model.require_viewnet(f"saving to {folder}")
     config, about, rotation = _without_places(model.config), dict(model.about), model.annotated_from_model
     if scores:
         about["scores"] = [model_card.selected(values, about.get("key")) for values in scores]

@@ -36,7 +36,6 @@ from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
 from viewnet.model.reconstruction import Encoded
 from viewnet.model.viewnet import Hypotheses
-from viewnet.recipes import PEERS
 from viewnet.runtime.images import tight_crop
 
 if TYPE_CHECKING:
@@ -266,8 +265,7 @@ class ViewpointEstimator(pretrained.Pretrained, rendering.ObjectRenderer):
     @torch.no_grad()
     def encode(self, prepared: Prepared) -> Encoded:
         """The objects of prepared images, for `render`. ViewnetError for methods without a volume."""
-        if self.config.variant in PEERS:
-            raise ViewnetError(f"{self.config.variant} predicts viewpoints alone: it reconstructs nothing to render")
+        self.require_viewnet("rendering")
         return Encoded(*self.network.encode(prepared.appearance, background=prepared.background))
 
     def _prepared(self, images: Images, masks: Any, boxes: Any, batch_size: int = BATCH) -> Iterator[Prepared]:
