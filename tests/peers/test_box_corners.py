@@ -82,7 +82,7 @@ def test_corners_are_where_the_renderer_puts_them():
 
 
 def test_the_loss_is_nothing_at_the_truth_and_the_prediction_is_then_right(monkeypatch):
-    network = registry.make("box_corners", make_config("box_corners", profile="smoke").model)
+    network = registry.make("box_corners", make_config("box_corners", profile="smoke").model).eval()
     frames = cameras().float()
     points, sides = seen(SHAPES[0], frames.double())
     monkeypatch.setattr(network, "forward", lambda images: (framed(points).float(), sides.float()))

@@ -32,7 +32,7 @@ def batch() -> Batch:
 def network(**overrides):
     torch.manual_seed(0)
     config = make_config("relative_pose", profile="smoke", **overrides)
-    return registry.make("relative_pose", config.model)
+    return registry.make("relative_pose", config.model).eval()
 
 
 @pytest.mark.parametrize("in_plane", [False, True])
