@@ -130,4 +130,4 @@ def test_the_training_loop_is_short():
 
 
 def test_the_package_without_its_cad_models_is_small():
-    assert sum(lines(path) for path in PACKAGE.rglob("*.py") if PACKAGE / "cad" not in path.parents) <= 24_050
+    assert sum(lines(path) for path in PACKAGE.rglob("*.py") if PACKAGE / "cad" not in path.parents) <= 24_860

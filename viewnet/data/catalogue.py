@@ -21,7 +21,7 @@ LABELS = {"for": "use", "named": "named", "layout": "layout", "terms": "terms", 
 
 NETWORKS = {
     "vgg16": "perceptual loss of the recipe paper, view regression",
-    "squeezenet1_1": "view regression without VGG16",
+    "squeezenet1_1": "view regression without VGG16, variants that end in _imagenet",
     **{full: f"masks of videos (masks={short})" for short, full in masks.NETWORKS.items()},
 }
 
