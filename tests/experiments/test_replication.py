@@ -14,8 +14,13 @@ from helpers.fake_steps import STEPS, calls
 from viewnet.errors import ViewnetError
 from viewnet.experiments.replication import QUEUE, Replication
 from viewnet.model.checkpoint import ROBUST
+from viewnet.recipes import VARIANTS
 from viewnet.tables import kept_predictions
+from viewnet.tables.layouts import LAYOUTS
+from viewnet.tables.table import named
 
+ROWS = [row for row in LAYOUTS["table1_shapenet"].rows if row.variant]
+LABELS = [named(row.label, "matting" * (row.variant in VARIANTS)) for row in ROWS]
 PARTS = (
     ("table1_shapenet", {"categories": "car", "seeds": "2"}),
     ("table2_ablation", {"categories": "car", "variant": "viewnet"}),
@@ -46,9 +51,10 @@ def test_every_part_of_the_queue_is_a_table_with_its_own_file():
 
 def test_what_is_missing_is_trained_and_kept_and_nothing_twice(folders):
     queue(folders).train(workers=1, progress=False, steps=STEPS)
-    assert sorted(calls(folders)) == ["car-0", "car-0", "car-1", "car-1"]  # with and without the cycle
+    count = len(ROWS)
+    assert sorted(calls(folders)) == ["car-0"] * count + ["car-1"] * count
     of_table1 = cells(folders, "smoke-car/table1_shapenet")
-    assert of_table1["seeds"].to_dict() == {"ViewNet (matting)": 2, "ViewNet + cycle (matting)": 2}
+    assert of_table1["seeds"].to_dict() == dict.fromkeys(LABELS, 2)
     of_table2 = cells(folders, "smoke-viewnet-car/table2_ablation")
     assert of_table2["seeds"].to_dict() == {"ViewNet (matting)": 1}
     assert of_table2["measured"].item() == kept_predictions.remade(
@@ -57,28 +63,26 @@ def test_what_is_missing_is_trained_and_kept_and_nothing_twice(folders):
     shutil.rmtree(folders / "runs")  # as on another machine
     again = queue(folders)
     assert again.missing == []
-    assert [(part["runs"], part["kept"]) for part in again.plan()] == [(4, 4), (1, 1)]
+    assert [(part["runs"], part["kept"]) for part in again.plan()] == [(2 * count, 2 * count), (1, 1)]
     again.train(workers=1, progress=False, steps=STEPS)
-    assert len(calls(folders)) == 4
+    assert len(calls(folders)) == 2 * count
 
 
 def test_each_run_is_kept_when_it_ends_even_if_a_later_one_fails(folders):
     fake_steps.plan(folders, seed1="refuse")
-    with pytest.raises(ViewnetError, match="2 of 4 runs failed"):
+    with pytest.raises(ViewnetError, match=f"{len(ROWS)} of {2 * len(ROWS)} runs failed"):
         queue(folders).train(workers=1, progress=False, steps=STEPS)
     table = cells(folders, "smoke-car/table1_shapenet")
-    assert table["seeds"].to_dict() == {"ViewNet (matting)": 1, "ViewNet + cycle (matting)": 1}
+    assert table["seeds"].to_dict() == dict.fromkeys(LABELS, 1)
     logs = pd.read_csv(folders / "tables/smoke-car/table1_shapenet_logs.csv")
-    assert set(map(tuple, logs[["row", "seed"]].drop_duplicates().to_numpy())) == {
-        ("ViewNet", 0),
-        ("ViewNet + cycle", 0),
-    }
+    assert set(map(tuple, logs[["row", "seed"]].drop_duplicates().to_numpy())) == {(row.label, 0) for row in ROWS}
     fake_steps.plan(folders)
     rest = queue(folders)
-    assert [config.seed for config in rest.missing] == [1, 1]
+    assert [config.seed for config in rest.missing] == [1] * len(ROWS)
     rest.train(workers=1, progress=False, steps=STEPS)
     logs = pd.read_csv(folders / "tables/smoke-car/table1_shapenet_logs.csv")
-    assert len(logs.drop_duplicates(["row", "seed"])) == 4 and len(logs) == 4 * fake_steps.EPOCHS
+    assert len(logs.drop_duplicates(["row", "seed"])) == 2 * len(ROWS)
+    assert len(logs) == 2 * len(ROWS) * fake_steps.EPOCHS
 
 
 def test_a_run_of_other_settings_is_not_the_one_that_is_asked_for(folders):

@@ -50,7 +50,7 @@ def load(folder: Path, name: str = checkpoint.CHECKPOINT) -> tuple[ViewNet | Pee
 
 
 def build(config: RunConfig, weights: dict[str, Tensor], path: Path) -> ViewNet | Peer:
-    """`viewnet.model.checkpoint.build` for a run's network, be it ViewNet or a peer; raises ViewnetError as that does."""
+    """`viewnet.model.checkpoint.build` for a run's network, or for a peer; raises ViewnetError as that does."""
     if config.variant not in METHODS:
         return checkpoint.build(config.model, weights, path)
     network = make(config.variant, config.model)

@@ -124,8 +124,6 @@ class _Source:
         if self.backgrounds is not None:
             photo = self.config.train.photo
             images = [augment.photograph(each, self.backgrounds, photo, generator) for each in images]
-        elif self.config.train.augment and self.model.training:
-            images = [augment.crop_and_rotate(each, generator) for each in images]
         frames = None
         if "viewpoints" in self.model.needs:
             frames = look_at(view_vector(*views.truth[rows].unbind(1))).to(self.device)  # (N, 3, 3)
