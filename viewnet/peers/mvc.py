@@ -17,7 +17,7 @@ from viewnet.model import volume
 from viewnet.model.fast_layers import batch_norm_relu
 from viewnet.model.networks import Encoder
 from viewnet.model.viewnet import Hypotheses
-from viewnet.peers.peer import Batch, Peer
+from viewnet.peers.peer import Batch, Peer, frozen
 from viewnet.render.camera import FOCAL
 from viewnet.runtime.images import resize
 from viewnet.runtime.random import RandomSource, rand
@@ -102,8 +102,7 @@ class MVC(Peer):
         low, high = ELEVATIONS
         true = quaternion(360 * draws[0], low + (high - low) * draws[1])  # (N, 4)
         sign = torch.where(draws[2] < 0.5, -1.0, 1.0)[:, None]  # (N, 1): a rotation is two quaternions
-        fixed = {name: weight.detach() for name, weight in self.adversary.named_parameters()}
-        belief = torch.func.functional_call(self.adversary, fixed, (fake * sign,))[:, 0]  # (N,), that they are true
+        belief = frozen(self.adversary, fake * sign)[:, 0]  # (N,), that they are true
         told = F.softplus(self.adversary(fake.detach() * sign)) + F.softplus(-self.adversary(true * sign))  # (N, 1)
         return PRIOR * F.softplus(-belief), told[:, 0]
 

@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
+from torch.func import functional_call
 
 from viewnet.config import ModelConfig
 from viewnet.model.networks import Encoder
@@ -86,3 +87,8 @@ class Peer(nn.Module):
     def parameter_groups(self, learning_rate: float) -> list[dict[str, object]]:
         """The optimiser's groups: all weights at one learning rate, unless a method says otherwise."""
         return [{"params": list(self.parameters()), "lr": learning_rate}]
+
+
+def frozen(network: nn.Module, *inputs: Tensor) -> Tensor:
+    """The network's output, with gradients for its inputs alone."""
+    return functional_call(network, {name: weight.detach() for name, weight in network.named_parameters()}, inputs)

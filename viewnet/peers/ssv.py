@@ -13,14 +13,13 @@ from itertools import pairwise
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from torch.func import functional_call
 
 from viewnet.config import ModelConfig
 from viewnet.geometry import look_at, view_vector
 from viewnet.model.fast_layers import LastConv
 from viewnet.model.networks import AdaIN, Stage, power_of_two
 from viewnet.model.viewnet import Hypotheses
-from viewnet.peers.peer import Batch, Peer
+from viewnet.peers.peer import Batch, Peer, frozen
 from viewnet.runtime.random import RandomSource, rand
 
 GENERATED = 0.8  # weight of codes, and of viewpoints, of generated images [released]
@@ -225,8 +224,3 @@ def _generated(
 ) -> dict[str, Tensor]:
     viewpoint = found.azimuth.divergence(angle_target(azimuth)) + found.elevation.divergence(angle_target(elevation))
     return {f"{name}code": GENERATED * F.mse_loss(found.code, code), f"{name}viewpoint": share * GENERATED * viewpoint}
-
-
-def frozen(network: nn.Module, *inputs: Tensor) -> Tensor:
-    """The network's output, with gradients for its inputs alone."""
-    return functional_call(network, {name: weight.detach() for name, weight in network.named_parameters()}, inputs)

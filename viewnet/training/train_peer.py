@@ -40,7 +40,6 @@ def train_peer(
     """
     if distributed.size() > 1:
         raise ViewnetError(f"{config.variant} trains in one process: run it without torchrun")
-    memory.keep_freed()
     if threads:
         torch.set_num_threads(threads)
     folder.mkdir(parents=True, exist_ok=True)
@@ -140,21 +139,19 @@ class _Source:
         """
         views, generator = self.validation, torch.Generator().manual_seed(0)  # the same draws each time
         each = int(views.count.min())
-        objects = torch.arange(min(len(views.first), VALIDATION_VIEWS // each))
+        starts = views.first[: VALIDATION_VIEWS // each]  # (O,)
+        rows = starts[:, None] + torch.arange(each)  # (O, each)
         self.model.eval()
         error, vectors = 0.0, []
-        parts = objects.split(16)
-        for part in parts:
-            rows = (views.first[part, None] + torch.arange(each)).flatten()  # (objects * each,)
-            batch = self._batch(views, rows[::each], rows, generator, self.boxes[1])
+        for part in rows.split(16):
+            batch = self._batch(views, part[:, 0], part.flatten(), generator, self.boxes[1])
             terms = self.model.losses(batch, 1.0, generator)
-            error += sum(float(terms[name]) for name in self.model.judged) * len(part) / len(objects)
+            error += sum(float(terms[name]) for name in self.model.judged) * len(part) / len(rows)
             found = self.model.viewpoint(self.model.composite(batch.images))
             vectors.append(found.of_heads(found.logits.argmax(1)))
         self.model.train()
-        rows = (views.first[objects, None] + torch.arange(each)).flatten()
         predicted = torch.cat(vectors).cpu().double().numpy()  # (N, 3)
-        truth = views.truth[rows].double()  # (N, 2)
+        truth = views.truth[rows.flatten()].double()  # (N, 2)
         scores = {"reconstruction": error, "accuracy": math.nan, "folded": math.nan, "robust": math.nan}
         if not truth.isnan().any():
             true = view_vector(*truth.unbind(1)).numpy()  # (N, 3)
