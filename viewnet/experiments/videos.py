@@ -25,7 +25,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.parameters import SHAPENET
 from viewnet.experiments.photos import PhotoExperiment
-from viewnet.recipes import make_config
+from viewnet.recipes import PEERS, make_config
 from viewnet.runs.run_store import ensure
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry
@@ -66,6 +66,17 @@ class VideoExperiment(PhotoExperiment):
     def videos(self) -> tuple[VideoConfig, ...]:
         """The videos to train on: each is a training of its own."""
         return (self.video,)
+
+    @property
+    def trained_variants(self) -> list[str]:
+        """As PhotoExperiment.trained_variants; methods of other papers cannot start from ViewNet's weights."""
+        return [variant for variant in super().trained_variants if not (self.start and variant in PEERS)]
+
+    @property
+    def unmeasured_rows(self) -> tuple[str, ...]:
+        """The rows of methods that are left out."""
+        left_out = PEERS.keys() - set(self.trained_variants)
+        return tuple(row.label for row in LAYOUTS[self.name].rows if row.variant in left_out)
 
     @property
     def configs(self) -> list[RunConfig]:

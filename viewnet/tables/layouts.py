@@ -170,6 +170,7 @@ LAYOUTS = {
             Row("VGG view, videos", "video_regression", supervision=f"{IMAGENET}, {TRAINING}"),
             Row("ViewNet", "viewnet"), Row("ViewNet + cycle", "viewnet_cycle"),
             Row("VpDR-Net + FrC", supervision=f"relative rotations, {IMAGENET}"),
+            Row("VpDR-Net (trained here)", "relative_pose", supervision="relative rotations"),
         ),
         categories=("car",), blocks=True,
     ),
