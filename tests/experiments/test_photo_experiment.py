@@ -128,6 +128,7 @@ def test_nothing_but_the_default_is_written_where_the_default_goes(tmp_path):
         ({"backgrounds": "nowhere"}, "backgrounds nowhere: no such folder"),
         ({"eval_root": "x"}, "table3_pascal3d 'eval_root'"),
         ({"variant": "viewnet"}, "table3_pascal3d 'variant'"),
+        ({"rows": "viewnet,mvc"}, "unknown row of table3_pascal3d 'mvc'"),
         ({"margins": 1}, "table3_pascal3d 'margins'"),
     ],
 )
@@ -203,6 +204,7 @@ def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path
     table = request.table(runs)
     assert table.complete
     rows = [named(r.label, "photos" * (r.variant in VARIANTS)) for r in LAYOUTS["table3_pascal3d"].rows if r.variant]
+    rows = [row for row in rows if "SqueezeNet" not in row]  # optional
     measured = table.cells[table.cells["seeds"] > 0]
     assert set(measured["row"]) == {*rows, "VGG view* (pixels)"} - {"VGG view*"}
     store = request.stores()["car"]

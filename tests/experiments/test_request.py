@@ -84,6 +84,16 @@ def test_a_figure_shows_the_variant_asked_for():
     assert request.folder.name == "tiny-viewnet_cycle"
 
 
+def test_rows_are_those_asked_for_and_optional_ones_only_then(tmp_path):
+    usual = experiment("table3_pascal3d").trained_variants
+    assert "box_corners" in usual and "box_corners_imagenet" not in usual
+    request = experiment("table3_pascal3d", rows="viewnet, box_corners_imagenet")
+    assert request.trained_variants == ["viewnet", "box_corners_imagenet"]
+    assert request.folder.name == "tiny-viewnet-box_corners_imagenet"
+    left_out = {"Constant", "SSV (reduced)*", "Grabner (trained here)", "ViewNet + cycle"}
+    assert left_out <= set(request.unmeasured_rows) and "ViewNet*" not in request.unmeasured_rows
+
+
 def test_evaluation_data_are_all_models_of_the_other_collection(tmp_path):
     request = experiment("table1_shapenet", eval_root=str(tmp_path))
     data = request.eval_data(request.configs[0])
@@ -105,7 +115,8 @@ def test_evaluation_data_are_all_models_of_the_other_collection(tmp_path):
         ({"seeds": "one"}, "seeds 'one'"),
         ({"seeds": [0, 0]}, r"seeds \[0, 0\]"),
         ({"recipe": "secret"}, "unknown recipe 'secret'"),
-        ({"variant": "vgg"}, "unknown variant 'vgg'"),
+        ({"rows": "vgg"}, "unknown rows 'vgg'"),
+        ({"rows": "viewnet,mvc"}, "unknown row of table2_ablation 'mvc'"),
         ({"data_root": "nowhere"}, "data_root nowhere: no such folder"),
         ({"splits": 3}, "splits 3: expected text"),
         ({"workers": -1}, "workers -1"),

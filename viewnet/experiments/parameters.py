@@ -16,6 +16,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, features
 from viewnet.model import checkpoint
 from viewnet.recipes import PEERS, PROFILES, RECIPES, VARIANTS
+from viewnet.tables.layouts import LAYOUTS
 
 SHAPENET = "shapenet"
 """The value of `start` for which ViewNet is first trained on CAD models of the category, with the same seed."""
@@ -103,6 +104,11 @@ def _recipes(value: str, what: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(known(name.strip(), RECIPES, what) for name in value.split(",")))
 
 
+def _rows(value: str, what: str) -> tuple[str, ...]:
+    variants = dict.fromkeys(variant for layout in LAYOUTS.values() for variant in layout.variants)
+    return tuple(dict.fromkeys(known(name.strip(), variants, what) for name in value.split(",")))
+
+
 def _seeds(value: Any, what: str) -> tuple[int, ...]:
     """Seeds from a count, a list, or text of either."""
     problem = ViewnetError(f"{what} {value!r}: expected how many (3) or which (0,2), whole numbers of 0 or more")
@@ -156,8 +162,10 @@ PARAMETERS: dict[str, Parameter] = {
     "recipe": Parameter("default", _recipes,
                         "how models are trained (viewnet.recipes), one or more: paper,matting; default: the profile's",
                         "{}", "-".join, "recipes"),
-    "variant": _one_name("", (*VARIANTS, *PEERS, *baselines.UNTRAINED), "one row, such as viewnet; empty: all",
+    "variant": _one_name("", (*VARIANTS, *PEERS), "whose runs to show, such as viewnet_cycle; empty: the notebook's",
                          "variants", "{0[0]}"),
+    "rows": Parameter("", _rows, "variants that fill rows: viewnet,mvc; empty: all that need no pretrained weights",
+                      "{}", "-".join, "variants"),
     "categories": Parameter("all", _categories,
                             "car, or car,chair, or a list; all: the notebook's; everything: all twelve of PASCAL3D+",
                             "{}", lambda names: "everything" if set(names) == set(CATEGORIES) else "-".join(names),

@@ -104,8 +104,9 @@ class PhotoExperiment(Experiment):
 
     @property
     def unmeasured_rows(self) -> tuple[str, ...]:
-        """Rows of ours for which only reported numbers are shown: none."""
-        return ()
+        """Rows of ours for which only reported numbers are shown: those that were not asked for."""
+        rows = LAYOUTS[self.name].rows
+        return tuple(row.label for row in rows if row.variant and row.variant not in self.variants)
 
     @property
     def renamed_rows(self) -> dict[str, str]:
@@ -141,8 +142,9 @@ class PhotoExperiment(Experiment):
 
         for entry in entries(name, runs, predictions, self.calibration):
             result.append(replace(entry, origin=entry.origin | {"photographs": stores[entry.category].identity}))
-        untrained = [variant for variant in LAYOUTS[name].variants if variant not in VARIANTS | PEERS]
-        for (category, store), variant in product(stores.items(), untrained):
+        untrained = [variant for variant in self.variants if variant not in VARIANTS | PEERS]
+        shown = [variant for variant in untrained if variant in LAYOUTS[name].variants]
+        for (category, store), variant in product(stores.items(), shown):
             fitted, settings = self.fitted(variant, store, self.calibration)
             alignment = ALIGNED.get(variant, "none")
             origin: dict[str, Any] = {"variant": variant, "category": category, "photographs": store.identity}

@@ -33,7 +33,7 @@ QUEUE: tuple[tuple[str, dict[str, str]], ...] = (
     ("table2_ablation", {"seeds": "3"}),
     ("table1_shapenet", {"seeds": "3"}),
     # Does the method as printed tell front from rear?
-    ("table2_ablation", {"seeds": "3", "recipe": "paper", "variant": "viewnet"}),
+    ("table2_ablation", {"seeds": "3", "recipe": "paper", "rows": "viewnet"}),
     ("table2_ablation", {"seeds": "1", "recipe": "paper", "categories": "car"}),
     # What is needed of what our recipe adds?
     ("recipe_ablation", {"seeds": "3"}),

@@ -25,15 +25,16 @@ TAKES = {
     "architecture": ("profile", "output"),
     "audit_metrics": ("viewpoints", "output"),
     # The runs of Table 2 serve the figures after it, those of Table 3 what scores photographs.
-    **dict.fromkeys(("table1_shapenet", "table2_ablation"), (*_CAD, "variant", "eval_root")),
+    **dict.fromkeys(("table1_shapenet", "table2_ablation"), (*_CAD, "rows", "eval_root")),
     **dict.fromkeys(("figure3_azimuth", "failures", "learned_volumes"), _FIGURE),
     "training_curves": (*_CAD, "variant"),
     "novel_views": _FIGURE[:-1],
     "test_sets": ("profile", "categories", "seeds", "recipe", "eval_root", "output", "workers"),
     "recipe_ablation": tuple(name for name in _CAD if name != "recipe"),
-    **dict.fromkeys(("table3_pascal3d", "table5_dva", "alignment_study"), _PHOTOS),
+    **dict.fromkeys(("table3_pascal3d", "table5_dva"), (*_PHOTOS, "rows")),
+    "alignment_study": _PHOTOS,
     "reconstructions": ("profile", "seed", "data_root", "output", "workers", *_TRAINED_ON),
-    "table4_freiburg": (*_VIDEOS, "split_rule", "start", "features"),
+    "table4_freiburg": (*_VIDEOS, "rows", "split_rule", "start", "features"),
     "objectron": (*_VIDEOS, "category", "weak_masks"),
     "your_method": (*_ALL, "categories", "cad_root", "backgrounds", "calibration"),
 }
@@ -69,21 +70,21 @@ class Design:
         return values | designed | self.fixed
 
 
-_DESIGNED = ("profile", "recipe", "categories", "category", "variant")
+_DESIGNED = ("profile", "recipe", "categories", "category", "variant", "rows")
 """Parameters whose defaults are the notebook's."""
 _TABLE_KINDS = dict.fromkeys(("table3_pascal3d", "table5_dva"), "photos")
 _TABLE_KINDS |= {"test_sets": "test_sets", "table4_freiburg": "videos"}
 _ABLATION = tuple(variant for variant in LAYOUTS["table2_ablation"].variants if variant in VARIANTS)
 """The trained rows of Table 2."""
 _METHOD_TABLES = ("table1_shapenet", "table3_pascal3d", "table5_dva")
-_METHOD_VARIANTS = tuple(dict.fromkeys(v for table in _METHOD_TABLES for v in LAYOUTS[table].variants))
+_METHOD_VARIANTS = tuple(dict.fromkeys(v for table in _METHOD_TABLES for v in LAYOUTS[table].usual))
 
 DESIGNS = {
-    **{name: Design(t.variants, _TABLE_KINDS.get(name, "cad"), t.categories) for name, t in LAYOUTS.items()},
-    "recipe_ablation": Design(LAYOUTS["recipe_ablation"].variants, smoke=2),
-    "objectron": Design(("viewnet",), "objectron", LAYOUTS["objectron"].categories, fixed={"start": SHAPENET}),
+    **{name: Design(t.usual, _TABLE_KINDS.get(name, "cad"), t.categories) for name, t in LAYOUTS.items()},
+    "recipe_ablation": Design(LAYOUTS["recipe_ablation"].usual, smoke=2),
+    "objectron": Design(("constant", "viewnet"), "objectron", ("chair",), fixed={"start": SHAPENET}),
     # Supervised rows are in the annotated frame.
-    "alignment_study": Design(tuple(v for v in LAYOUTS["table3_pascal3d"].variants if v not in ABSOLUTE), "photos"),
+    "alignment_study": Design(tuple(v for v in LAYOUTS["table3_pascal3d"].usual if v not in ABSOLUTE), "photos"),
     "figure3_azimuth": Design(("viewnet",)),
     "training_curves": Design(_ABLATION),
     # The supplement's figure is of the last four.
@@ -157,10 +158,13 @@ class Request:
             # Only text is compared with the default: True == 1.
             if key in given and not (isinstance(plain, str) and plain == parameter.default):
                 values[parameter.field or key] = parameter.of(plain, key)
+        if "rows" in taken and "variants" in values:
+            for variant in values["variants"]:
+                known(variant, LAYOUTS[name].variants, f"row of {name}")
         usual = design.usual(values["profile"])
         parts = [
             parameter.label.format(parameter.text(values[at]))
-            for at, parameter in ((p.field or key, p) for key, p in PARAMETERS.items())
+            for at, parameter in ((p.field or key, p) for key, p in PARAMETERS.items() if key in taken)
             if parameter.label and at in values and values[at] != usual[at]
         ]
         # The profile stands first wherever there is anything, except for a list of viewpoints, which has none.

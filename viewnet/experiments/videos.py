@@ -73,12 +73,6 @@ class VideoExperiment(PhotoExperiment):
         return [variant for variant in super().trained_variants if not (self.start and variant in PEERS)]
 
     @property
-    def unmeasured_rows(self) -> tuple[str, ...]:
-        """The rows of methods that are left out."""
-        left_out = PEERS.keys() - set(self.trained_variants)
-        return tuple(row.label for row in LAYOUTS[self.name].rows if row.variant in left_out)
-
-    @property
     def configs(self) -> list[RunConfig]:
         """One configuration a training on videos; with start "shapenet" without the weights, which `run` fills in."""
         return self._configs(dict.fromkeys(self.seeds, self.start or None))

@@ -30,6 +30,7 @@ class Row:
     variant: str | None = None  # the variant that fills it; None: this project has no such method
     alignment: str | None = None  # of its predictions; None: the usual one of its variant
     supervision: str = PAIRS  # what is known in training, beyond images
+    optional: bool = False  # whether it is measured and shown only where it is asked for
 
     @property
     def label(self) -> str:
@@ -60,6 +61,11 @@ class Layout:
         return tuple(dict.fromkeys(row.variant for row in self.rows if row.variant))
 
     @property
+    def usual(self) -> tuple[str, ...]:
+        """The variants that fill its rows but for optional ones."""
+        return tuple(dict.fromkeys(row.variant for row in self.rows if row.variant and not row.optional))
+
+    @property
     def reference(self) -> str:
         """The label of the row that others are compared with: the first one of ViewNet by a rotation."""
         return next((row.label for row in self.rows if row.variant == "viewnet" and row.alignment is None), "")
@@ -88,11 +94,16 @@ def _aligned(name: str, variant: str = "viewnet") -> tuple[Row, ...]:
 
 
 _ON_PHOTOGRAPHS = (*_aligned("ViewNet"), *_aligned("ViewNet + cycle", "viewnet_cycle"))
+_VIEWPOINTS, _BOXES = "absolute viewpoints", "absolute viewpoints, boxes"
 _SUPERVISED = (
-    Row("Liao (trained here)", "spherical_regression", supervision="absolute viewpoints"),
-    Row("Grabner (trained here)", "box_corners", supervision="absolute viewpoints, boxes"),
+    Row("Liao (trained here)", "spherical_regression", None, _VIEWPOINTS),
+    Row("Liao (trained here, SqueezeNet)", "spherical_regression_imagenet", None, f"{_VIEWPOINTS}, {IMAGENET}", True),
+    Row("Grabner (trained here)", "box_corners", None, _BOXES),
+    Row("Grabner (trained here, SqueezeNet)", "box_corners_imagenet", None, f"{_BOXES}, {IMAGENET}", True),
 )
-"""Trained with viewpoints, on CAD models as all are here; the paper's rows of these methods saw photographs."""
+"""Trained with viewpoints, on CAD models as all are here; the paper's rows of these methods saw photographs.
+
+Those of a pretrained network are optional: its weights come from a file of the user's."""
 _SINGLE_IMAGES = "single images, range of viewpoints, mirror symmetry"
 _CONSTANTS = (
     Row("Constant", "constant", supervision=CALIBRATION),

@@ -159,7 +159,8 @@ class Table:
         paper = {(r.row, r.metric, r.category): (r.value, bool(r.bold)) for r in printed}
         lines: list[dict[str, Any]] = []
         recipes = {row.label: dict.fromkeys(e.recipe for e in given if e.row == row.label) for row in layout.rows}
-        rows = [(row, recipe) for row in layout.rows for recipe in recipes[row.label] or ("",)]
+        shown_rows = [row for row in layout.rows if recipes[row.label] or not row.optional]
+        rows = [(row, recipe) for row in shown_rows for recipe in recipes[row.label] or ("",)]
         for (row, recipe), category in itertools.product(rows, categories):
             label = row.label
             mine = [e for e in given if (e.row, e.recipe, e.category) == (label, recipe, category)]
