@@ -13,10 +13,12 @@ from scipy.spatial.transform import Rotation
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.alignment import (
     ALIGNMENTS,
+    HalfTurns,
     Identity,
     Linear,
     PerAngle,
     Procrustes,
+    QuarterTurns,
     Robust,
     Yaw,
     draw_calibration,
@@ -100,6 +102,18 @@ def test_a_robust_fit_follows_those_that_agree(seed):
     assert vector_error(turned.apply(truth @ turn.T), truth).max() < 0.1
     squares = Procrustes.fit(p, truth).apply(p)
     assert np.median(vector_error(squares, truth)) > np.median(vector_error(exact, truth))
+
+
+@pytest.mark.parametrize("kind", [HalfTurns, QuarterTurns])
+@pytest.mark.parametrize("seed", range(3))
+def test_turns_that_count_as_one_are_left_open(kind, seed):
+    rng, truth = np.random.default_rng(seed), viewpoints(seed, 200)
+    turned = kind.turned(truth)  # (order, N, 3)
+    assert np.allclose(turned[1], truth @ Rotation.from_euler("z", 360 / kind.order, degrees=True).as_matrix().T)
+    p = turned[rng.integers(kind.order, size=200), np.arange(200)] @ rotation(seed).T
+    aligned = kind.fit(p, truth).apply(p)
+    assert geodesic_error(np.broadcast_to(aligned, turned.shape), turned).min(axis=0).max() < 1
+    assert (geodesic_error(Robust.fit(p, truth).apply(p), truth) > 30).mean() > 0.3  # it has to choose
 
 
 def test_a_yaw_turns_about_the_vertical_by_what_most_agree_on():

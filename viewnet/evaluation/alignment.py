@@ -103,6 +103,7 @@ class Robust(Procrustes):
     """
 
     kind: ClassVar[str] = "robust"
+    order: ClassVar[int] = 1  # so many turns of the object about its vertical count as one viewpoint
 
     @classmethod
     def fit(cls, predicted: Floats, truth: Floats) -> Self:
@@ -113,15 +114,41 @@ class Robust(Procrustes):
         """
         best = first = fit_rotation(predicted, truth)
         least = np.inf
+        turned, rows = cls.turned(truth), np.arange(len(truth))  # (order, N, 3), (N,)
         for turn in map(_about_vertical, np.radians(np.arange(0, 360, 30))):
             for rotation in (turn @ first, turn):
                 for _ in range(WEISZFELD_ROUNDS):
-                    distances = np.linalg.norm(predicted @ rotation.T - truth, axis=1)  # (N,)
-                    weights = 1 / np.maximum(distances, 0.01)  # bounded, or an exact fit would outweigh all others
-                    rotation = _rotation((truth * weights[:, None]).T @ predicted, weights.sum())  # (3, 3)
-                if (total := float(np.linalg.norm(predicted @ rotation.T - truth, axis=1).sum())) < least:
+                    distances = np.linalg.norm(predicted @ rotation.T - turned, axis=2)  # (order, N)
+                    nearest = turned[distances.argmin(axis=0), rows]  # (N, 3)
+                    # Bounded, or an exact fit would outweigh all others.
+                    weights = 1 / np.maximum(distances.min(axis=0), 0.01)  # (N,)
+                    rotation = _rotation((nearest * weights[:, None]).T @ predicted, weights.sum())  # (3, 3)
+                distances = np.linalg.norm(predicted @ rotation.T - turned, axis=2)  # (order, N)
+                if (total := float(distances.min(axis=0).sum())) < least:
                     best, least = rotation, total
         return cls._of(best, predicted, truth)
+
+    @classmethod
+    def turned(cls, truth: Floats) -> Floats:
+        """View vectors (N, 3) of the object in each of its turns (order, N, 3), as it is first."""
+        angles = np.linspace(0, 2 * np.pi, cls.order, endpoint=False)
+        return np.stack([truth @ _about_vertical(angle).T for angle in angles])
+
+
+@dataclass(frozen=True)
+class HalfTurns(Robust):
+    """As `Robust`, where an object and the same turned by 180 degrees about its vertical count as one."""
+
+    kind: ClassVar[str] = "half_turns"
+    order: ClassVar[int] = 2
+
+
+@dataclass(frozen=True)
+class QuarterTurns(Robust):
+    """As `Robust`, where an object and the same turned by 90, 180 and 270 degrees count as one."""
+
+    kind: ClassVar[str] = "quarter_turns"
+    order: ClassVar[int] = 4
 
 
 @dataclass(frozen=True)
@@ -193,7 +220,7 @@ class PerAngle(Alignment):
 
 
 ALIGNMENTS: dict[str, type[Alignment]] = {
-    cls.kind: cls for cls in (Procrustes, Robust, Yaw, Linear, PerAngle, Identity)
+    cls.kind: cls for cls in (Procrustes, Robust, HalfTurns, QuarterTurns, Yaw, Linear, PerAngle, Identity)
 }
 
 
