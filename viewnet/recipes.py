@@ -148,12 +148,13 @@ PEERS: dict[str, Changes] = {
     "box_corners_imagenet": _SUPERVISED,
     "relative_pose": merged(_SUPERVISED, {"model": {"in_plane": True}}),
     "ssv": {
-        "model": {"input_size": 32, "volume_size": 8, "elevation_limits": (-20.0, 40.0)},
+        "model": {"input_size": 32, "volume_size": 8, "code_size": 16, "elevation_limits": (-20.0, 40.0)},
         "train": {
             "epochs": 40,
             "patience": 40,
+            "batch_size": 16,
             "targets_per_object": 1,
-            "optimiser": {"learning_rate": 1e-3, "betas": (0.0, 0.99), "schedule": "hold"},
+            "optimiser": {"learning_rate": 5e-4, "betas": (0.0, 0.99), "schedule": "hold"},
         },
     },
 }

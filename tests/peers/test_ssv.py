@@ -85,7 +85,7 @@ def test_a_whole_turn_gives_the_same_image_and_half_of_it_another(network):
         return network.generator(code, look_at(view_vector(azimuth, torch.full((3,), 15.0))))
 
     images = drawn(0)
-    assert images.shape == (3, 3, 32, 32) and images.min() >= 0 and images.max() <= 1
+    assert images.shape == (3, 3, 32, 32)
     assert torch.allclose(drawn(360), images, atol=1e-4)
     assert (drawn(180) - images).abs().max() > 1e-3
 

@@ -35,7 +35,7 @@ ANGLE = 6  # outputs for an angle: logits of two squares and of four quadrants
 
 
 class Generator(nn.Module):
-    """Codes (N, A) and camera frames (N, 3, 3) -> images (N, 3, S, S) in [0, 1].
+    """Codes (N, A) and camera frames (N, 3, 3) -> images (N, 3, S, S), which the critic wants in [0, 1].
 
     As HoloGAN: a learned constant is styled by the code up to a volume of features, which is turned. Two 3-D
     convolutions follow, depth is folded into channels, and 2-D convolutions lead to the image. What comes after the
@@ -61,7 +61,8 @@ class Generator(nn.Module):
         layers: list[nn.Module] = [nn.Conv2d(thin * size, flat, 1), nn.LeakyReLU(LEAK)]
         for level in range(power_of_two(config.input_size // size, 1, "input_size / volume_size")):
             layers += [nn.ConvTranspose2d(flat >> level, flat >> level + 1, 4, 2, 1), nn.LeakyReLU(LEAK)]
-        layers += [nn.Conv2d(flat >> level + 1, 3, 3, padding=1), nn.Sigmoid()]
+        # No bounds: where most of an image is black, a sigmoid ends in black all over, without a gradient [ours].
+        layers += [nn.Conv2d(flat >> level + 1, 3, 3, padding=1)]
         self.paint = nn.Sequential(*layers).to(memory_format=torch.channels_last)
         axis = (2 * torch.arange(size) + 1) / size - 1  # (s,), centres of voxels
         z, y, x = torch.meshgrid(-axis, -axis, axis, indexing="ij")  # near first, and the upper row
