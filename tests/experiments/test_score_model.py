@@ -11,17 +11,19 @@ import pandas as pd
 import pytest
 import torch
 from helpers.boxes import box_store
+from helpers.evaluation_data import make_index
 from helpers.fake_steps import STEPS
 from helpers.photo_data import write_crops
 from helpers.untrained_models import finished_run
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from viewnet import cli
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator
 from viewnet.estimator.model_card import with_interval
 from viewnet.evaluation import evaluate, metrics
-from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.predictions import Predictions, true_vectors
 from viewnet.evaluation.run import NOT_SCORED
 from viewnet.experiments import score_model
 from viewnet.experiments.score_model import ScoredData, scores
@@ -106,6 +108,32 @@ def test_labels_of_what_is_scored_have_no_part_in_the_alignment(run, store, tmp_
     for kind, score in as_it_is["alignments"].items():
         assert turned["alignments"][kind]["alignment"] == score["alignment"]
         assert turned["alignments"][kind]["median"] != score["median"]
+
+
+def test_photographs_that_are_all_scored_are_scored_by_the_own_rotation_alone(run, store, tmp_path, monkeypatch):
+    monkeypatch.setattr("viewnet.evaluation.features.SIZE", 32)
+    place = photographs(tmp_path / "photos", store, 0)
+    both = scores(KEY, ScoredData(str(place)))
+    rows = (place / "viewpoints.csv").read_text().splitlines()
+    (place / "viewpoints.csv").write_text("\n".join(row for row in rows if not row.endswith(",val")))
+    found = scores(KEY, ScoredData(str(place)))
+    assert list(found["alignments"]) == [found["choose"]] == ["own"]
+    assert found["alignments"]["own"]["alignment"]["images"] == 0
+    assert found["alignments"]["own"]["acc30"] == both["alignments"]["own"]["acc30"]
+    assert "12 of 12 objects; none to calibrate on" in score_model.as_text(found)
+
+
+@pytest.mark.parametrize(("turn", "images", "chosen"), [(0, 200, "own"), (90, 200, "procrustes"), (90, 5, "own")])
+def test_the_alignment_is_chosen_that_calibration_images_support(turn, images, chosen):
+    # Two of five are half a turn off, so that five images determine little; the own rotation is wrong by `turn`.
+    index = make_index(models=800, views=1, splits=(("val", 0.5), ("test", 0.5)))
+    vectors = true_vectors(index) @ Rotation.from_euler("z", turn, degrees=True).as_matrix()  # (N, 3)
+    vectors[::5, :2] *= -1
+    vectors[1::5, :2] *= -1
+    said = Predictions(index, vectors[:, None], np.zeros((len(index), 1)))
+    by_kind = {"own": (said, "none"), "procrustes": (said, "procrustes")}
+    found = {name: evaluate.evaluate(said, kind, images, draws=2) for name, (said, kind) in by_kind.items()}
+    assert score_model.choice(found, by_kind, images) == chosen
 
 
 def test_crops_with_a_list_are_scored(run, tmp_path, monkeypatch):

@@ -62,8 +62,8 @@ def photo_store(
 ) -> ViewStore:
     """Cut photographs into a view store, one view each, and open it.
 
-    What cannot be used (see `crops`) joins what is rejected. Raises ViewnetError where one file is in both splits, or a
-    split has no usable photograph.
+    What cannot be used (see `crops`) joins what is rejected. There may be none to calibrate on. Raises ViewnetError
+    where one file is in both splits, and where a split has no usable photograph although there are some of it.
     """
     check_apart(data.usable)
     root, rejected = data.root, list(data.rejected)
@@ -77,7 +77,7 @@ def photo_store(
     usable.sort(key=lambda item: item[0].id)
     rows = [(p.id, p.category, p.split, 0, p.azimuth % 360 % 360, float(p.elevation), file) for p, file, _ in usable]
     index = pd.DataFrame(rows, columns=list(COLUMNS))
-    for name in SPLITS:
+    for name in sorted({"test"} | {photograph.split for photograph in data.usable}):
         if not (index["split"] == name).any():
             first = f" (the first that was left out: {rejected[0][1]}: {rejected[0][2]})" if rejected else ""
             raise ViewnetError(f"{root}: no usable photograph in the {name} split{first}")

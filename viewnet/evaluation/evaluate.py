@@ -27,7 +27,7 @@ class Aligned:
     """Test predictions in the annotated frame."""
 
     predictions: Predictions  # the test rows, in the predictor's frame
-    calibration: Predictions  # what the alignment was fitted on
+    calibration: Predictions | None  # what the alignment was fitted on; None: there was nothing, and nothing to fit
     alignment: Alignment
     hypotheses: Floats  # (N, M, 3) mapped view vectors
     errors: Floats  # (N, M) geodesic error of each hypothesis, degrees
@@ -48,23 +48,31 @@ def align(
 ) -> Aligned:
     """Fit an alignment on the split "val" and apply it to the split "test".
 
-    `calibration` images (None: all) are drawn by objects from `seed`. Raises ViewnetError where a split is missing,
-    an object is in both, or there is more than one category: each has its own frame.
+    `calibration` images (None: all) are drawn by objects from `seed`. Raises ViewnetError where a split is missing
+    ("val" may be, for the alignment "none"), an object is in both, or there is more than one category: each has its own
+    frame.
     """
-    fit = ALIGNMENTS[known(alignment, ALIGNMENTS, "alignment")].fit
-    val, test = predictions.subset("val"), predictions.subset("test")
-    if len(categories := sorted(set(test.ids["category"]) | set(val.ids["category"]))) > 1:
+    kind = ALIGNMENTS[known(alignment, ALIGNMENTS, "alignment")]
+    test, rows = predictions.subset("test"), None
+    if len(categories := sorted(set(predictions.ids["category"]))) > 1:
         raise ViewnetError(f"evaluation: one category at a time, got {', '.join(categories)}")
-    if both := set(val.objects) & set(test.objects):
-        raise ViewnetError(f"evaluation: {sorted(both)[0]} is in the validation split and in the test split")
-    rows = val.take(draw_calibration(val.objects, calibration, seed))
-    fitted = fit(rows.selected, rows.truth)
+    if kind is not Identity or (predictions.ids["split"] == "val").any():
+        rows = calibrating(predictions, calibration, seed)
+    fitted = Identity() if rows is None else kind.fit(rows.selected, rows.truth)
     hypotheses = fitted.apply(test.hypotheses)  # (N, M, 3)
     # Rotations of the world apply to up vectors too; other maps of view vectors do not determine the tilt.
     rigid = isinstance(fitted, Procrustes | Identity)
     ups = fitted.apply(test.ups) if rigid and test.ups is not None else None
     truth = np.repeat(test.truth[:, None], test.heads, axis=1)  # (N, M, 3)
     return Aligned(test, rows, fitted, hypotheses, metrics.geodesic_error(hypotheses, truth, ups))
+
+
+def calibrating(predictions: Predictions, calibration: int | None = None, seed: int = 0) -> Predictions:
+    """Those that alignments are fitted on, see `align`, which says what it raises."""
+    val = predictions.subset("val")
+    if both := set(val.objects) & set(predictions.subset("test").objects):
+        raise ViewnetError(f"evaluation: {sorted(both)[0]} is in the validation split and in the test split")
+    return val.take(draw_calibration(val.objects, calibration, seed))
 
 
 def evaluate(
@@ -107,9 +115,13 @@ def evaluate(
             for m in range(test.heads)
         ],
         "audit": {name: _headline(values) for name, values in audit.items()},
-        "alignment": aligned.alignment.to_dict()
-        | {"images": len(aligned.calibration), "objects": len(set(aligned.calibration.objects)), "seed": seed},
+        "alignment": aligned.alignment.to_dict() | _counts(aligned.calibration) | {"seed": seed},
     }
+
+
+def _counts(calibration: Predictions | None) -> dict[str, int]:
+    images, objects = (0, ()) if calibration is None else (len(calibration), calibration.objects)
+    return {"images": images, "objects": len(set(objects))}
 
 
 def _headline(errors: Floats) -> dict[str, float]:

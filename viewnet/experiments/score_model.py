@@ -21,9 +21,11 @@ from viewnet.data.readers.registry import READERS
 from viewnet.errors import ViewnetError
 from viewnet.estimator import pretrained
 from viewnet.estimator.model_card import METRICS, with_interval
-from viewnet.evaluation.evaluate import evaluate
+from viewnet.evaluation.alignment import MINIMUM
+from viewnet.evaluation.evaluate import calibrating, evaluate
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import LEARNED_ALIGNMENTS, Run
+from viewnet.evaluation.support import support
 from viewnet.experiments import photos
 from viewnet.experiments.parameters import SUBSETS, folder_named
 from viewnet.model import checkpoint
@@ -35,6 +37,7 @@ from viewnet.tables.benchmark import aligned
 LEARNED = ("procrustes", "robust", "linear")  # the alignments of a trained network's predictions
 OWN = "own"  # the rotation saved with a model: fitted on its own validation views, whatever is scored
 HEADER = ("aligned", "within 30, %", "median, degrees", "DVA, %", "flips, %", "best of the heads, %")
+SUPPORT = ("left out, %", "uncertain by, degrees")  # see viewnet.evaluation.support
 
 
 @dataclass(frozen=True)
@@ -54,45 +57,87 @@ def scores(
 
     model, name, key  `where`; the name and key of the run, or of the run that the model was saved from
     on                what was scored, in words; of a folder the last name
-    alignments        alignment -> the result of viewnet.evaluation.evaluate.evaluate; of photographs also for `OWN`
+    alignments        alignment -> the result of viewnet.evaluation.evaluate.evaluate; of other data also for `OWN`;
+                      of photographs with its "support" (viewnet.evaluation.support)
+    choose            of photographs the alignment to take: the first one, unless another is right on more of the
+                      calibration images that it was not fitted on, by more than chance can be (two standard errors)
 
     Alignments are fitted on `calibration` images (None: all) of the model's own validation views, or of photographs'
-    calibration split. Raises ViewnetError where there is no model, for data that cannot be scored, for views that are
-    not those that the model was trained with, and as `evaluate` does.
+    calibration split; with fewer than four of these there is `OWN` alone. Raises ViewnetError where there is no model,
+    for data that cannot be scored, for views that are not those that the model was trained with, and as `evaluate`
+    does.
     """
     data, steps = data or ScoredData(), steps or make_run.default_steps()
     known(data.subset, SUBSETS, "subset")  # before anything is rendered
     with tempfile.TemporaryDirectory(prefix="viewnet-") as folder:
         run = _run(where, data.cad_root, Path(folder))
-        description, predictions, is_photographs = _predictions(run, data, steps)
+        description, predictions, where_from = _predictions(run, data, steps)
         result = run.result  # the folder is gone after the block
     own_frame = run.alignments == LEARNED_ALIGNMENTS
     kinds = LEARNED if own_frame else run.alignments  # else predictions are in the annotated frame already
-    alignments = {kind: evaluate(predictions, kind, calibration) for kind in kinds}
-    if is_photographs and own_frame and result["metrics"] is not None:
+    by_kind = {kind: (predictions, kind) for kind in kinds}
+    if where_from != "own views" and own_frame and result["metrics"] is not None:
         # What a user of the model gets: no label of the photographs is used.
         back = np.array(result["metrics"]["procrustes"]["alignment"]["rotation"]).T
         ups = None if predictions.ups is None else predictions.ups @ back
-        rotated = replace(predictions, hypotheses=predictions.hypotheses @ back, ups=ups)
-        alignments = {OWN: evaluate(rotated, "none", calibration), **alignments}
+        by_kind = {OWN: (replace(predictions, hypotheses=predictions.hypotheses @ back, ups=ups), "none"), **by_kind}
+    if where_from == "photographs" and (predictions.ids["split"] == "val").sum() < MINIMUM:
+        by_kind = {name: how for name, how in by_kind.items() if how[1] == "none"}
+        if not by_kind:
+            remedy = f"{run.name} has no rotation of its own: give {MINIMUM} or more"
+            raise ViewnetError(f"{description}: too few to calibrate on, and {remedy}")
+    found = {name: evaluate(said, kind, calibration) for name, (said, kind) in by_kind.items()}
+    choose = None
+    if where_from == "photographs":
+        choose = choice(found, by_kind, calibration)
     about = {"model": where, "name": run.name, "key": result.get("key"), "on": description}
-    return about | {"alignments": alignments}
+    return about | {"alignments": found, "choose": choose}
+
+
+def choice(
+    found: dict[str, dict[str, Any]], by_kind: dict[str, tuple[Predictions, str]], calibration: int | None
+) -> str:
+    """The alignment that calibration images support, see `scores`; what it found joins `found`."""
+    first = choose = next(iter(found))
+    if len(found) == 1:  # nothing to choose from, and perhaps no calibration images
+        return first
+    for name, (said, kind) in by_kind.items():
+        rows = calibrating(said, calibration)
+        found[name]["support"] = support(rows, kind)
+        right = {each: found[each]["support"]["acc30"] for each in (name, first, choose)}
+        if right[name] > max(right[choose], right[first] + 100 / np.sqrt(len(set(rows.objects)))):
+            choose = name
+    return choose
 
 
 def as_text(scores: dict[str, Any]) -> str:
     """The result of `scores` as a table, one line an alignment."""
-    first = next(iter(scores["alignments"].values()))  # all are of the same images
-    fitted = first["alignment"]
+    found = scores["alignments"]
+    first = next(iter(found.values()))  # all are of the same images
+    fitted, header = first["alignment"], HEADER + (SUPPORT if "support" in first else ())
     rows = [
         (kind, *(with_interval(s, name) for name in METRICS), f"{s['flips']:.1f}", f"{s['oracle']['acc30']:.1f}")
-        for kind, s in scores["alignments"].items()
+        + (_support(s["support"]) if "support" in s else ())
+        for kind, s in found.items()
     ]
+    calibrated = f"aligned on {fitted['images']} of {fitted['objects']}" if fitted["images"] else "none to calibrate on"
+    images = f"{first['images']} of {first['objects']} objects"
     lines = [
         f"{scores['name']}: {scores['model']}",
-        f"  {scores['on']}: {first['images']} of {first['objects']} objects; aligned on {fitted['images']} of "
-        f"{fitted['objects']}; [95 % intervals over objects]",
+        f"  {scores['on']}: {images}; {calibrated}; [95 % intervals over objects]",
+        *("  " + row for row in aligned([header, *rows], len(header))),
     ]
-    return "\n".join([*lines, *("  " + row for row in aligned([HEADER, *rows], len(HEADER)))])
+    if "support" in first:
+        right = {name: score["support"]["acc30"] for name, score in found.items()}
+        lines.append(f"  take {scores['choose']}; left out: calibration images that a fit to others has right")
+        if worse := [name for name, value in right.items() if value < right.get(OWN, 0)]:
+            lines.append(f"  worse than the model's own rotation: {', '.join(worse)}: calibrate on more images")
+    return "\n".join(lines)
+
+
+def _support(support: dict[str, float | None]) -> tuple[str, str]:
+    turn = support["uncertainty"]
+    return f"{support['acc30']:.1f}", "" if turn is None else f"{turn:.1f}"
 
 
 def _run(where: str, cad_root: str | None, folder: Path) -> Run:
@@ -117,11 +162,14 @@ def _moved(config: RunConfig, cad_root: str | None) -> RunConfig:
     return replace(config, data=replace(config.data, root=root))
 
 
-def _predictions(run: Run, data: ScoredData, steps: make_run.Steps) -> tuple[str, Predictions, bool]:
-    """What is scored, in words; the predictions, of "val" to align on and "test" to score; whether of photographs."""
+def _predictions(run: Run, data: ScoredData, steps: make_run.Steps) -> tuple[str, Predictions, str]:
+    """What is scored, in words; the predictions, of "val" to align on and "test" to score; and what these are of.
+
+    That is "own views", "CAD models" or "photographs".
+    """
     config, root, description = run.config, None, "a stand-in for photographs"
     if data.data_root is None and not data.stand_in:
-        return "its own test views", _own(run, steps).predictions, False
+        return "its own test views", _own(run, steps).predictions, "own views"
     if data.data_root is not None:
         root, name = folder_named(data.data_root, "data_root"), Path(data.data_root).name
         description = f"photographs of {name}"
@@ -130,14 +178,14 @@ def _predictions(run: Run, data: ScoredData, steps: make_run.Steps) -> tuple[str
             variant = config.variant if config.variant in PEERS else "viewnet"
             other = make_config(variant, config.category, config.profile, config.recipe, data_root=root).data
             views = steps.views(other)  # rendered as the model's own, so that only the objects differ
-            return f"all models of {name}", other_views.transferred(_own(run, steps), views, steps), False
+            return f"all models of {name}", other_views.transferred(_own(run, steps), views, steps), "CAD models"
         if READERS[kind].photographs is None:
             expected = "name PASCAL3D+, ImageNet3D, photographs or crops with a list, or a ShapeNetCore folder"
             raise ViewnetError(f"data_root {data.data_root}: is {kind}, whose viewpoints are not scored: {expected}")
     square = config.model.crop != "stretched"  # photographs are cut as the network was trained on views
     smoke = root is None and config.profile == "smoke"
     store = build.photo_views(photos.photographs(config.category, root, square, smoke, subset=data.subset))
-    return description, other_views.on_photographs(run, store, steps), True
+    return description, other_views.on_photographs(run, store, steps), "photographs"
 
 
 def _own(run: Run, steps: make_run.Steps) -> Run:

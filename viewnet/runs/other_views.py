@@ -33,7 +33,7 @@ def transferred(run: Run, views: Any, steps: make_run.Steps | None = None) -> Pr
 
 
 def on_photographs(run: Run, store: Any, steps: make_run.Steps | None = None) -> Predictions:
-    """A trained run's predictions for a store of photographs: its splits "val", to align on, and "test", to score.
+    """A trained run's predictions for a store of photographs: its splits "val" (to align on), if any, and "test".
 
     Cached in the run's folder as `predictions-<store's identity>-<code's>-<checkpoint's>.parquet`. Raises ViewnetError
     for a run without a checkpoint.
@@ -49,7 +49,8 @@ def on_photographs(run: Run, store: Any, steps: make_run.Steps | None = None) ->
     path = run.folder / f"predictions-{store.identity}-{make_run.code_identities()['predicting']}-{weights}.parquet"
     if path.is_file():
         return Predictions.from_parquet(path)
-    predictions = (steps or make_run.default_steps()).predict(run.folder, store, splits=("val", "test"))
+    splits = tuple(name for name in ("val", "test") if (store.index["split"] == name).any())
+    predictions = (steps or make_run.default_steps()).predict(run.folder, store, splits=splits)
     predictions.to_parquet(path)
     for stale in run.folder.glob(f"predictions-{store.identity}-*.parquet"):
         if stale != path:

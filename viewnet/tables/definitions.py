@@ -34,10 +34,10 @@ def of_seeds(table: Table) -> pd.DataFrame:
     quarter of which its rotation is hardly determined; `degenerate`, whether that is so. Then, after the robust
     alignment, per cent of views that are seen from the opposite side (`half_turns`), how much that is a matter of
     whole objects (`half_turns_by_object`, viewnet.evaluation.metrics.clustering), and Acc@30 of the best head
-    (`best_head_acc30`). `up_to_half_turns_acc30` and `up_to_quarter_turns_acc30` are of the least error over turns about
-    the object's vertical, as where objects are said to be symmetric (Orient Anything V2), here of all objects, and after
-    an alignment that takes such turns for one. `best_of_24_acc30` is the best of the 24 rotations of a cube after Procrustes, chosen by test
-    labels, as some publish it: an upper bound and no score.
+    (`best_head_acc30`). `up_to_half_turns_acc30` and `up_to_quarter_turns_acc30` are of the least error over turns
+    about the object's vertical, as where objects are said to be symmetric (Orient Anything V2), here of all objects,
+    and after an alignment that takes such turns for one. `best_of_24_acc30` is the best of the 24 rotations of a cube
+    after Procrustes, chosen by test labels, as some publish it: an upper bound and no score.
     """
     from scipy.spatial.transform import Rotation  # slow to import
 

@@ -98,6 +98,7 @@ class RunRenderer(ObjectRenderer):
     def level(self, azimuth: Tensor, elevation: Tensor) -> Tensor:
         """Own camera frames (..., 3, 3), held level, of annotated azimuths (...) and own elevations (...), degrees."""
         # The full rotation of a network without a common frame may tilt objects; this one keeps elevations.
+        assert self.aligned.calibration is not None  # its own validation views
         turn = Yaw.fit(self.aligned.calibration.selected, self.aligned.calibration.truth).rotation
         return torch.tensor(turn.T, dtype=torch.float32) @ look_at(view_vector(azimuth, elevation))
 

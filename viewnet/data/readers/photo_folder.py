@@ -95,8 +95,8 @@ def _count(root: Path, contents: Contents) -> None:
     photographs = read(root, CATEGORIES[0])
     found = [("objects", photo) for photo in photographs if photo.image_path.is_file()]
     contents.add_photographs("", found, True, ["no such image"] * (len(photographs) - len(found)))
-    listed = {photograph.split for photograph in photographs}
-    contents.problems += [f"{LIST}: no row of split {split}" for split in SPLITS if split not in listed]
+    if not any(photograph.split == "test" for photograph in photographs):
+        contents.problems.append(f"{LIST}: no row of split test")
 
 
 READER = Reader(recognises=lambda folder: (folder / LIST).is_file(), count=_count, photographs=_read_all)
