@@ -150,8 +150,8 @@ PEERS: dict[str, Changes] = {
     "ssv": {
         "model": {"input_size": 32, "volume_size": 8, "code_size": 16, "elevation_limits": (-20.0, 40.0)},
         "train": {
-            "epochs": 40,
-            "patience": 40,
+            "epochs": 25,
+            "patience": 25,
             "batch_size": 16,
             "targets_per_object": 1,
             "optimiser": {"learning_rate": 5e-4, "betas": (0.0, 0.99), "schedule": "hold"},

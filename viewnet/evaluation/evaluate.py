@@ -68,7 +68,7 @@ def align(
 
 
 def calibrating(predictions: Predictions, calibration: int | None = None, seed: int = 0) -> Predictions:
-    """Those that alignments are fitted on, see `align`, which says what it raises."""
+    """Those that alignments are fitted on. Raises ViewnetError as `align` does."""
     val = predictions.subset("val")
     if both := set(val.objects) & set(predictions.subset("test").objects):
         raise ViewnetError(f"evaluation: {sorted(both)[0]} is in the validation split and in the test split")
