@@ -23,6 +23,7 @@ EXIT_CODES = """exit codes:
   0    done
   1    viewnet tables: some notebooks failed, the others are done; otherwise an internal error, with its traceback
   2    a mistake in the input, explained in one line
+  3    viewnet predict: some images failed, each named in a line of the standard error; the others are answered
   130  interrupted: the same command continues where it stopped
 
 Results go to the standard output, progress and errors to the standard error. TQDM_DISABLE=1 silences progress.

@@ -143,7 +143,7 @@ def test_the_help_names_every_command_and_exit_code(capsys):
     said = capsys.readouterr().out
     for name in COMMANDS:
         assert re.search(rf"\n    {name}\s+\w", said)
-    for code in (0, 1, 2, 130):
+    for code in (0, 1, 2, 3, 130):
         assert f"\n  {code} " in said
 
 

@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+import io
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from helpers.boxes import box_store
@@ -10,7 +14,7 @@ from helpers.untrained_models import finished_run
 from PIL import Image
 
 from viewnet import cli
-from viewnet.estimator import ViewpointEstimator
+from viewnet.estimator import ViewpointEstimator, preprocess
 from viewnet.geometry import azimuth_elevation
 
 
@@ -68,6 +72,114 @@ def test_predict_as_json_has_every_hypothesis(images, tmp_path, capsys):
     assert cli.main(["predict", *images, "--box", "2", "3", "20", "30", "--json", "--model", "0123456789ab"]) == 0
     again = json.loads(capsys.readouterr().out)["images"]
     assert [row["azimuth"] for row in again] == boxed.azimuth.tolist() != said.azimuth.tolist()
+
+
+def files(said: str) -> list[str]:
+    """The images of printed lines, but for the heading."""
+    return [line.split()[0] for line in said.splitlines()[1:]]
+
+
+def test_images_that_fail_are_named_and_the_others_answered(images, tmp_path, capsys):
+    (tmp_path / "broken.png").write_text("no image")
+    given = [images[0], "nowhere.png", str(tmp_path / "broken.png"), images[1]]
+    assert cli.main(["predict", *given, "--model", "0123456789ab"]) == 3
+    said = capsys.readouterr()
+    assert files(said.out) == images
+    problems = said.err.splitlines()
+    assert problems[0] == "viewnet: nowhere.png: no such image"
+    assert problems[1].startswith(f"viewnet: {given[2]}: image does not decode")
+    assert len(problems) == 2
+    assert cli.main(["predict", *given, "--json", "--model", "0123456789ab"]) == 3
+    found = json.loads(capsys.readouterr().out)
+    assert [row["file"] for row in found["images"]] == images
+    assert found["failures"][0] == {"file": "nowhere.png", "error": "no such image"}
+    assert cli.main(["predict", *given[1:3], "--model", "0123456789ab"]) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.splitlines()) == ("", problems)
+
+
+def test_predict_takes_folders_and_patterns(images, tmp_path, capsys):
+    folder = tmp_path / "photos [1]"
+    for name in ("c.PNG", "b.png", ".hidden.png", "within/a.png"):
+        (folder / name).parent.mkdir(exist_ok=True, parents=True)
+        (folder / name).write_bytes((tmp_path / "a.png").read_bytes())
+    (folder / "notes.txt").write_text("no image")
+    found = [str(folder / name) for name in ("b.png", "c.PNG")]
+    for word, expected in (
+        (str(folder), found),
+        (str(tmp_path / "[ab].*"), images),
+        (str(tmp_path / "*" / "**" / "*.png"), [found[0], str(folder / "within" / "a.png")]),
+        (found[0], found[:1]),  # a file's own name, whatever is in it
+    ):
+        assert cli.main(["predict", images[0], word, "--json", "--model", "0123456789ab"]) == 0
+        read = json.loads(capsys.readouterr().out)["images"]
+        assert [row["file"] for row in read] == [images[0], *expected]
+
+
+LIST = "image;x0;y0;x1;y1\r\nb.png;2,5;3;20;30\r\na.png;1;1;20;20\r\nb.png;4;5;30;31\r\n"
+BOXES = [(2.5, 3, 20, 30), (1, 1, 20, 20), (4, 5, 30, 31)]
+
+
+@pytest.mark.parametrize(
+    ("given", "rows"), [([], [0, 1, 2]), (["a.png", "b.png", "c.png"], [1, 0, 2]), (["."], [1, 0, 2])]
+)
+def test_predict_takes_a_list_of_boxes(images, given, rows, tmp_path, capsys, monkeypatch):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for name in ("a", "b", *("c" * bool(given))):
+        (folder / f"{name}.png").write_bytes((tmp_path / ("a.png" if name == "c" else f"{name}.png")).read_bytes())
+    (folder / "boxes.csv").write_bytes(LIST.encode("utf-8-sig"))
+    monkeypatch.chdir(folder)
+    code = cli.main(["predict", *given, "--boxes", "boxes.csv", "--json", "--model", "0123456789ab"])
+    said = capsys.readouterr()
+    assert (code, said.err.count("\n")) == ((3, 1) if given else (0, 0))
+    assert not given or said.err.endswith("c.png: no box in boxes.csv\n")
+    found, names = json.loads(said.out)["images"], ["b.png", "a.png", "b.png"]
+    assert [row["file"].removeprefix("./") for row in found] == [names[row] for row in rows]
+    estimator = ViewpointEstimator.from_pretrained("0123456789ab")
+    expected = estimator.predict([names[row] for row in rows], boxes=[BOXES[row] for row in rows])
+    assert [row["azimuth"] for row in found] == expected.azimuth.tolist()
+
+
+def test_predict_reads_the_standard_input(images, monkeypatch, capsys):
+    for content, code in ((Path(images[0]).read_bytes(), 0), (b"no image", 3)):
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(content)))
+        assert cli.main(["predict", "-", images[0], "--json", "--model", "0123456789ab"]) == code
+        said = capsys.readouterr()
+        found = json.loads(said.out)["images"]
+        assert [row["file"] for row in found] == ["-", images[0]][code // 3 :]
+        assert said.err.startswith("viewnet: -: image does not decode" if code else "")
+        assert found[0]["azimuth"] == found[-1]["azimuth"]
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "json"])
+def test_predict_writes_a_table(images, kind, tmp_path, capsys):
+    output = tmp_path / "new" / f"viewpoints.{kind}"
+    asked = ["predict", *images, "nowhere.png", "--as", "euler", "--model", "0123456789ab"]
+    assert cli.main([*asked, "--out", str(output)]) == 3
+    assert capsys.readouterr().out == f"{output}\n"
+    assert cli.main([*asked, "--json"]) == 3
+    expected = json.loads(capsys.readouterr().out)
+    if kind == "json":
+        assert json.loads(output.read_text()) == expected
+    else:
+        table = pd.read_csv(output) if kind == "csv" else pd.read_parquet(output)
+        assert table["file"].tolist() == images
+        assert np.allclose(table["ry_2"], [row["ry_2"] for row in expected["images"]])
+    output.write_text("earlier")
+    assert cli.main(["predict", "nowhere.png", "--model", "0123456789ab", "--out", str(output)]) == 2
+    assert output.read_text() == "earlier"
+    assert [path.name for path in output.parent.iterdir()] == [output.name]
+
+
+@pytest.mark.parametrize(("terminal", "count"), [(True, 2), (True, 1), (False, 2)])
+def test_a_bar_is_shown_on_terminals(images, terminal, count, monkeypatch, capsys):
+    shown, bar = [], preprocess.bar
+    monkeypatch.setattr(preprocess, "bar", lambda show, **settings: (shown.append(show), bar(False, **settings))[1])
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    assert cli.main(["predict", *images[:count], "--model", "0123456789ab"]) == 0
+    assert shown == [terminal and count == 2]
+    assert files(capsys.readouterr().out) == images[:count]
 
 
 NAMES = {
@@ -151,10 +263,22 @@ def test_turntable_writes_an_animation(images, tmp_path, capsys):
         (["predict", "nowhere.png", "--model", "ba9876543210"], "ba9876543210: no model there"),
         (["predict", "a", "b", "--masks", "c", "--model", "0123456789ab"], "masks: 1 for 2 images"),
         (["predict", "a", "--frame", "opengl", "--model", "0123456789ab"], "--frame opengl: add --as"),
+        (["predict", "--model", "0123456789ab"], "predict: no images: name some, a folder"),
+        (["predict", "a/*.png", "--model", "0123456789ab"], "a/*.png: no images there: expected files that end"),
+        (["predict", "empty", "--model", "0123456789ab"], "empty: no images there: expected files that end in .jpg"),
+        (["predict", "a", "--boxes", "b.csv", "--model", "0123456789ab"], "b.csv: no such file"),
+        (["predict", "a", "--boxes", "wrong.csv", "--model", "0123456789ab"], "wrong.csv: line 3: box ['4', '5', '6',"),
+        (["predict", "a", "--boxes", "other.csv", "--model", "0123456789ab"], "other.csv: has no box of any of the"),
+        (["predict", "a", "-o", "a.txt", "--model", "0123456789ab"], "a.txt: unknown kind of table: name it .csv or"),
+        (["predict", "a", "-o", "wrong.csv/a.csv", "--model", "0123456789ab"], "wrong.csv/a.csv: cannot be written"),
         (["turntable", "a.png", "-o", "a.webm", "--model", "0123456789ab"], "a.webm: unknown kind of animation"),
     ],
 )
-def test_errors_of_predict_and_turntable(images, arguments, message, capsys):
+def test_errors_of_predict_and_turntable(images, arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "other.csv").write_text("image,x0,y0,x1,y1\nb,1,2,3,4\n")
+    (tmp_path / "wrong.csv").write_text("image,x0,y0,x1,y1\na,1,2,3,4\na,4,5,6,\n")
     assert cli.main(arguments) == 2
     said = capsys.readouterr().err
     assert said.startswith(f"viewnet: {message}")

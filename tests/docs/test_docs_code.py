@@ -10,6 +10,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import tomllib
 from itertools import pairwise
 from pathlib import Path
@@ -89,6 +90,9 @@ def world(tmp_path, monkeypatch) -> Path:
     for split, name in (("train", "a"), ("val", "b")):
         imagenet3d_files.write(tmp_path / "data/imagenet3d", name, imagenet3d_files.thing())
         imagenet3d_files.listed(tmp_path / "data/imagenet3d", split, name)
+    shutil.copytree(tmp_path, tmp_path / "photos", ignore=shutil.ignore_patterns("[!a-b]*", "*_mask.png"))
+    for place in (".", "photos"):
+        (tmp_path / place / "boxes.csv").write_text("image,x0,y0,x1,y1\na.jpg,40,60,380,250\nb.jpg,40,60,380,250\n")
     (tmp_path / "FILE").write_text("category,azimuth_deg,elevation_deg\ncar,10,5\ncar,200,10\n")
     return tmp_path
 

@@ -120,6 +120,21 @@ def test_many_images_are_answered_as_each_alone(tmp_path):
         assert np.allclose(together.hypotheses, np.concatenate([each.hypotheses for each in alone]), atol=1e-6)
 
 
+def test_images_that_fail_are_left_out_where_failures_are_asked_for(tmp_path):
+    estimator = untrained(**PHOTOS)
+    images: list = [photograph(80, 60, number) for number in range(12)]
+    for row in (0, 1, 2, 3, 7):
+        images[row] = tmp_path / f"{row}.png"
+    for batch_size in (256, 4):  # of four the whole first batch fails
+        failures: dict[int, str] = {}
+        found = estimator.predict(images, batch_size=batch_size, failures=failures)
+        assert failures == dict.fromkeys((0, 1, 2, 3, 7), "no such image")
+        assert same(found, estimator.predict([image for image in images if not isinstance(image, Path)]))
+        sizes = [len(each) for each in batches(images, None, None, estimator.framing, estimator.device, batch_size, {})]
+        assert sizes == ([7] if batch_size == 256 else [3, 4])
+    assert len(estimator.predict(images[:2], failures={})) == 0
+
+
 def test_images_are_read_a_batch_at_a_time(monkeypatch):
     estimator, files = untrained(**PHOTOS), []
 

@@ -2,7 +2,9 @@
 
 Print the viewpoint of each image: azimuth (0 shows the object's front, 90 its left side), elevation, and the
 probability that the network gives to it. The object's mask or box decides which part of an image the network sees;
-transparency is a mask.
+transparency is a mask. An IMAGE is a file, a folder of them, a quoted pattern such as 'photos/*.jpg', or - for the
+standard input. Images that cannot be used are named on the standard error, and the exit code is then 3; the others are
+answered.
 
 Examples:
 
@@ -12,22 +14,37 @@ Examples:
     viewnet predict car.jpg --model car --all                       every hypothesis, the most probable first
     viewnet predict *.png --json --model saved/car                  cut-outs: transparency is a mask
     viewnet predict car.jpg --model car --as quaternion --frame blender
+    viewnet predict photos --boxes boxes.csv --model car -o viewpoints.csv
+    viewnet predict --model car - < car.jpg
 """
 
+import io
+import sys
 from pathlib import Path
+from typing import Any
 
 from viewnet.commands.options import BOX, MODEL, THREADS, Options, argument, choose_resources, print_results
 from viewnet.errors import ViewnetError
 
 EDGES = "the object's edges in pixels; once for all images, or once for each"
+LIST = "a CSV of boxes: image, x0, y0, x1, y1; an object a row; without IMAGE those it names, from its folder on"
+OUTPUT = "write every hypothesis there instead of printing: .csv, .parquet or .json"
+KINDS = (".csv", ".parquet", ".json")
+OWN = "in the network's own frame, whose azimuth 0 and up are arbitrary: the model has no alignment"
 FORMS, FRAMES = ("matrix", "quaternion", "euler"), ("opencv", "opengl", "pytorch3d", "blender")
 ROTATION = "the rotation between object and camera too: r00 to r22, row by row; w, x, y, z; Blender's XYZ in degrees"
 ARGUMENTS = (
-    argument("images", nargs="+", type=Path, metavar="IMAGE"),
+    argument("images", nargs="*", metavar="IMAGE"),
     argument("--masks", "one for each image, in their order", nargs="+", type=Path, metavar="FILE"),
-    argument("--box", EDGES, nargs=4, type=float, action="append", dest="boxes", metavar=BOX),
+    [
+        argument("--box", EDGES, nargs=4, type=float, action="append", metavar=BOX),
+        argument("--boxes", LIST, type=Path, metavar="FILE"),
+    ],
     argument("--all", "every hypothesis, not only the most probable", action="store_true"),
-    argument("--json", "every hypothesis, as JSON", action="store_true"),
+    [
+        argument("--json", "every hypothesis, as JSON", action="store_true"),
+        argument("-o --output", OUTPUT, type=Path, metavar="FILE"),
+    ],
     argument("--as", ROTATION, choices=FORMS, dest="form"),
     argument("--frame", "whose axes and direction it has (default: opencv)", choices=FRAMES),
     THREADS,
@@ -35,39 +52,89 @@ ARGUMENTS = (
 )
 
 
-def run(options: Options) -> None:
-    """Print a line for each image, or JSON: {"frame": "annotated" or "own", "images": [...]}.
+def run(options: Options) -> int:
+    """Print a line for each image, or JSON: {"frame": "annotated" or "own", "images": [...], "failures": [...]}.
 
-    With --as the JSON has "camera_frame" as well, and its images the numbers that Viewpoints.to_frame names. Raises
-    ViewnetError for --frame without --as.
+    With --as the JSON has "camera_frame" as well, and its images the numbers that Viewpoints.to_frame names. 3 where
+    some images failed, 2 where all did. Raises ViewnetError for --frame without --as, no images, and an output that
+    cannot be written.
     """
     choose_resources(options)
-    images, boxes, form, frame = options.images, options.boxes, options.form, options.frame or "opencv"
+    form, frame, output = options.form, options.frame or "opencv", options.output
     if options.frame and not form:
         raise ViewnetError(f"--frame {frame}: add --as with one of {', '.join(FORMS)}")
-    from viewnet.estimator import ViewpointEstimator, camera_axes
+    if not options.images and not options.boxes:
+        raise ViewnetError("predict: no images: name some, a folder of them, or --boxes with a list")
+    if output and output.suffix not in KINDS:
+        raise ViewnetError(f"{output}: unknown kind of table: name it {' or '.join(KINDS)}")
+    from viewnet.estimator import ViewpointEstimator, image_names
+    from viewnet.runtime.files import scratch
 
-    if boxes is not None and len(boxes) == 1:
-        boxes = boxes * len(images)
+    names, boxes, errors = image_names.expanded(options.images), options.box, list[tuple[str, str]]()
+    if options.boxes:
+        names, boxes, without = image_names.boxed(names, options.boxes)
+        errors = [(name, f"no box in {options.boxes}") for name in without]
+    elif boxes and len(boxes) == 1:
+        boxes = boxes * len(names)
+    if output:
+        with scratch(output):  # refused before the work, not after it
+            pass
     estimator = ViewpointEstimator.from_pretrained(options.model, device=options.device)
-    viewpoints = estimator.predict(images, options.masks, boxes)
+    failures: dict[int, str] = {}
+    images = [io.BytesIO(sys.stdin.buffer.read()) if name == "-" else name for name in names]
+    shown = sys.stderr.isatty() and len(images) > 1
+    viewpoints = estimator.predict(images, options.masks, boxes, failures=failures, progress=shown)
+    errors += [(names[row], failures[row]) for row in sorted(failures)]
+    for name, problem in errors:
+        print(f"viewnet: {name}: {problem}", file=sys.stderr)
+    if not len(viewpoints):
+        return 2
+    names = [name for row, name in enumerate(names) if row not in failures]
+    if options.json or output:
+        _give_all(options, viewpoints, names, errors, (frame, form) if form else ())
+    else:
+        _print(viewpoints, names, options.all, frame, form)
+    return 3 if errors else 0
+
+
+def _give_all(options: Options, viewpoints: Any, names: list[str], errors: list[tuple[str, str]], how: Any) -> None:
+    """Every hypothesis of each image, as JSON or in the output's file."""
+    from viewnet.runtime.files import replacing, write_csv, write_json
+
+    table, output = viewpoints.to_frame(*how), options.output
+    table.insert(0, "file", names)
+    values = {"frame": "annotated" if viewpoints.aligned else "own"} | ({"camera_frame": how[0]} if how else {})
+    values |= {"images": table.to_dict("records")}
+    values |= {"failures": [{"file": name, "error": problem} for name, problem in errors]}
     if options.json:
-        rows = viewpoints.to_frame(*(frame, form) if form else ()).to_dict("records")
-        lines = [{"file": str(path), **row} for path, row in zip(images, rows, strict=True)]
-        kind = {"frame": "annotated" if viewpoints.aligned else "own"} | ({"camera_frame": frame} if form else {})
-        print_results(options, kind | {"images": lines})
+        print_results(options, values)
         return
-    width, digits = max(len(str(path)) for path in images), 1 if form == "euler" else 4
-    names = "".join(f"{name:>9}" for name in camera_axes.FORMS[form]) if form else ""
-    print(f"{'':{width}}  azimuth  elevation  confidence{names}")
-    for path, viewpoint in zip(images, viewpoints, strict=True):
-        for each in viewpoint.ranked() if options.all else viewpoint.ranked()[:1]:
-            name = str(path) if each.chosen else ""
+    if output.suffix == ".csv":
+        write_csv(output, table)
+    elif output.suffix == ".json":
+        write_json(output, values)
+    else:
+        with replacing(output) as temporary:
+            table.to_parquet(temporary, index=False)
+    print(output)
+    if not viewpoints.aligned:
+        print(OWN)
+
+
+def _print(viewpoints: Any, names: list[str], every: bool, frame: str, form: str | None) -> None:
+    """A line for each image or, with `every`, each hypothesis."""
+    from viewnet.estimator import camera_axes
+
+    width, digits = max(map(len, names)), 1 if form == "euler" else 4
+    headings = "".join(f"{name:>9}" for name in camera_axes.FORMS[form]) if form else ""
+    print(f"{'':{width}}  azimuth  elevation  confidence{headings}")
+    for name, viewpoint in zip(names, viewpoints, strict=True):
+        for each in viewpoint.ranked() if every else viewpoint.ranked()[:1]:
             numbers = each.rotation(frame, form).ravel() if form else ()
             rotation = "".join(f"{number:z9.{digits}f}" for number in numbers)
             angles = f"{each.azimuth:7.1f}  {each.elevation:9.1f}  {100 * each.probability:8.0f} %"
-            print(f"{name:{width}}  {angles}{rotation}")
+            print(f"{name if each.chosen else '':{width}}  {angles}{rotation}")
     if form:
         print(f"rotation: {camera_axes.MEANINGS[frame]}")
     if not viewpoints.aligned:
-        print("in the network's own frame, whose azimuth 0 and up are arbitrary: the model has no alignment")
+        print(OWN)

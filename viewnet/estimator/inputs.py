@@ -1,5 +1,6 @@
 """Images with masks and boxes, read from files, arrays, tensors and PIL images."""
 
+import io
 import math
 import os
 from collections.abc import Sequence
@@ -16,9 +17,10 @@ from viewnet.data.crop import Box, bounds, inside
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
-ARRAYS, FILES = (np.ndarray, Tensor), (Image.Image, str, os.PathLike)
-ImageLike = Image.Image | str | os.PathLike | np.ndarray | Tensor
-"""One image: a PIL image, a path, an array (H, W), (H, W, 3) or (H, W, 4), or a tensor (1, 3 or 4, H, W)."""
+ARRAYS, FILES = (np.ndarray, Tensor), (Image.Image, str, os.PathLike, io.BytesIO)
+ImageLike = Image.Image | str | os.PathLike | io.BytesIO | np.ndarray | Tensor
+"""One image: a PIL image, a path, a file's content, an array (H, W), (H, W, 3) or (H, W, 4), or a tensor (1, 3 or 4,
+H, W)."""
 ImagesLike = ImageLike | Sequence[ImageLike]
 """One image or several: a list, or an array or tensor of one more dimension."""
 
@@ -61,7 +63,7 @@ def boxes_of(boxes: Any, count: int) -> list[Box | None]:
     listed = [value.tolist() if isinstance(value, ARRAYS) else value for value in list(boxes)]
     if listed and all(isinstance(value, (int, float, np.number)) for value in listed):
         listed = [listed]
-    return [None if box is None else _box(box) for box in _as_many(listed, count, "boxes")]
+    return [None if box is None else box_of(box) for box in _as_many(listed, count, "boxes")]
 
 
 def _as_many(values: list[Any], count: int, what: str) -> list[Any]:
@@ -70,7 +72,8 @@ def _as_many(values: list[Any], count: int, what: str) -> list[Any]:
     return values
 
 
-def _box(values: Any) -> Box:
+def box_of(values: Any) -> Box:
+    """The box of four numbers or their texts. ViewnetError for anything else."""
     try:
         x0, y0, x1, y1 = (float(value) for value in values)
     except (TypeError, ValueError):
@@ -107,7 +110,7 @@ def _decode(image: ImageLike) -> Image.Image:
     if isinstance(image, ARRAYS):
         return Image.fromarray(_pixels(image))
     if isinstance(image, FILES):
-        return image_files.read(image if isinstance(image, Image.Image) else Path(image))
+        return image_files.read(image if isinstance(image, (Image.Image, io.BytesIO)) else Path(image))
     raise ViewnetError(f"got {type(image).__name__}: expected a PIL image, a path, a numpy array or a torch tensor")
 
 

@@ -20,6 +20,7 @@ from viewnet.errors import ViewnetError
 from viewnet.estimator.inputs import ImageLike, ImagesLike, InputImage, as_list, boxes_of, masks_of, read_image
 from viewnet.runtime import parallel
 from viewnet.runtime.images import resize, tight_crop
+from viewnet.runtime.progress import bar
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -179,20 +180,29 @@ def _whole_crop(images: Tensor, size: int, stretch: bool) -> Tensor:
 
 
 def batches(
-    images: ImagesLike, masks: Any, boxes: Any, framing: "Framing", device: torch.device, batch_size: int
+    images: ImagesLike, masks: Any, boxes: Any, framing: "Framing", device: torch.device, batch_size: int, *failing: Any
 ) -> Iterator[Prepared]:
     """Images with their masks and boxes as the networks of `framing` are shown them, batch by batch; see `computed`."""
-    for parts in computed(lambda prepared: prepared, images, masks, boxes, framing, batch_size):
-        yield Prepared.joined(parts, device)
+    for parts in computed(lambda prepared: prepared, images, masks, boxes, framing, batch_size, *failing):
+        if parts:
+            yield Prepared.joined(parts, device)
 
 
 def computed(
-    work: Callable[[Prepared], T], images: ImagesLike, masks: Any, boxes: Any, framing: "Framing", batch_size: int
+    work: Callable[[Prepared], T],
+    images: ImagesLike,
+    masks: Any,
+    boxes: Any,
+    framing: "Framing",
+    batch_size: int,
+    failures: dict[int, str] | None = None,
+    progress: bool = False,
 ) -> Iterator[list[T]]:
     """The results of `work` on images as the networks of `framing` are shown them, those of a batch at once.
 
     Every thread (viewnet.runtime.parallel.threads) takes some images at a time, from files to results. Warns of the
-    first image that is unlike those of training. ViewnetError names the image at fault.
+    first image that is unlike those of training. ViewnetError names an image that cannot be used; where there are
+    `failures`, such images are left out and their positions and errors added there. `progress` shows a bar.
     """
     listed, warned = as_list(images), False
     masks, boxes, threads = masks_of(masks, len(listed)), boxes_of(boxes, len(listed)), parallel.threads()
@@ -200,24 +210,36 @@ def computed(
         views = "the network was trained on whole views as a rendering camera frames them: its predictions for images"
         log.warning("%s that are cut are unreliable: train one with the recipe photos", views)
 
-    def crop(row: int) -> CroppedImage:
-        try:
-            return crop_to_object(read_image(listed[row], masks[row], boxes[row]), framing)
-        except ViewnetError as error:
-            raise ViewnetError(f"{_name(listed[row], row)}: {error}") from None
+    def compute(rows: Sequence[int]) -> tuple[list[T], list[str]]:
+        cropped: dict[int, CroppedImage] = {}
+        for row in rows:
+            try:
+                cropped[row] = crop_to_object(read_image(listed[row], masks[row], boxes[row]), framing)
+            except ViewnetError as error:
+                if failures is None:
+                    raise ViewnetError(f"{_name(listed[row], row)}: {error}") from None
+                failures[row] = str(error)
+        if not cropped:
+            return [], []
+        prepared = prepare(list(cropped.values()), framing, torch.device("cpu"))
+        bright = _bright(prepared.viewpoint[:, :3]).numpy() & ~prepared.cutout
+        return [work(prepared)], [
+            _name(listed[row], row) for row, unlike in zip(cropped, bright, strict=True) if unlike
+        ]
 
-    def compute(rows: Sequence[int]) -> tuple[T, Tensor]:
-        prepared = prepare([crop(row) for row in rows], framing, torch.device("cpu"))
-        return work(prepared), _bright(prepared.viewpoint[:, :3]) & ~torch.from_numpy(prepared.cutout)
-
-    for start in range(0, len(listed), _positive(batch_size)):
-        rows = range(start, min(start + batch_size, len(listed)))
-        step = min(CHUNK, -(-len(rows) // threads))  # a share for each
-        parts = [rows[first : first + step] for first in range(0, len(rows), step)]
-        with _pool(min(threads, len(parts))) as pool:
-            results, unlike = zip(*pool.map(compute, parts), strict=True)
-        warned = warned or _warn(framing, torch.cat(unlike), [_name(listed[row], row) for row in rows])
-        yield list(results)
+    with bar(progress, total=len(listed), desc="images", unit="image", leave=False) as shown:
+        for start in range(0, len(listed), _positive(batch_size)):
+            rows = range(start, min(start + batch_size, len(listed)))
+            step = min(CHUNK, -(-len(rows) // threads))  # a share for each
+            parts = [rows[first : first + step] for first in range(0, len(rows), step)]
+            results: list[T] = []
+            unlike: list[str] = []
+            with _pool(min(threads, len(parts))) as pool:
+                for part, (found, names) in zip(parts, pool.map(compute, parts), strict=True):
+                    results, unlike = results + found, unlike + names
+                    shown.update(len(part))
+            warned = warned or _warn(framing, unlike)
+            yield results
 
 
 @contextmanager
@@ -260,7 +282,7 @@ def ready_batches(images: Tensor, framing: "Framing", device: torch.device, batc
                 raise ViewnetError(f"images have values from {low:g} to {high:g}: expected 0 to 1, or uint8")
             scaled = part.detach().float()
         if start == 0:
-            _warn(framing, _bright(scaled), [_name(image, row) for row, image in enumerate(scaled)])
+            _warn(framing, [f"image {row}" for row in _bright(scaled).nonzero().flatten().tolist()])
         yield scaled
 
 
@@ -270,12 +292,11 @@ def _bright(images: Tensor) -> Tensor:
     return edges.mean((1, 2)) > BRIGHT
 
 
-def _warn(framing: "Framing", bright: Tensor, names: Sequence[str]) -> bool:
-    """Name the first image that is unlike those of training; whether there is one."""
-    if not (framing.cutout and bright.any()):
+def _warn(framing: "Framing", bright: Sequence[str]) -> bool:
+    """Name the first of the images that are unlike those of training; whether there is one."""
+    if not (framing.cutout and bright):
         return False
-    name = names[int(bright.int().argmax())]
-    log.warning("%s is not black around its object, as all images in training were: give a mask", name)
+    log.warning("%s is not black around its object, as all images in training were: give a mask", bright[0])
     return True
 
 

@@ -105,10 +105,20 @@ class ViewpointEstimator(pretrained.Pretrained, rendering.ObjectRenderer):
         """How images are cut for the networks."""
         return Framing.of(self.config)
 
-    def predict(self, images: Images, masks: Any = None, boxes: Any = None, batch_size: int = BATCH) -> Viewpoints:
+    def predict(
+        self,
+        images: Images,
+        masks: Any = None,
+        boxes: Any = None,
+        batch_size: int = BATCH,
+        failures: dict[int, str] | None = None,
+        progress: bool = False,
+    ) -> Viewpoints:
         """The viewpoints of one or several images, in their order.
 
-        `masks` and `boxes`: one for each image, or None. ViewnetError names an image that cannot be read or used.
+        `masks` and `boxes`: one for each image, or None. ViewnetError names an image that cannot be read or used. With
+        a dictionary of `failures` such images are left out instead, and it gets their positions and what is wrong.
+        `progress` shows a bar while files are read.
         """
 
         def found(prepared: Prepared) -> Hypotheses:
@@ -119,12 +129,14 @@ class ViewpointEstimator(pretrained.Pretrained, rendering.ObjectRenderer):
             inputs = preprocess.ready_batches(ready, self.framing, self.device, batch_size)
             hypotheses = map(self._hypotheses, inputs)
         elif isinstance(images, Prepared) or self.device.type != "cpu":
-            hypotheses = map(found, self._prepared(images, masks, boxes, batch_size))
+            hypotheses = map(found, self._prepared(images, masks, boxes, batch_size, failures, progress))
         else:
-            batches = preprocess.computed(found, images, masks, boxes, self.framing, batch_size)
+            batches = preprocess.computed(found, images, masks, boxes, self.framing, batch_size, failures, progress)
             hypotheses = chain.from_iterable(batches)
         # Copied at once: the next batch may overwrite what a batch was computed from.
         arrays = [[_array(each.vectors), _array(each.logits), _array(each.ups)] for each in hypotheses]
+        if not arrays:  # all of them failed
+            return Viewpoints.of(np.empty((0, 1, 3)), np.empty((0, 1)), None, self.aligned)
         joined: Any = [None if parts[0] is None else np.concatenate(parts) for parts in zip(*arrays, strict=True)]
         vectors, logits, ups = joined
         if (rotation := self.annotated_from_model) is not None:
@@ -268,11 +280,13 @@ class ViewpointEstimator(pretrained.Pretrained, rendering.ObjectRenderer):
         self.require_viewnet("rendering")
         return Encoded(*self.network.encode(prepared.appearance, background=prepared.background))
 
-    def _prepared(self, images: Images, masks: Any, boxes: Any, batch_size: int = BATCH) -> Iterator[Prepared]:
+    def _prepared(
+        self, images: Images, masks: Any, boxes: Any, batch_size: int = BATCH, *failing: Any
+    ) -> Iterator[Prepared]:
         """The images as the networks see them, batch by batch."""
         if isinstance(images, Prepared):
             return iter([images])
-        return preprocess.batches(images, masks, boxes, self.framing, self.device, batch_size)
+        return preprocess.batches(images, masks, boxes, self.framing, self.device, batch_size, *failing)
 
     def _one(self, image: OneImage, mask: Any, box: Any) -> Prepared:
         count = _count(image)
