@@ -5,6 +5,7 @@ import importlib
 import importlib.metadata
 import inspect
 import os
+import re
 import sys
 import textwrap
 import traceback
@@ -19,6 +20,8 @@ COMMANDS = (
     *("data", "audit", "bench", "completion"),
 )
 """The modules of viewnet.commands, in the order of the help."""
+NEGATIVE = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$|-inf(inity)?$|-nan$", re.IGNORECASE)
+"""A word that is a value and no option; argparse's own expression knows no exponents."""
 EXIT_CODES = """exit codes:
   0    done
   1    viewnet tables: some notebooks failed, the others are done; otherwise an internal error, with its traceback
@@ -51,7 +54,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that reports a mistake in one line."""
+    """A parser that reports a mistake in one line, and takes every negative number for a value."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self._negative_number_matcher = NEGATIVE
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"viewnet: {message} (see {self.prog} --help)\n")

@@ -116,6 +116,17 @@ def test_predict_takes_folders_and_patterns(images, tmp_path, capsys):
         assert [row["file"] for row in read] == [images[0], *expected]
 
 
+@pytest.mark.parametrize("number", ["-1e-05", "-1.5E+1", "-.5", "-3.", "-20"])
+@pytest.mark.parametrize("end", [[], ["a.png"]])
+def test_a_box_has_numbers_of_any_form(images, number, end, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["--box", number, "3", "20", "30", "--model", "0123456789ab", *(end or ["--json"])]
+    assert cli.main(["predict", *([] if end else ["a.png"]), *words, *(["--json"] if end else [])]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["images"]
+    expected = ViewpointEstimator.from_pretrained("0123456789ab").predict("a.png", boxes=[(float(number), 3, 20, 30)])
+    assert found["azimuth"] == expected[0].azimuth
+
+
 LIST = "image;x0;y0;x1;y1\r\nb.png;2,5;3;20;30\r\na.png;1;1;20;20\r\nb.png;4;5;30;31\r\n"
 BOXES = [(2.5, 3, 20, 30), (1, 1, 20, 20), (4, 5, 30, 31)]
 
@@ -271,6 +282,23 @@ def test_turntable_writes_an_animation(images, tmp_path, capsys):
         (["predict", "a", "--boxes", "other.csv", "--model", "0123456789ab"], "other.csv: has no box of any of the"),
         (["predict", "a", "-o", "a.txt", "--model", "0123456789ab"], "a.txt: unknown kind of table: name it .csv or"),
         (["predict", "a", "-o", "wrong.csv/a.csv", "--model", "0123456789ab"], "wrong.csv/a.csv: cannot be written"),
+        (
+            ["predict", "a", "--box", "-inf", "0", "9", "9", "--model", "0123456789ab"],
+            "box [-inf, 0.0, 9.0, 9.0]: expected",
+        ),
+        (
+            ["predict", "https://a.b/c.jpg?d=1", "--model", "car"],
+            "https://a.b/c.jpg?d=1: no such image: expected a file, not an",
+        ),
+        (
+            ["turntable", "https://a.b/c.jpg", "-o", "a.gif", "--model", "car"],
+            "https:/a.b/c.jpg: no such image: expected",
+        ),
+        (["turntable", "empty", "-o", "a.gif", "--model", "0123456789ab"], "empty: image is a folder: expected a file"),
+        (
+            ["turntable", "a.png", "--mask", "empty", "-o", "a.gif", "--model", "car"],
+            "a.png: mask empty is a folder: exp",
+        ),
         (["turntable", "a.png", "-o", "a.webm", "--model", "0123456789ab"], "a.webm: unknown kind of animation"),
     ],
 )

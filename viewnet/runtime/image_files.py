@@ -8,6 +8,7 @@ import functools
 import importlib
 import io
 import logging
+import re
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -58,7 +59,11 @@ def opened(source: Source, what: str = "image", formats: tuple[str, ...] = FORMA
     except ViewnetError:
         raise
     except FileNotFoundError:
-        raise ViewnetError(f"no such {what}") from None
+        web = re.match(r"[a-z]{2,}:/", str(source))  # of :// a path keeps one stroke
+        advice = ": expected a file, not an address: download it and name the copy" if web else ""
+        raise ViewnetError(f"no such {what}{advice}") from None
+    except IsADirectoryError:
+        raise ViewnetError(f"{what} is a folder: expected a file") from None
     except Exception as error:  # Pillow's decoders raise many types for damaged files
         raise ViewnetError(f"{what} does not decode ({type(error).__name__})") from None
 
