@@ -12,6 +12,7 @@ import traceback
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.runtime import parallel
 
@@ -59,6 +60,14 @@ class _Parser(argparse.ArgumentParser):
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self._negative_number_matcher = NEGATIVE
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None:
+            what = action.metavar or "".join(action.option_strings[-1:]) or "argument"
+            try:
+                known(value, action.choices, str(what).lower())
+            except ViewnetError as error:
+                raise argparse.ArgumentError(None, str(error)) from None
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"viewnet: {message} (see {self.prog} --help)\n")

@@ -6,6 +6,7 @@ paper is silent; "ours"), and who changes it: P profiles, R recipes, V variants 
 """
 
 import dataclasses
+import difflib
 import hashlib
 import json
 import types
@@ -291,11 +292,23 @@ def settings(cls: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[str,
 
 
 def known(value: str, choices: Iterable[str], what: str) -> str:
-    """`value` itself if it is one of `choices`; ViewnetError naming them all otherwise."""
+    """`value` itself if it is one of `choices`; ViewnetError naming them all and the `nearest` otherwise."""
     choices = tuple(choices)
     if value not in choices:
-        raise ViewnetError(f"unknown {what} {value!r}: choose one of {', '.join(map(str, choices))}")
+        names = ", ".join(map(str, choices))
+        raise ViewnetError(f"unknown {what} {value!r}: choose one of {names}{nearest(value, choices)}")
     return value
+
+
+def nearest(value: object, choices: Iterable[object]) -> str:
+    """The end of a message that names what may have been meant; "" where nothing is spelt much alike.
+
+    >>> nearest("Cart", ["car", "chair"]), nearest("table", ["car", "chair"])
+    (". Did you mean 'car'?", '')
+    """
+    names = {str(name).lower(): name for name in choices}
+    close = difflib.get_close_matches(str(value).lower(), names, 1)
+    return f". Did you mean {names[close[0]]!r}?" if close else ""
 
 
 def build(cls: Any, values: Any, where: str) -> Any:
@@ -307,7 +320,9 @@ def build(cls: Any, values: Any, where: str) -> Any:
         raise ViewnetError(f"{where}: expected a mapping, got {values!r}")
     hints = typing.get_type_hints(cls)
     if unknown := sorted(set(values) - set(hints)):
-        raise ViewnetError(f"{where}: unknown setting {unknown[0]!r}: choose one of {', '.join(hints)}")
+        raise ViewnetError(
+            f"{where}: unknown setting {unknown[0]!r}: choose one of {', '.join(hints)}{nearest(unknown[0], hints)}"
+        )
     missing = [
         f.name
         for f in dataclasses.fields(cls)

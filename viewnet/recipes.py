@@ -13,7 +13,7 @@ weights to start from (`STARTED`), the variant, its length at the smallest profi
 from dataclasses import replace
 from typing import Any
 
-from viewnet.config import CATEGORIES, RunConfig, build, known, settings
+from viewnet.config import CATEGORIES, RunConfig, build, known, nearest, settings
 from viewnet.errors import ViewnetError
 
 Changes = dict[str, Any]
@@ -314,7 +314,7 @@ def repeats_viewnet(variant: str, recipe: str) -> bool:
 
 
 def overridden(overrides: dict[str, Any]) -> Changes:
-    """Settings by name as changes. ViewnetError naming them all for an unknown one.
+    """Settings by name as changes. ViewnetError naming the nearest for an unknown one.
 
     >>> overridden({"heads": 2, "search_views": 16})
     {'model': {'heads': 2}, 'train': {'search': {'views': 16}}}
@@ -323,7 +323,7 @@ def overridden(overrides: dict[str, Any]) -> Changes:
     changes: Changes = {}
     for name, value in overrides.items():
         if name not in places:
-            raise ViewnetError(f"unknown setting {name!r}: choose one of {', '.join(sorted(places))}")
+            raise ViewnetError(f"unknown setting {name!r}: viewnet train --settings lists all{nearest(name, places)}")
         change: Any = value
         for step in reversed(places[name]):
             change = {step: change}

@@ -13,7 +13,8 @@ import pytest
 from helpers.fake_steps import STEPS
 
 from viewnet import cli
-from viewnet.config import RunConfig
+from viewnet.commands.options import NAMED, configurations
+from viewnet.config import RunConfig, settings
 from viewnet.data import build
 from viewnet.data.store import ViewStore
 from viewnet.experiments import notebooks
@@ -87,6 +88,7 @@ def test_train_reports_runs_that_are_not_scored(capsys, monkeypatch):
         (["train", "cart"], "unknown category 'cart'"),
         (["train", "car", "-s", "epochs"], "-s epochs: expected NAME=VALUE"),
         (["train", "car", "-s", "epoch=3"], "unknown setting 'epoch'"),
+        (["train", "car", "-s", "seed=3"], "-s seed=3: seed is no setting here: it has an argument of its own"),
         (["train", "car", "-s", "epochs=many"], "config.train.epochs: expected int"),
         (["train", "car", "--data-root", "nowhere"], "data_root nowhere: no such folder"),
         (["train", "car", "--threads", "0"], "--threads 0: expected 1 to 1024"),
@@ -103,6 +105,40 @@ def test_errors_of_training(arguments, message, capsys, monkeypatch):
     said = capsys.readouterr().err
     assert said.startswith(f"viewnet: {message}")
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["train", "cart"], "car"),
+        (["train", "Airplane"], "aeroplane"),
+        (["train", "car", "--variant", "viewnet_cycles"], "viewnet_cycle"),
+        (["train", "car", "--recipe", "mating"], "matting"),
+        (["train", "car", "--profile", "tny"], "tiny"),
+        (["train", "car", "-s", "search_view=3"], "search_views"),
+        (["train", "car", "-s", 'video={"category": "car", "mask": "none"}'], "masks"),
+        (["predict", "a.png", "--model", "chiar"], "chair"),
+        (["evaluate", "airplane"], "aeroplane"),
+        (["notebook", "tabel2_ablation"], "table2_ablation"),
+        (["notebook", "table2_ablation", "-p", "profle", "tiny"], "profile"),
+        (["tables", "--only", "table1_shapnet"], "table1_shapenet"),
+    ],
+)
+def test_the_name_that_may_be_meant_is_said(arguments, meant, capsys):
+    assert cli.main(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.endswith(f". Did you mean {meant!r}?\n")
+    assert said.count("\n") == 1
+
+
+def test_train_lists_every_setting_as_it_takes_it(capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.main(["train", "--settings"])
+    assert end.value.code == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {line.partition("=")[0] for line in lines} == {name for name, _ in settings()} - {*NAMED}
+    words = [word for line in lines for word in ("-s", line)]
+    assert configurations(cli.parser().parse_args(["train", "car", *words])) == [make_config()]
 
 
 def test_a_notebook_s_kernel_gets_the_cluster(monkeypatch, capsys):
@@ -172,6 +208,8 @@ def test_every_command_s_examples_are_ones_that_it_takes(command, capsys):
         (["train"], "CATEGORY (see viewnet train --help)"),
         (["bench", "--batch", "many"], "'many' (see viewnet bench --help)"),
         (["tables", "--pages"], "--pages (see viewnet --help)"),
+        (["trian"], ". Did you mean 'train'? (see viewnet --help)"),
+        (["predict", "a", "--as", "Quaternions"], ". Did you mean 'quaternion'? (see viewnet predict --help)"),
     ],
 )
 def test_a_wrong_command_line_is_reported_in_one_line(arguments, message, capsys):

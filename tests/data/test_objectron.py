@@ -390,7 +390,7 @@ def test_categories_and_values_that_are_refused(tmp_path):
     write(tmp_path, record(), "bike/batch-1/0")
     assert objectron.read(tmp_path, "bicycle")[0][0].category == "bicycle"
     for category in ("bike", "cup", "car"):
-        with pytest.raises(ViewnetError, match=f"no category '{category}'"):
+        with pytest.raises(ViewnetError, match=f"unknown category of Objectron '{category}'"):
             objectron.read(tmp_path, category)
     with pytest.raises(ViewnetError, match="frames 0: expected 1 or more"):
         objectron.read(tmp_path, "bicycle", frames=0)
@@ -507,7 +507,7 @@ def test_a_video_of_a_stand_in_depends_on_its_number_only(stand_in, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"category": "car"}, "'car' in Objectron"),
+        ({"category": "car"}, "of Objectron 'car'"),
         ({"videos": 0}, "videos 0"),
         ({"frames": 0}, "frames 0"),
         ({"size": (30, 40)}, r"size \(30, 40\)"),

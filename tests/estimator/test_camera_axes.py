@@ -275,7 +275,8 @@ def test_tables_have_the_numbers_of_every_hypothesis(form):
 
 
 @pytest.mark.parametrize(
-    ("frame", "form", "said"), [("OpenCV", "matrix", "frame 'OpenCV'.*opengl"), ("opencv", "rodrigues", "form 'rod")]
+    ("frame", "form", "said"),
+    [("OpenCV", "matrix", "frame of a rotation 'OpenCV'.*opengl"), ("opencv", "rodrigues", "form of a rotation 'rod")],
 )
 def test_another_frame_or_form_is_an_error(frame, form, said):
     several = Viewpoints.of([[[1.0, 0, 0]]], [[0.0]], None, aligned=True)

@@ -3,9 +3,11 @@
 import argparse
 import json
 import os
+from functools import reduce
+from operator import getitem
 from typing import Any
 
-from viewnet.config import CATEGORIES, RunConfig
+from viewnet.config import CATEGORIES, RunConfig, settings
 from viewnet.errors import ViewnetError
 from viewnet.recipes import PEERS, PROFILES, RECIPES, VARIANTS, make_config
 from viewnet.runtime import parallel
@@ -36,12 +38,18 @@ VARIANT = argument("--variant", f"{', '.join((*VARIANTS, *PEERS))} (default: vie
 RECIPE = argument("--recipe", f"{', '.join(RECIPES)} (default: the profile's)")
 ONE = f"threads of one run, or of the prediction (default: ${parallel.THREADS}, or its share of the cores)"
 THREADS = argument("--threads", ONE, type=int, metavar="N")
+NAMED = ("variant", "category", "profile", "recipe", "seed", "data_root", "splits")  # by arguments of their own
+_TINY = make_config().to_dict()
+SETTINGS = "\n".join(
+    f"{name}={json.dumps(reduce(getitem, at, _TINY))}" for name, at in sorted(settings()) if name not in NAMED
+)
 CONFIGURATION = (
     argument("categories", f"of {', '.join(CATEGORIES)}", nargs="+", metavar="CATEGORY"),
     VARIANT,
     argument("--profile", f"{', '.join(PROFILES)} (default: tiny)", default="tiny"),
     RECIPE,
     argument("-s --set", "another value, as JSON", action="append", default=[], metavar="NAME=VALUE"),
+    argument("--settings", "list them with their values at the profile tiny", action="version", version=SETTINGS),
     argument("--data-root", "ShapeNetCore, v1 or v2 (default: the built-in models)", metavar="FOLDER"),
     argument("--splits", "lists <synset>_train.txt, _val.txt and _test.txt for it", metavar="FOLDER"),
 )
@@ -73,6 +81,8 @@ def _setting(text: str) -> tuple[str, Any]:
     name, separator, value = text.partition("=")
     if not separator:
         raise ViewnetError(f"-s {text}: expected NAME=VALUE, such as epochs=3")
+    if name in NAMED:
+        raise ViewnetError(f"-s {text}: {name} is no setting here: it has an argument of its own (see --help)")
     try:
         return name, json.loads(value)
     except (ValueError, RecursionError):

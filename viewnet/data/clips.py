@@ -14,6 +14,7 @@ import numpy as np
 from av.stream import Disposition
 from PIL import Image, ImageOps
 
+from viewnet.config import known
 from viewnet.data.crop import Box
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import MOST_PIXELS, SUFFIXES, read
@@ -120,8 +121,7 @@ def pick_frames(total: int, count: int | None, how: Pick, name: str, seed: int =
     """
     if count is not None and count < 1:
         raise ViewnetError(f"frames {count}: expected 1 or more a clip, or none for all")
-    if how not in PICKS:
-        raise ViewnetError(f"unknown pick {how!r}: choose one of {', '.join(PICKS)}")
+    known(how, PICKS, "pick")
     if count is None or count >= total:
         return list(range(total))
     if how == "evenly":

@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from viewnet.errors import ViewnetError
+from viewnet.config import known
 
 MEANINGS = {
     "opencv": "camera x right, y down, z forward; x_camera = R x_object + (0, 0, d)",
@@ -36,9 +36,8 @@ def rotation(camera: NDArray[np.float64], frame: str, form: str) -> NDArray[np.f
 
     matrix (..., 3, 3), quaternion (..., 4), euler (..., 3) in degrees. Raises ViewnetError for another frame or form.
     """
-    for what, name, known in (("frame", frame, SIGNS), ("form", form, FORMS)):
-        if name not in known:
-            raise ViewnetError(f"{what} {name!r} of a rotation: expected one of {', '.join(known)}")
+    known(frame, SIGNS, "frame of a rotation")
+    known(form, FORMS, "form of a rotation")
     axes = camera * SIGNS[frame] + 0.0  # no negative zeros
     matrix = axes if frame in COLUMNS else axes.swapaxes(-1, -2)
     if form == "matrix":

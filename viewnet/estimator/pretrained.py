@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from safetensors.torch import save_file
 
-from viewnet.config import RunConfig
+from viewnet.config import RunConfig, nearest
 from viewnet.errors import ViewnetError
 from viewnet.estimator import hub, model_card
 from viewnet.model import checkpoint
@@ -79,7 +79,7 @@ def load(where: str | os.PathLike[str], **hub_options: Any) -> Pretrained:
         if place.exists() or not HUB_ID.fullmatch(name):
             kinds = f"a model that comes with viewnet ({', '.join(shipped())}), a folder of save_pretrained, the folder"
             kinds += " or key of a finished run (viewnet train prints it), or NAME/MODEL of the Hugging Face hub"
-            raise ViewnetError(f"{name}: no model there: expected {kinds}") from None
+            raise ViewnetError(f"{name}: no model there: expected {kinds}{nearest(name, shipped())}") from None
         return _from_folder(hub.download(name, [WEIGHTS, CONFIG], **hub_options))
     return _from_run(file)
 

@@ -5,6 +5,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.render.camera import RADIUS, look_from
 from viewnet.render.mesh import Mesh
@@ -64,8 +65,7 @@ def choose_backend(backend: Backend) -> Backend:
 
     Raises ViewnetError for another name.
     """
-    if backend not in get_args(Backend):
-        raise ViewnetError(f"unknown renderer {backend!r}: choose one of {', '.join(get_args(Backend))}")
+    known(backend, get_args(Backend), "renderer")
     if backend != "pyrender":
         return "raycast"
     try:

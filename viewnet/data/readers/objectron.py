@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from viewnet.config import VideoConfig
+from viewnet.config import VideoConfig, known
 from viewnet.data.clips import Clip, Frame, natural
 from viewnet.data.readers.objectron_record import Record, View, read_record
 from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text
@@ -46,8 +46,7 @@ def read(
 
     Raises ViewnetError where Objectron has no such category, `root` is not Objectron or nothing can be used.
     """
-    if category not in CLASSES:
-        raise ViewnetError(f"Objectron: no category {category!r}: choose one of {', '.join(CLASSES)}")
+    known(category, CLASSES, "category of Objectron")
     if frames < 1:
         raise ViewnetError(f"Objectron: frames {frames}: expected 1 or more of each video")
     root, name = Path(root), CLASSES[category]
@@ -64,10 +63,10 @@ def read(
             clips.append(_clip(root, video, category, _split(listed, video), frames, seed, rejected))
         except ViewnetError as error:
             rejected.append((video, within(path, root), str(error)))
-    known = set(videos.values())
+    there = set(videos.values())
     for place in sorted((root / "videos" / name).glob("*/*"), key=lambda path: natural(path.as_posix())):
         video = within(place, root / "videos")
-        if place.is_dir() and video not in known:
+        if place.is_dir() and video not in there:
             rejected.append((video, within(place, root), "video without a record"))
     if not clips:
         raise no_usable(root, f"video of {name}", rejected, "")

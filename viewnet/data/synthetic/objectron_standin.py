@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFilter
 from scipy import ndimage
 
+from viewnet.config import known
 from viewnet.data.readers.objectron import CLASSES, MASKS
 from viewnet.data.readers.objectron_record import AXES, UNIT_BOX, Sequence
 from viewnet.data.synthetic import scenes
@@ -59,9 +60,7 @@ class ObjectronStandIn(StandIn):
 
     def prepare(self, root: Path) -> list[Callable[[], None]]:
         """See StandIn.prepare. ViewnetError for categories that Objectron does not have, and small sizes."""
-        if self.category not in CLASSES:
-            choice = ", ".join(CLASSES)
-            raise ViewnetError(f"stand-in: no category {self.category!r} in Objectron: choose one of {choice}")
+        known(self.category, CLASSES, "category of Objectron")
         if min(self.size) < 32:
             raise ViewnetError(f"stand-in: size {self.size}: expected 32 or more pixels a side")
         kind = CLASSES[self.category]
