@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -276,6 +277,37 @@ def test_a_wrong_list_is_named(tmp_path):
         views(PhotoConfig("car", str(folder(tmp_path / "f", "1.png,0,0,test", "9.png,0,0,val"))))
     with pytest.raises(ViewnetError, match="use keep='all'"):
         views(PhotoConfig("car", str(tmp_path / "f"), keep="easy"))
+
+
+HEADER = "file,azimuth_deg,elevation_deg,split"
+
+
+@pytest.mark.parametrize(
+    ("name", "files", "header", "kinds", "said"),
+    [
+        ("f", ["1.png", "2.png"], HEADER, ["", ""], None),
+        ("train", ["train/1.png", "2.png"], HEADER, ["", ""], None),
+        ("cars", ["1.png", "2.png"], HEADER, ["", ""], None),
+        ("Chairs", ["1.png", "2.png"], HEADER, ["", ""], "2 of 2 .*2 chair"),
+        ("Chairs", ["car_1.png", "2.png"], HEADER, ["", ""], "1 of 2 .*1 chair"),
+        ("f", ["dining_tables/1.png", "n02924116_2.png"], HEADER, ["", ""], "2 of 2 .*1 diningtable, 1 bus"),
+        ("chairs", ["1.png", "2.png"], f"{HEADER},category", [",car", ",Automobile"], "1 of 2 .*1 automobile"),
+        ("cars", ["1.png", "2.png"], f"{HEADER},class", [",03001627", ",airplane"], "2 of 2 .*1 chair, 1 aeroplane"),
+        ("cars", ["1.png", "2.png"], f"{HEADER},category", [",car", ",train"], "1 of 2 .*1 train"),
+    ],
+)
+def test_photographs_that_are_named_as_another_category_are_told_and_used(
+    name, files, header, kinds, said, tmp_path, caplog
+):
+    rows = [f"{files[0]},0,0,val{kinds[0]}", f"{files[1]},10,0,test{kinds[1]}"]
+    root = folder(tmp_path / name, *rows, header=header)
+    for number, file in enumerate(files):
+        (root / "images" / file).parent.mkdir(exist_ok=True)
+        Image.new("RGB", (30, 20), (number * 99,) * 3).save(root / "images" / file)
+    assert len(views(PhotoConfig("car", str(root), size=8))) == 2
+    told = [record.getMessage() for record in caplog.records]
+    assert len(told) == (said is not None)
+    assert said is None or re.search(f"^{root}: {said}", told[0])
 
 
 def test_a_root_that_is_neither_is_refused_with_one_message(tmp_path):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from viewnet import cli
+from viewnet.data.readers import photo_folder
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator
 from viewnet.estimator.model_card import with_interval
@@ -258,6 +261,17 @@ def test_the_command_prints_a_line_an_alignment(run, capsys):
     assert [one["model"] for one in told] == [KEY, str(run.folder)]
     assert told[0]["alignments"]["linear"]["alignment"]["images"] == 6
     assert "flips" in told[0]["alignments"]["robust"]
+
+
+def test_photographs_of_another_category_are_told_in_one_line_and_scored(run, store, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("viewnet.evaluation.features.SIZE", 32)
+    for name, said in (("cars", 0), ("chairs", 1)):
+        caught = logging.StreamHandler(io.StringIO())
+        monkeypatch.setattr(photo_folder.log, "handlers", [caught])
+        assert cli.main(["evaluate", KEY, "--data-root", str(photographs(tmp_path / name, store, 0))]) == 0
+        assert f"photographs of {name}: 12 of 12" in capsys.readouterr().out
+        assert caught.stream.getvalue().count("\n") == said
+    assert "chairs: 24 of 24 photographs are not of car by list or names (24 chair)" in caught.stream.getvalue()
 
 
 def test_constants_are_scored_as_they_are(tmp_path, monkeypatch):

@@ -4,17 +4,24 @@ images/            the photographs
 viewpoints.csv     file, azimuth_deg, elevation_deg, split and perhaps x0, y0, x1, y1: one object a row
 """
 
+import logging
+import re
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
-from viewnet.config import CATEGORIES, PhotoConfig, known
+from viewnet.config import CATEGORIES, SYNSETS, PhotoConfig, known
 from viewnet.data.photo_store import SPLITS, Photograph, Photographs
+from viewnet.data.readers.crop_list import NAMES
 from viewnet.data.readers.reader import Contents, Reader, require_all
+from viewnet.data.store import in_words
 from viewnet.errors import ViewnetError
 from viewnet.runtime.lists import one_form, read_list
+
+log = logging.getLogger(__name__)
 
 LIST = "viewpoints.csv"
 _ANGLES = ("azimuth_deg", "elevation_deg")
@@ -85,9 +92,36 @@ def _value(row: dict[Any, Any], name: str, where: str) -> float:
     return value
 
 
+def named(text: str) -> set[str]:
+    """The categories that a name mentions, in words or as a synset id. "train" is none: it names a split.
+
+    >>> sorted(named("dining_tables/n02958343_12.jpg")), named("train/0001.jpg")
+    (['car', 'diningtable'], set())
+    """
+    words = re.findall("[a-z]+", text.lower())
+    words += [" ".join(pair) for pair in pairwise(words)]
+    singular = {word.removesuffix(end) for word in words for end in ("", "s", "es")}
+    ours = {NAMES.get(word, word) for word in singular}.intersection(CATEGORIES) - {"train"}
+    return ours | {category for category, synset in SYNSETS.items() if synset in text}
+
+
+def _tell_of_others(root: Path, category: str) -> None:
+    """Warn of photographs that are of another category by their row, or else by the names of file and folder."""
+    rows, others = read_list(root / LIST, ("file",)).to_dict("records"), Counter[str]()
+    for row in rows:
+        said = next((row[name] for name in ("category", "category_name", "class") if row.get(name)), "")
+        kinds = (named(said) or {said.lower()}) if said else named(row["file"]) or named(root.resolve().name)
+        others.update(() if category in kinds else sorted(kinds)[:1])
+    if others:
+        text = "%s: %d of %d photographs are not of %s by list or names (%s): they are used all the same"
+        log.warning(text, root, others.total(), len(rows), category, in_words(others))
+
+
 def _read_all(config: PhotoConfig, root: Path) -> Photographs:
     require_all(config, root)
-    return Photographs(root, read(root, config.category), upright=True)
+    found = Photographs(root, read(root, config.category), upright=True)
+    _tell_of_others(root, config.category)
+    return found
 
 
 def _count(root: Path, contents: Contents) -> None:
