@@ -6,6 +6,7 @@ import io
 import json
 import shutil
 import socket
+import urllib.request
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -22,7 +23,7 @@ from safetensors.torch import save_file
 from viewnet import cli
 from viewnet.commands import demo
 from viewnet.estimator import ViewpointEstimator
-from viewnet.estimator.demo import examples
+from viewnet.estimator.demo import analysis, examples
 from viewnet.model.checkpoint import load_model
 from viewnet.recipes import make_config
 
@@ -38,8 +39,14 @@ SECOND = 1000
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Of a finished run, and of what visitors send."""
+    """Of a finished run, and of what visitors send: gradio's own folder of uploads."""
     found = tmp_path_factory.mktemp("page")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GRADIO_TEMP_DIR", str(found))
+        yield filled(found)
+
+
+def filled(found):
     store = box_store(found / "views", {"val": 3, "test": 3}, views=3)
     finished_run(found / "run", store, **PHOTOS)
     look_closely(found / "run")
@@ -79,7 +86,7 @@ def page(estimator):
 
 def sent(file, name=None):
     """A file as the browser uploads it."""
-    return {"path": str(file), "orig_name": name or file.name}
+    return {"path": str(file), "orig_name": name or file.name, "meta": {"_type": "gradio.FileData"}}
 
 
 def taken(page, file):
@@ -91,7 +98,7 @@ def test_asked_about_a_box_the_page_says_what_the_estimator_says(page, estimator
     file = folder / "photo0.png"
     shown = page.predict(taken(page, file), None, TYPED)
     said = estimator.predict(file, boxes=BOX)[0]
-    encoded, told, _, posed, table, azimuth, elevation, view, mesh = shown
+    encoded, told, _, posed, table, azimuth, elevation, view, mesh, sides = shown
     for part in (f">{said.azimuth:.1f}°<", f">{said.elevation:.1f}°<", f">{100 * said.confidence:.1f} %<"):
         assert part in told
     assert table.count("<tr>") == 1 + len(said.probabilities)
@@ -104,6 +111,16 @@ def test_asked_about_a_box_the_page_says_what_the_estimator_says(page, estimator
     turned, tilted, away = mesh["camera_position"]
     assert (turned % 360, tilted) == (-azimuth % 360, 90 - elevation)
     assert away > 3 * np.linalg.norm(drawn.vertices, axis=1).max()
+    assert (mesh["visible"], sides["visible"], sides["value"]) == (True, False, None)
+
+
+def test_where_a_browser_cannot_turn_the_model_it_is_drawn_here(page, estimator, folder):
+    file = folder / "photo0.png"
+    *_, azimuth, elevation, _, mesh, sides = page.predict(taken(page, file), None, TYPED, True)
+    assert (mesh["visible"], mesh["value"], sides["visible"]) == (False, None, True)
+    expected = analysis.four_sides(estimator.mesh(file, box=BOX), azimuth, elevation)
+    assert np.array_equal(sides["value"], expected)
+    assert len(np.unique(expected.reshape(-1, 3), axis=0)) > 20
 
 
 def test_a_mask_counts_and_so_does_what_is_missing(page, estimator, folder):
@@ -141,6 +158,17 @@ def test_names_of_files_are_no_markup(page, folder):
     assert "<img" not in caught.value.message
 
 
+@pytest.mark.parametrize("marked", [True, False])
+def test_a_path_that_is_no_upload_is_not_read(page, tmp_path, marked):
+    """Gradio itself checks only what is marked as a file."""
+    Image.fromarray(photograph()).save(tmp_path / "secret.png")
+    forged = sent(tmp_path / "secret.png")
+    if not marked:
+        del forged["meta"]
+    with pytest.raises(gradio.Error, match="load the page again"):
+        list(page.take(forged))
+
+
 def test_another_image_takes_the_answer_away(page, folder):
     for file in (sent(folder / "photo1.png"), None):
         last = list(page.take(file))[-1]
@@ -156,7 +184,7 @@ def test_another_image_takes_the_answer_away(page, folder):
 def test_without_a_mesh_all_else_is_shown(page, estimator, folder):
     network = untrained(variant="hologan_decoder", **PHOTOS)
     shown = app.Page(network, []).predict(taken(page, folder / "photo0.png"), None, TYPED)
-    assert shown[-1]["value"] is None
+    assert shown[-2]["value"] is shown[-1]["value"] is None
     assert "There is no 3-D model: volume: the HoloGAN decoder" in shown[1]
     assert shown[3].ndim == 3
 
@@ -193,6 +221,23 @@ def address(folder, reached):
     served = demo.start(options)
     yield served.local_url
     served.close()
+
+
+FORGED = [{"path": "/etc/passwd", "meta": {"_type": "gradio.FileData"}}, {"path": "/etc/passwd"}, {"path": 5}, "text"]
+
+
+@pytest.mark.parametrize("forged", FORGED, ids=str)
+def test_what_the_page_does_not_send_is_refused_without_a_traceback(forged, address, capfd):
+    layout = json.load(urllib.request.urlopen(f"{address}config"))
+    taking = next(event["id"] for event in layout["dependencies"] if event["api_name"] == "take")
+    asked = {"data": [forged], "fn_index": taking, "session_hash": "visitor"}
+    body, kind = json.dumps(asked).encode(), {"Content-Type": "application/json"}
+    join = urllib.request.Request(f"{address}gradio_api/queue/join", body, kind)
+    urllib.request.urlopen(join).close()
+    with urllib.request.urlopen(f"{address}gradio_api/queue/data?session_hash=visitor", timeout=60) as lines:
+        done = next(json.loads(line[5:]) for line in lines if b"process_completed" in line)
+    assert done["output"]["error"] == app.SENT
+    assert "Traceback" not in "".join(capfd.readouterr())
 
 
 @pytest.fixture(scope="module")
@@ -247,7 +292,7 @@ class Visit:
         return self.answer()
 
     def answer(self):
-        self.tab.locator("#mesh canvas").wait_for()
+        self.tab.locator("#hypotheses table").wait_for()
         return self.tab.locator("#answer b").all_inner_texts()
 
     def image(self, where):
@@ -279,7 +324,9 @@ def visit(browser, address):
 
 
 def spoken(said):
-    return [f"{said.azimuth:.1f}°", f"{said.elevation:.1f}°", f"{100 * said.confidence:.1f} %"]
+    rival = analysis.rival(said)
+    azimuths = [f"{each.azimuth:.1f}°" for each in (said, rival) if each]
+    return [*azimuths, f"{said.elevation:.1f}°", f"{100 * said.confidence:.1f} %"]
 
 
 def settled(look, before, tab):
@@ -373,6 +420,13 @@ def test_what_is_wrong_is_toasted_and_nothing_breaks(visit, estimator, folder):
     visit.tab.locator("#mask button[aria-label='Remove Image']").click()
     visit.send_mask(folder / "mask.png")
     assert visit.find() == spoken(estimator.predict(folder / "photo0.png", folder / "mask.png")[0])
+    # An error takes the answer before it away.
+    visit.box.fill("10 8")
+    visit.tab.locator("#find").click()
+    assert "expected its left, top" in visit.toast()
+    visit.tab.locator("#hypotheses table").wait_for(state="detached")
+    assert "Choose an image" in visit.tab.locator("#answer").inner_text()
+    assert visit.tab.locator(":is(#seen, #posed, #view, #sides) img").count() == 0
 
 
 @pytest.mark.slow
@@ -383,7 +437,35 @@ def test_a_file_that_is_too_large_is_refused(visit, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_3d_model_is_the_objects(visit, estimator, folder):
+def test_without_a_graphics_card_the_3d_model_is_a_picture(visit, folder):
+    visit.send(folder / "photo0.png")
+    visit.frame(BOX)
+    visit.find()
+    visit.tab.locator("#sides img").wait_for()
+    assert len(np.unique(visit.image("#sides").reshape(-1, 3), axis=0)) > 20
+    assert visit.tab.locator("#mesh canvas").count() == 0
+    assert visit.problems == []
+
+
+CARD = """
+    const real = WebGL2RenderingContext.prototype.getParameter;
+    WebGL2RenderingContext.prototype.getParameter = function (name) {
+        return name === 0x9246 ? "a graphics card" : real.call(this, name);
+    };
+"""
+
+
+@pytest.fixture
+def with_card(browser, address):
+    """A visit that says to have a graphics card."""
+    with browser.new_context(viewport={"width": 1200, "height": 900}) as context:
+        context.add_init_script(CARD)
+        yield Visit(context.new_page(), address)
+
+
+@pytest.mark.slow
+def test_the_3d_model_is_the_objects(with_card, estimator, folder):
+    visit = with_card
     visit.send(folder / "photo0.png")
     visit.frame(BOX)
     with visit.tab.expect_response(lambda response: response.url.endswith(".glb")) as coming:
@@ -468,3 +550,24 @@ def test_on_a_telephone_nothing_is_wider_than_the_screen(browser, address, folde
         visit.frame(BOX)
         visit.find()
         assert visit.tab.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [390, 1280])
+def test_labels_and_edges_cover_nothing(browser, address, width):
+    with browser.new_context(viewport={"width": width, "height": 900}) as context:
+        visit = Visit(context.new_page(), address)
+        visit.tab.locator("#examples button").first.click()
+        visit.answer()
+        visit.tab.locator("#sides").scroll_into_view_if_needed()  # where images load
+        visit.tab.locator("#sides img").wait_for()
+        for name in ("image", "seen", "posed", "view", "sides"):
+            label, image = (visit.tab.locator(f"#{name} {part}").first.bounding_box() for part in ("label", "img"))
+            assert label["y"] + label["height"] <= image["y"] + 1, name
+        assert visit.tab.locator("#examples label.float").count() == 0
+        cut = """svg => { const [x, y, w, h] = svg.getAttribute("viewBox").split(" ").map(Number);
+            return [...svg.querySelectorAll("text")].map(text => [text.textContent, text.getBBox()])
+                .filter(([, box]) => box.x < x || box.y < y || box.x + box.width > x + w || box.y + box.height > y + h)
+                .map(([name]) => name); }"""
+        dials = visit.tab.locator("#answer svg")
+        assert [dials.nth(number).evaluate(cut) for number in range(2)] == [[], []]

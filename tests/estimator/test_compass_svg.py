@@ -95,6 +95,16 @@ def test_without_an_alignment_there_is_neither_front_nor_horizon():
     assert "sees" not in compass_svg.from_above(told(angles, logits, aligned=False))
 
 
+@pytest.mark.parametrize("draw", [compass_svg.from_above, compass_svg.from_the_side])
+def test_no_word_is_cut_off_at_the_sides(draw):
+    root = ElementTree.fromstring(draw(told([(40, 20)], [0.0])))
+    left, _, width, _ = map(float, root.get("viewBox").split())
+    for text in root.iter(f"{SVG}text"):
+        x, long = float(text.get("x")), 0.7 * float(text.get("font-size")) * len(text.text)  # of wide letters
+        start = x - {"start": 0, "middle": long / 2, "end": long}[text.get("text-anchor")]
+        assert left <= start and start + long <= left + width, text.text
+
+
 def test_drawings_say_what_they_show():
     root = ElementTree.fromstring(compass_svg.from_above(told([(92, 20)], [0.0])))
     assert root.get("role") == "img"

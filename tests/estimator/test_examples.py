@@ -1,10 +1,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
-from helpers.estimators import PHOTOS, untrained
+from helpers.estimators import PHOTOS, photograph, untrained
+from PIL import Image
 
 from viewnet.data.crop import bounds
+from viewnet.errors import ViewnetError
 from viewnet.estimator.demo import examples
 from viewnet.geometry import vector_angle, view_vector
 
@@ -30,3 +33,13 @@ def test_examples_viewpoints_differ():
     vectors = view_vector(azimuth, elevation)
     apart = vector_angle(vectors[:, None], vectors[None])
     assert apart[~torch.eye(len(vectors), dtype=torch.bool)].min() > 45
+
+
+def test_own_images_are_offered_as_they_are(tmp_path):
+    file = tmp_path / "street.png"
+    Image.fromarray(photograph()).save(file)
+    (shown,) = examples.of_files([str(file)])
+    assert np.array_equal(np.asarray(shown.image), photograph())
+    assert (shown.box, shown.drawn) == (None, False)
+    with pytest.raises(ViewnetError, match=r"image .*nowhere\.png"):
+        examples.of_files([str(tmp_path / "nowhere.png")])

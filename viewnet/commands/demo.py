@@ -7,6 +7,7 @@ files that visitors send are deleted after an hour, and when the page ends.
 Examples:
 
     viewnet demo --model 0123456789ab --open
+    viewnet demo --model car --examples street.jpg yard.jpg
     viewnet demo --model saved/car --host 0.0.0.0 --port 8080         for everybody who can reach this machine
 """
 
@@ -24,6 +25,9 @@ ARGUMENTS = (
     argument("--host", "the address to listen at (default: 127.0.0.1, this machine)", default="127.0.0.1"),
     argument("--port", "default: 7860", type=int, default=7860),
     argument("--share", SHARED, choices=["no", "yes"], default="no"),
+    argument(
+        "--examples", "images to offer on the page, such as photographs (default: drawn ones)", nargs="+", default=[]
+    ),
     argument("--open", "open the page in the browser", action="store_true"),
 )
 
@@ -53,7 +57,8 @@ def start(options: Options) -> Any:
     from viewnet.estimator.demo import app, examples
 
     estimator = ViewpointEstimator.from_pretrained(options.model, device=options.device)
-    page = app.Page(estimator, examples.rendered(estimator)).blocks
+    shown = examples.of_files(options.examples) or examples.rendered(estimator)
+    page = app.Page(estimator, shown).blocks
     address = {"server_name": options.host, "server_port": options.port, "share": options.share == "yes"}
     try:
         page.launch(**address, inbrowser=options.open, theme=app.theme(), css_paths=app.STYLE, **LAUNCH)

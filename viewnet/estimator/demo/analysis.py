@@ -1,18 +1,24 @@
 """What the page shows of one image, and the facts about the network beside it."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from viewnet.estimator import ViewpointEstimator, inputs, preprocess, templating
-from viewnet.estimator.viewpoints import Viewpoint
+from viewnet.estimator.viewpoints import Hypothesis, Viewpoint
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
 from viewnet.model.reconstruction import Encoded
+from viewnet.render import render_mesh
+from viewnet.render.mesh import Material, Mesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 SIZE = 256  # pixels along a side of rendered images, about
+DOUBT = 0.1  # probability of hypotheses behind the object from which on the answer is in doubt
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +62,32 @@ def novel_view(estimator: ViewpointEstimator, encoded: Encoded, azimuth: float, 
     return np.asarray(estimator.displayed(estimator.render(encoded, pose, _size(estimator)))[0])
 
 
+def rival(viewpoint: Viewpoint) -> Hypothesis | None:
+    """The likeliest hypothesis of the object's other side, if those of that side together are likely enough."""
+    opposite = [each for each in viewpoint.ranked() if each.frame[:, 2] @ viewpoint.vector < 0]
+    return opposite[0] if sum(each.probability for each in opposite) >= DOUBT else None
+
+
+def four_sides(mesh: "trimesh.Trimesh", azimuth: float, elevation: float) -> np.ndarray:
+    """(2 S, 2 S, 3) uint8: a coloured mesh on white from a viewpoint, and a quarter, a half and three quarters on."""
+    vertices = mesh.vertices / (2 * np.linalg.norm(mesh.vertices, axis=1).max())
+    material = np.zeros(len(mesh.faces), np.int32)
+    visual: Any = mesh.visual
+    colours = (visual.vertex_colors[mesh.faces][..., :3] / 255).astype(np.float32)
+    drawn = Mesh(vertices, mesh.faces.astype(np.int32), material, (Material(),), colours=colours)
+    views = render_mesh(drawn, (azimuth + 90 * np.arange(4)) % 360, np.full(4, float(elevation)), SIZE)
+    share = views[..., 3:] / 255
+    on_white = (views[..., :3] * share + 255 * (1 - share)).round().astype(np.uint8)
+    return on_white.reshape(2, 2, SIZE, SIZE, 3).swapaxes(1, 2).reshape(2 * SIZE, 2 * SIZE, 3)
+
+
 def model_facts(estimator: ViewpointEstimator) -> str:
     """What to know of the network when reading its predictions: a list in Markdown."""
-    scores = (estimator.about.get("metrics") or {}).get("procrustes")
-    return templating.rendered("model_facts.md", estimator=estimator, config=estimator.config, scores=scores)
+    about = estimator.about
+    scores = (about.get("metrics") or {}).get("procrustes")
+    scored = [("test views of objects not used in training", scores)] if scores else []
+    scored += [(other["on"], next(iter(other["alignments"].values()))) for other in about.get("scores") or []]
+    return templating.rendered("model_facts.md", estimator=estimator, config=estimator.config, scored=scored[::-1])
 
 
 def _size(estimator: ViewpointEstimator) -> int | None:

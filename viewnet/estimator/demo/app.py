@@ -13,6 +13,7 @@ from typing import Any
 import gradio as gr
 import numpy as np
 from gradio.processing_utils import save_bytes_to_cache
+from gradio.utils import get_upload_folder, is_in_or_equal
 from PIL import Image
 
 from viewnet.data import mask_files
@@ -25,6 +26,16 @@ from viewnet.model.reconstruction import Encoded
 
 LIFETIME = 3600  # seconds after which files that visitors sent, and what was made of them, are deleted
 WAITING = "<p>Choose an image, say where its object is, and press <b>Find the viewpoint</b>.</p>"
+NOTHING = (None, WAITING, None, None, None, 0, 0, None, None, None)  # in place of an answer
+SENT = "what was sent is not what this page sends: load the page again"
+# Whether a browser draws in 3-D not at all, or without a graphics card, and so in seconds.
+WITHOUT_3D = """() => {
+    const context = document.createElement("canvas").getContext("webgl2");
+    const card = context && context.getExtension("WEBGL_debug_renderer_info");
+    const name = context && context.getParameter(card ? card.UNMASKED_RENDERER_WEBGL : context.RENDERER);
+    return !context || /swiftshader|llvmpipe|software/i.test(name);
+}"""
+DRAWN = "Or take one of these drawn ones, which it was not trained on. Photographs are harder."
 STYLE = Path(__file__).parents[1] / "templates" / "demo.css"
 
 
@@ -34,6 +45,17 @@ def theme() -> gr.themes.Base:
     return gr.themes.Default(primary_hue="blue", **fonts)
 
 
+class Blocks(gr.Blocks):
+    """Blocks that refuse forged inputs, such as paths that are no uploads, with a toast and without a traceback."""
+
+    async def preprocess_data(self, *arguments: Any, **options: Any) -> Any:
+        """As gr.Blocks, but for the error of inputs that gradio refuses."""
+        try:
+            return await super().preprocess_data(*arguments, **options)
+        except ValueError:
+            raise _toast(ViewnetError(SENT)) from None
+
+
 class Page:
     """The page of a network, with images to try it on: components (`blocks`) and event handlers, without any state."""
 
@@ -41,8 +63,9 @@ class Page:
         self.estimator, self.examples = estimator, list(examples)
         self.folder = tempfile.TemporaryDirectory(prefix="viewnet-demo-")  # of the examples' files, as long as the page
         title = f"From where is this {estimator.config.category} seen?"
-        with gr.Blocks(title=title, analytics_enabled=False, delete_cache=(LIFETIME, LIFETIME)) as self.blocks:
+        with Blocks(title=title, analytics_enabled=False, delete_cache=(LIFETIME, LIFETIME)) as self.blocks:
             self.picker, self.encoded = (gr.State(None, time_to_live=LIFETIME) for _ in range(2))
+            self.without_3d = gr.Checkbox(False, visible=False)
             gr.Markdown(f"# {title}")
             with gr.Row():
                 with gr.Column(scale=5, min_width=320):
@@ -55,6 +78,9 @@ class Page:
                 with gr.Column(min_width=320):
                     label, white = "As a 3-D model: drag to turn it", (1, 1, 1, 1)
                     self.mesh = gr.Model3D(label=label, clear_color=white, height=440, elem_id="mesh")
+                    still: Any = {"interactive": False, "format": "png", "buttons": ["download"], "visible": False}
+                    label = "As a 3-D model, from four sides: this browser cannot turn it"
+                    self.sides = gr.Image(label=label, height=440, elem_id="sides", **still)
             with gr.Accordion("What this model is", open=True):
                 gr.Markdown(analysis.model_facts(estimator), elem_id="about")
             self._connect()
@@ -76,8 +102,9 @@ class Page:
                 example.image.save(file)
             layout: dict[str, Any] = {"columns": len(self.files), "rows": 1, "height": 130, "object_fit": "contain"}
             layout |= {"allow_preview": False, "interactive": False, "buttons": [], "elem_id": "examples"}
-            label = "Or one of these, which it was not trained on"
-            self.samples = gr.Gallery([str(file) for file in self.files], label=label, **layout)
+            gr.Markdown(DRAWN if self.examples[0].drawn else "Or take one of these.")
+            label = "Examples"
+            self.samples = gr.Gallery([str(file) for file in self.files], label=label, show_label=False, **layout)
 
     def _lay_out_answer(self) -> None:
         self.answer = gr.HTML(WAITING, elem_id="answer")
@@ -96,36 +123,37 @@ class Page:
     def _connect(self) -> None:
         question = [self.picker, self.image, self.box]
         answer = [self.encoded, self.answer, self.input, self.reconstruction, self.table]
-        answer += [self.azimuth, self.elevation, self.view, self.mesh]
+        answer += [self.azimuth, self.elevation, self.view, self.mesh, self.sides]
         quiet: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
         # Events that use the network wait for each other: compiled kernels are not for several threads at once.
         queued: dict[str, Any] = {"concurrency_id": "network", "concurrency_limit": 1, "api_visibility": "private"}
         # Files come as they are (preprocess=False): the project's own reader, not gradio's, explains what is wrong.
         raw: dict[str, Any] = queued | {"preprocess": False}
-        predicting = (self.predict, [self.picker, self.mask, self.box], answer)
+        predicting = (self.predict, [self.picker, self.mask, self.box, self.without_3d], answer)
+        self.blocks.load(None, None, self.without_3d, js=WITHOUT_3D)
         self.image.input(self.take, self.image, question + answer, preprocess=False, **quiet)
         self.image.select(self.click, self.picker, question, **quiet)
         self.box.input(self.redraw, [self.picker, self.box], self.image, trigger_mode="always_last", **quiet)
-        self.box.submit(*predicting, **raw)
+        asked = [self.box.submit(*predicting, **raw), self.find.click(*predicting, **raw)]
         self.unbox.click(self.forget_box, self.picker, question, **quiet)
-        self.find.click(*predicting, **raw)
         for slider in (self.azimuth, self.elevation):
             angles = [self.encoded, self.azimuth, self.elevation]
             slider.input(self.turn, angles, self.view, trigger_mode="always_last", show_progress="hidden", **queued)
         if self.examples:
             chosen = self.samples.select(self.try_example, None, [*question, self.mask], **quiet)
-            chosen.success(*predicting, **raw)
+            asked.append(chosen.success(*predicting, **raw))
+        for each in asked:
+            each.failure(lambda: list(NOTHING), None, answer, **quiet)
 
     def take(self, sent: dict[str, Any] | None) -> Iterator[list[Any]]:
         """A visitor sent an image, or removed it: clear the box and the answer."""
-        file = _file_of(sent)
-        nothing = ["", None, WAITING, None, None, None, 0, 0, None, None]
         try:
+            file = _file_of(sent)
             picker = None if file is None else BoxPicker.of(*file)
         except ViewnetError as error:
-            yield [None, None, *nothing]
+            yield [None, None, "", *NOTHING]
             raise _toast(error) from None
-        yield [picker, None if picker is None else picker.shown(), *nothing]
+        yield [picker, None if picker is None else picker.shown(), "", *NOTHING]
 
     def click(self, picker: BoxPicker | None, event: gr.SelectData) -> list[Any]:
         """A corner of the box: the first, or the one that completes it."""
@@ -154,8 +182,13 @@ class Page:
         picker, box = BoxPicker.of(self.files[number], f"example {number + 1}"), self.examples[number].box
         return [picker, picker.shown(box), format_box(box), None]
 
-    def predict(self, picker: BoxPicker | None, mask: dict[str, Any] | None, box: str) -> list[Any]:
-        """What the network predicts and renders for the image. A mistake (ViewnetError) becomes a toast."""
+    def predict(
+        self, picker: BoxPicker | None, mask: dict[str, Any] | None, box: str, without_3d: bool = False
+    ) -> list[Any]:
+        """What the network predicts and renders for the image. A mistake (ViewnetError) becomes a toast.
+
+        `without_3d`: a picture in place of the 3-D model, for browsers that cannot draw it soon.
+        """
         try:
             if picker is None:
                 raise ViewnetError("no image: drop, paste or take one, or choose an example")
@@ -164,23 +197,27 @@ class Page:
             result = analysis.analyse(self.estimator, picker.image(), alpha, parse_box(box))
         except ViewnetError as error:
             raise _toast(error) from None
-        notes, model, reach = list(result.notes), None, 1.0
-        try:
-            mesh = self.estimator.mesh(result.prepared)
-            model = save_bytes_to_cache(volume_mesh.as_glb(mesh), "object.glb", self.mesh.GRADIO_CACHE)
-            reach = float(np.linalg.norm(mesh.vertices, axis=1).max())
-        except ViewnetError as error:
-            notes.append(f"There is no 3-D model: {error}.")
+        notes, model, sides, reach = list(result.notes), None, None, 1.0
         viewpoint = result.viewpoint
         azimuth, elevation = round(viewpoint.azimuth) % 360, round(viewpoint.elevation)
+        try:
+            mesh = self.estimator.mesh(result.prepared)
+            reach = float(np.linalg.norm(mesh.vertices, axis=1).max())
+            if without_3d:
+                sides = analysis.four_sides(mesh, azimuth, elevation)
+            else:
+                model = save_bytes_to_cache(volume_mesh.as_glb(mesh), "object.glb", self.mesh.GRADIO_CACHE)
+        except ViewnetError as error:
+            notes.append(f"There is no 3-D model: {error}.")
         times = max(1, analysis.SIZE // len(result.input))  # each of the few pixels as a square
         images = [Image.fromarray(result.input.repeat(times, 0).repeat(times, 1)), result.reconstruction]
         view = self.turn(result.encoded, azimuth, elevation)
         # The viewer counts azimuths clockwise and elevations from above; the distance suits narrow screens.
         camera = (-azimuth, min(max(90.0 - elevation, 1.0), 179.0), 3.4 * reach)
-        turned = gr.update(value=model, camera_position=camera)
+        turned = gr.update(value=model, camera_position=camera, visible=not without_3d)
+        drawn = gr.update(value=sides, visible=without_3d)
         hypotheses = compass_svg.table(viewpoint)
-        return [result.encoded, answer(result, notes), *images, hypotheses, azimuth, elevation, view, turned]
+        return [result.encoded, answer(result, notes), *images, hypotheses, azimuth, elevation, view, turned, drawn]
 
     def turn(self, encoded: Encoded | None, azimuth: float, elevation: float) -> Any:
         """The object from the viewpoint of the sliders."""
@@ -188,9 +225,14 @@ class Page:
 
 
 def _file_of(sent: dict[str, Any] | None) -> tuple[Path, str] | None:
-    """A file that a visitor sent, whatever its contents, and its name on the visitor's machine."""
+    """A file that a visitor sent, whatever its contents, and its name on the visitor's machine.
+
+    ViewnetError for a path that is no upload: gradio checks only those that are marked as files.
+    """
     if not sent or not sent.get("path"):
         return None
+    if not is_in_or_equal(sent["path"], get_upload_folder()):
+        raise ViewnetError(SENT)
     return Path(sent["path"]), sent.get("orig_name") or Path(sent["path"]).name
 
 
@@ -198,8 +240,9 @@ def answer(result: analysis.Analysis, notes: Sequence[str]) -> str:
     """HTML: the viewpoint in numbers, in words if it is in the annotated frame, and on two compasses."""
     one = result.viewpoint
     above, side = compass_svg.from_above(one), compass_svg.from_the_side(one)
-    words = compass_svg.words(one.azimuth, one.elevation)
-    return templating.rendered("answer.html", one=one, words=words, above=above, side=side, notes=notes)
+    rival = analysis.rival(one)
+    words = ", or ".join(compass_svg.words(each.azimuth, each.elevation) for each in (one, rival) if each)
+    return templating.rendered("answer.html", one=one, rival=rival, words=words, above=above, side=side, notes=notes)
 
 
 def _toast(error: ViewnetError) -> gr.Error:

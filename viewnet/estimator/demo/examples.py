@@ -1,6 +1,8 @@
-"""Example images for the page: built-in CAD models that the network was not trained on, from known viewpoints."""
+"""Example images for the page: files, or built-in CAD models that the network was not trained on."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
@@ -10,6 +12,7 @@ from viewnet.data.crop import Box, bounds
 from viewnet.data.synthetic import scenes, stand_in
 from viewnet.estimator import ViewpointEstimator
 from viewnet.render import render_mesh
+from viewnet.runtime import image_files
 
 VIEWPOINTS = ((35.0, 15.0), (140.0, 10.0), (250.0, 25.0), (320.0, 5.0))  # azimuth, elevation: one for each model
 SEED = 2000  # of the models: other ones than in training and in the stand-ins for photographs
@@ -23,6 +26,12 @@ class Example:
 
     image: Image.Image
     box: Box | None
+    drawn: bool = True
+
+
+def of_files(paths: Iterable[str]) -> list[Example]:
+    """Images of files. ViewnetError naming one that cannot be read."""
+    return [Example(image_files.read(Path(path), f"image {path}"), None, drawn=False) for path in paths]
 
 
 def rendered(estimator: ViewpointEstimator) -> list[Example]:
