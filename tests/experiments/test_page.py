@@ -182,6 +182,27 @@ def test_reported_numbers_have_their_notes(folder):
     assert "reported for Constant: no constant scores so" in written(folder).text
 
 
+def test_what_stands_below_the_claims_is_folded_and_named_in_words(folder):
+    shutil.copytree(folder, folder.parent / "copy")
+    shutil.move(folder.parent / "copy", folder / "real_cars")
+    shutil.copytree(folder / "real_cars", folder / "tiny-own_set")
+    page = written(folder)
+    folded = [about for about in page.all("details") if about.get("class") in ("part", "setting")]
+    assert len(folded) == 3 and not any("open" in about for about in folded)
+    assert "Photographs of Stanford Cars" in page.text and "tiny own set" in page.text
+    headings = re.findall(r"<h[23]>.*?</h[23]>", (folder / "index.html").read_text(encoding="utf-8"))
+    assert not any("real_cars" in heading or "own_set" in heading for heading in headings)
+
+
+@pytest.mark.parametrize("dirty", [False, True])
+def test_runs_of_code_that_was_not_committed_are_told(folder, dirty):
+    path = folder / "table2_ablation.json"
+    content = json.loads(path.read_text())
+    content["runs"]["0123456789ab"]["training"]["git"]["dirty"] = dirty
+    path.write_text(json.dumps(content))
+    assert ("1 of 1 runs are of code with changes that were not committed" in written(folder).text) == dirty
+
+
 def test_what_is_not_there_is_named_with_its_command(folder):
     text = written(folder).text
     assert "Not made yet" in text and "viewnet notebook table4_freiburg" in text
@@ -250,6 +271,32 @@ def test_every_committed_file_has_its_place(committed):
     there -= set(COMMITTED.rglob("*_logs.csv"))  # what curves are drawn from
     assert shown == there - {COMMITTED / name for name in ("index.html", claims.NAME)}
     assert "other" not in {section.name for section in committed}
+
+
+def test_every_committed_setting_has_a_title(committed):
+    named = {setting.name for section in committed for setting in section.settings} - {""}
+    assert named == set(page.RULES["titles"])
+
+
+UNCOMMITTED = {
+    ("objectron", ""): 4,
+    ("recipe_ablation", ""): 4,
+    ("table1_shapenet", ""): 3,
+    ("table3_pascal3d", ""): 15,
+    ("table4_freiburg", ""): 3,
+    ("table5_dva", ""): 18,
+    ("your_method", "tiny"): 24,
+}
+"""Runs of code that was not committed, to be made again: none may be added."""
+
+
+def test_no_other_number_is_of_code_that_was_not_committed(committed):
+    changed = {
+        (section.name, setting.name): sum("changed" in origin["commit"] for origin in setting.origins)
+        for section in committed
+        for setting in section.settings
+    }
+    assert {place: count for place, count in changed.items() if count} == UNCOMMITTED
 
 
 def test_every_number_of_a_committed_table_is_on_the_page(committed):

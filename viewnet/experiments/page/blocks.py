@@ -189,7 +189,8 @@ def bench(files: Files) -> Content:
 
 def csv_files(files: Files) -> Content:
     """Of every CSV file, as it is."""
-    return Content(tuple(plain_table(p.stem, read_csv(p), index=False) for p in files.values() if p.suffix == ".csv"))
+    shown = [path for path in files.values() if path.suffix == ".csv"]
+    return Content(tuple(plain_table(p.stem.capitalize(), read_csv(p), index=False) for p in shown))
 
 
 def plain_table(title: str, frame: pd.DataFrame, folded: bool = False, index: bool = True) -> PlainTable:

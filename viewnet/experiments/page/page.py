@@ -44,7 +44,8 @@ ENVIRONMENT = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), **_O
 class Setting:
     """A section's content at one setting: one profile, data set or machine."""
 
-    name: str  # of its folder, "" for the default
+    name: str  # of its folder, "" for the default: part of its id
+    title: str
     content: blocks.Content
     origins: tuple[dict[str, str], ...]
     summary: str
@@ -66,7 +67,8 @@ class Section:
     settings: tuple[Setting, ...] = ()
 
 
-KINDS = [Section(**rule) for rule in tomllib.loads((TEMPLATES / "sections.toml").read_text("utf-8"))["section"]]
+RULES = tomllib.loads((TEMPLATES / "sections.toml").read_text("utf-8"))
+KINDS = [Section(**rule) for rule in RULES["section"]]
 
 
 def write(folder: Path) -> Path:
@@ -102,7 +104,9 @@ def _places(judged: claims.Judged, content: Iterable[Section]) -> dict[str, str]
     titles = {section.name: section.title for section in content}
     places = dict.fromkeys(_place(Path(rule.file)) for rule in judged.claim.rules)
     return {
-        "-".join(filter(None, (name, setting.replace("/", "-")))): ", ".join(filter(None, (titles[name], setting)))
+        "-".join(filter(None, (name, setting.replace("/", "-")))): ": ".join(
+            filter(None, (titles[name], titled(setting)))
+        )
         for name, setting in places
     }
 
@@ -163,7 +167,12 @@ def _setting(
     shown = {file for figure in figures for file in figure.files}  # linked below their figure
     files = tuple(p.as_posix() for p in (path.relative_to(folder) for path in paths) if p not in shown)
     origins = tuple({"key": key, **run} for key, run in runs.items())
-    return Setting(name, content, origins, summary(origins), tuple(figures), files)
+    return Setting(name, titled(name), content, origins, summary(origins), tuple(figures), files)
+
+
+def titled(setting: str) -> str:
+    """The title of a setting; of one whose folder has none in sections.toml, the words of the folder's name."""
+    return str(RULES["titles"].get(setting) or re.sub(r"[-_/]+", " ", setting).strip())
 
 
 def read(name: str, paths: Iterable[Path]) -> blocks.Content:
