@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -58,3 +60,31 @@ def test_environment_is_that_of_before_after_the_block(monkeypatch):
         assert (os.environ["VIEWNET_A"], os.environ["VIEWNET_B"]) == ("2", "3")
         raise ZeroDivisionError
     assert os.environ["VIEWNET_A"] == "1" and "VIEWNET_B" not in os.environ
+
+
+PLAIN = """
+from viewnet.runs.worker_pool import LocalPool
+from viewnet.runtime import parallel
+
+print("begun")
+print(sorted(parallel.as_done(abs, [-1, 2, -3], 2, "numbers")))
+with LocalPool(2) as pool:
+    print(pool.submit(abs, -4).result())
+"""
+GUARDED = """
+from viewnet.runtime import parallel
+
+def twice(number):
+    return 2 * number
+
+if __name__ == "__main__":
+    print(sorted(parallel.as_done(twice, [1, 2], 2, "numbers")))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("script", "said"), [(PLAIN, "begun\n[1, 2, 3]\n4\n"), (GUARDED, "[2, 4]\n")])
+def test_scripts_start_processes_with_and_without_a_guard(script, said, tmp_path):
+    (tmp_path / "script.py").write_text(script)
+    ran = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, timeout=120)
+    assert ran.stdout == said, ran.stderr

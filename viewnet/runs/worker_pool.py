@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from concurrent import futures
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import replace
-from multiprocessing.context import SpawnContext, SpawnProcess
+from multiprocessing.context import SpawnProcess
 from typing import Any, TypeVar
 
 import torch
@@ -201,7 +201,7 @@ class LocalPool(futures.ThreadPoolExecutor):
 _starting = threading.Lock()
 
 
-class _Worker(SpawnContext):
+class _Worker(parallel.Spawning):
     """A process for one task at a time, started when needed and again when it has died.
 
     It is its executor's context, so as to remember the process: executors do not tell how theirs ended.
@@ -217,7 +217,7 @@ class _Worker(SpawnContext):
         self.executor = futures.ProcessPoolExecutor(1, self, _initialise, (self._gpu,))
 
     def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
-        self.process = SpawnProcess(*args, **kwargs)
+        self.process = super().Process(*args, **kwargs)
         return self.process
 
     def call(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> T:

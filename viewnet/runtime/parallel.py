@@ -3,12 +3,15 @@
 import multiprocessing
 import os
 import re
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager, nullcontext
+from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
-from typing import TypeVar
+from types import ModuleType
+from typing import Any, TypeVar
 
 from viewnet.errors import ViewnetError
 
@@ -61,18 +64,49 @@ def room() -> int:
 
 @contextmanager
 def pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """`workers` processes with one thread each for linear algebra; what has not begun when the block ends is dropped.
-
-    A script must start its work under `if __name__ == "__main__":`, or processes die (BrokenProcessPool).
-    """
+    """`workers` processes with one thread each for linear algebra; what has not begun at the block's end is dropped."""
     with environment(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1"):
-        # Spawned, not forked: forking a process with threads (torch, BLAS) can hang.
-        context = multiprocessing.get_context("spawn")
-        executor = ProcessPoolExecutor(workers, mp_context=context, initializer=follow_parent)
+        executor = ProcessPoolExecutor(workers, mp_context=Spawning(), initializer=follow_parent)
         try:
             yield executor
         finally:
             executor.shutdown(wait=True, cancel_futures=True)
+
+
+_starting = threading.Lock()
+
+
+class Spawned(SpawnProcess):
+    """A process that runs the script it was started by only if that has a guard, `if __name__ == "__main__":`.
+
+    Without one the script would start all of its work anew.
+    """
+
+    @staticmethod
+    def _Popen(process: Any) -> Any:
+        with _starting:
+            script = sys.modules["__main__"]
+            try:
+                if not _guarded(script):
+                    sys.modules["__main__"] = ModuleType("__main__")  # without a file to run
+                return SpawnProcess._Popen(process)  # type: ignore[attr-defined]
+            finally:
+                sys.modules["__main__"] = script
+
+
+class Spawning(SpawnContext):
+    """Processes are spawned, not forked: forking a process with threads (torch, BLAS) can hang."""
+
+    def Process(self, *arguments: Any, **options: Any) -> SpawnProcess:  # type: ignore[override]
+        """As SpawnContext."""
+        return Spawned(*arguments, **options)
+
+
+def _guarded(script: ModuleType) -> bool:
+    try:
+        return "__main__" in Path(script.__file__ or "").read_text(encoding="utf-8", errors="replace")
+    except (AttributeError, OSError):  # no file, no second run
+        return True
 
 
 def follow_parent() -> None:
@@ -107,8 +141,8 @@ def as_done(
                 for waiting in working:
                     waiting.cancel()
     except BrokenExecutor:
-        advice = "call again with fewer workers if memory ran out; a script must start its work under"
-        raise ViewnetError(f"a process that makes {what} died: {advice} `if __name__ == '__main__':`") from None
+        advice = "call again, with fewer workers if memory ran out"
+        raise ViewnetError(f"a process that makes {what} died: {advice}") from None
 
 
 @contextmanager
