@@ -1,4 +1,4 @@
-"""The image at the head of the README: a photograph, its predicted viewpoint, and its reconstructed object turned.
+"""The image at the head of the README: a drawn car in its box, and its predicted viewpoint.
 
 python docs/example.py [FILE]        (default: docs/example.png)
 """
@@ -19,7 +19,6 @@ from viewnet.estimator import ViewpointEstimator
 FOLDER = Path(__file__).resolve().parent
 BOX = (129, 108, 341, 200)
 """Of the car in docs/car.jpg: left, top, right, bottom, in pixels."""
-STEPS, SIZE = 6, 160
 COLOUR = "#d55e00"
 
 
@@ -41,16 +40,12 @@ def compass(axes: Axes, azimuth: float) -> None:
 
 
 def main(path: Path = FOLDER / "example.png") -> None:
-    """Predict the viewpoint of docs/car.jpg, render its object from all around, and write the figure."""
+    """Predict the viewpoint of docs/car.jpg, and write the figure."""
     estimator = ViewpointEstimator.from_pretrained("car")
     image = Image.open(FOLDER / "car.jpg").convert("RGB")
     (viewpoint,) = estimator.predict([image], boxes=[BOX])
-    azimuths = (viewpoint.azimuth + np.arange(STEPS) * 360 / STEPS) % 360
-    views = [estimator.novel_view(image, azimuth, viewpoint.elevation, boxes=BOX, size=SIZE)[0] for azimuth in azimuths]
 
-    figure = plt.figure(figsize=(9, 4.6), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=(1.9, 1))
-    left, right = above.subplots(1, 2, width_ratios=(1.35, 1))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.2), width_ratios=(1.35, 1), layout="constrained")
     left.imshow(image)
     left.axis("off")
     left.add_patch(Rectangle(BOX[:2], BOX[2] - BOX[0], BOX[3] - BOX[1], fill=False, edgecolor=COLOUR, lw=2))
@@ -58,13 +53,6 @@ def main(path: Path = FOLDER / "example.png") -> None:
     compass(right, viewpoint.azimuth)
     angles = f"azimuth {viewpoint.azimuth:.0f}°, elevation {viewpoint.elevation:.0f}°"
     right.set_title(f"predicted viewpoint: {angles}", fontsize=10)
-    below.suptitle(
-        "the object reconstructed from that image, rendered from its viewpoint and from all around", fontsize=10
-    )
-    for axes, view, azimuth in zip(below.subplots(1, STEPS), views, azimuths, strict=True):
-        axes.imshow(view[SIZE // 8 : -SIZE // 10])  # most of the margin is empty
-        axes.axis("off")
-        axes.set_title(f"{azimuth:.0f}°", fontsize=9, color=COLOUR if azimuth == azimuths[0] else "0.3", y=-0.14)
     figure.savefig(path, dpi=110)
 
 

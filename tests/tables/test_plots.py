@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -49,17 +51,43 @@ BATCHES = {"paper": 16, "matting": 64}
 """Recipe -> batch size."""
 
 
+def lines_of(axes) -> dict[str, list]:
+    """Label -> points of the lines that have one."""
+    named = [line for line in axes.lines if not line.get_label().startswith("_")]
+    return {line.get_label(): line.get_xydata().tolist() for line in named}
+
+
+def labels_of(axes) -> list[str]:
+    return sorted(text.get_text() for text in axes.texts)
+
+
 def test_curves_are_the_logs(tmp_path):
     runs = [untrained_run(tmp_path / v, v) for v in ("viewnet", "viewnet_cycle", "hologan_decoder")]
-    figure = plots.training_curves(plots.training_logs(runs))
-    titles = [axes.get_title() for axes in figure.axes]
-    assert titles == ["validation accuracy (%)", "validation error", "training loss", "loss: pixels", "loss: masks"]
-    for axes, values in zip(figure.axes, ([20, 60], [0.4, 0.2], [2.5, 1.5], [0.5, 0.5], [2, 1]), strict=True):
-        assert len(axes.lines) == 3
+    logs = plots.training_logs(runs)
+    figure = plots.training_curves(pd.concat([logs, logs.assign(seed=1, val_accuracy=logs["val_accuracy"] + 10)]))
+    titles = [plots.MEASURES[name] for name in ("val_accuracy", "val_reconstruction", "loss")]
+    assert [axes.get_ylabel() for axes in figure.axes] == titles
+    assert figure.axes[0].get_title() == "car" and figure.axes[-1].get_xlabel() == "target images seen"
+    for axes, values in zip(figure.axes, ([25, 65], [0.4, 0.2], [2.5, 1.5]), strict=True):
+        assert len(lines_of(axes)) == 3 and len(axes.lines) == 9  # means and two seeds of each
         # steps of 16 targets
-        assert axes.lines[0].get_xydata().tolist() == [[9 * 16, values[0]], [18 * 16, values[1]]]
-    legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ["ViewNet", "ViewNet + cycle", "HoloGAN-Decoder"]
+        assert lines_of(axes)["ViewNet"] == [[9 * 16, values[0]], [18 * 16, values[1]]]
+        assert labels_of(axes) == ["HoloGAN-Decoder", "ViewNet", "ViewNet + cycle"]
+
+
+def test_no_label_stands_on_another_and_every_line_is_within_its_axes():
+    committed = Path(__file__).resolve().parents[2] / "paper_tables"
+    scores = pd.read_csv(committed / "alignment_study_scores.csv")
+    collapse = pd.read_csv(committed / "alignment_study_collapse.csv")
+    logs = pd.read_csv(committed / "table2_ablation_logs.csv")
+    drawn = [plots.calibration_curves(scores), plots.collapse_curves(collapse), plots.training_curves(logs)]
+    for axes in (axes for figure in drawn for axes in figure.axes):
+        named, (bottom, top) = lines_of(axes), axes.get_ylim()
+        assert labels_of(axes) == sorted(named) and len(named) <= 7
+        places = np.sort([text.get_position()[1] for text in axes.texts])
+        assert (np.diff(places) > 0.99 * (top - bottom) / 11).all()
+        assert all(bottom <= y <= top for points in named.values() for _, y in points)
+    assert all("(" in axes.get_ylabel() for figure in drawn for axes in figure.axes if axes.get_ylabel())
 
 
 def test_the_numbers_of_the_curves_name_their_run(tmp_path):
@@ -74,9 +102,9 @@ def test_recipes_are_told_apart_over_the_targets_they_saw(tmp_path):
     runs = [untrained_run(tmp_path / recipe, recipe=recipe, batch_size=batch) for recipe, batch in BATCHES.items()]
     figure = plots.training_curves(plots.training_logs(runs))
     assert {axes.get_xscale() for axes in figure.axes} == {"log"}
-    assert [line.get_xdata().tolist() for line in figure.axes[0].lines] == [[9 * 16, 18 * 16], [9 * 64, 18 * 64]]
-    legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ["ViewNet (paper)", "ViewNet (matting)"]
+    drawn = {name: [x for x, _ in points] for name, points in lines_of(figure.axes[0]).items()}
+    assert drawn == {"ViewNet (paper)": [9 * 16, 18 * 16], "ViewNet (matting)": [9 * 64, 18 * 64]}
+    assert labels_of(figure.axes[0]) == ["ViewNet (matting)", "ViewNet (paper)"]
 
 
 NAMES = ("a$b$c", r"$\foo", r"$\frac{1}$", "x_1^2", r"50\$")
@@ -84,13 +112,13 @@ NAMES = ("a$b$c", r"$\foo", r"$\frac{1}$", "x_1^2", r"50\$")
 
 
 def of_logs(name: str):
-    rows = [{"row": name, "recipe": recipe, "category": name, "seed": 0, "targets": targets, "epoch": 1, name: 2.0}
+    rows = [{"row": name, "recipe": recipe, "category": name, "seed": 0, "targets": targets, "epoch": 1, "loss": 2.0}
             for recipe in (name, "paper") for targets in (100, 3000)]  # fmt: skip
     return plots.training_curves(pd.DataFrame(rows))
 
 
 def of_calibration(name: str):
-    row = {"predictor": name, "alignment": "linear", "category": name} | dict.fromkeys(plots.AXES, 50.0)
+    row = {"predictor": name, "alignment": "linear", "category": name} | {"acc30": 50.0}
     return plots.calibration_curves(pd.DataFrame([row | {"images": images} for images in (4, 16)]))
 
 

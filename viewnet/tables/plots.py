@@ -11,7 +11,6 @@ import pandas as pd
 import torch
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
 from viewnet import geometry
@@ -32,19 +31,20 @@ STYLE: Any = {
     "text.parse_math": False,  # names are text, whatever is in them
 }
 INK = "#1f4e79"
-STYLES = {"none": "-", "procrustes": "-", "robust": "-.", "linear": "--", "per_angle": ":"}
 # Distinct for colour-blind readers too (Okabe and Ito 2008).
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-DASHES: Any = ("-", "--", ":", "-.")
-# Columns of a run's log that are no term of its loss, and their titles.
-LOGGED = {"val_accuracy": "validation accuracy (%)", "val_folded": "the same, folded (%)",
-    "val_robust": "robust alignment (%)", "val_reconstruction": "validation error",
-    "val_least_used": "least used head (%)", "val_focal": "focal length", "loss": "training loss"}  # fmt: skip
-COUNTED = ("epoch", "step", "seconds")  # columns that only say where the training is
-AXES = {"acc30": "accuracy (%)", "median": "median error (degrees)", "dva": "DVA (%)"}
+LINE: Any = {"linewidth": 1, "marker": "o", "markersize": 2}
+# Columns of a run's log that are drawn, and their titles.
+MEASURES = {
+    "val_accuracy": "validation\naccuracy (%)",
+    "val_folded": "opposite sides\ncounted as one (%)",
+    "val_reconstruction": "validation error\n(of the best head)",
+    "val_focal": "focal parameter f\n(pinhole at 1 / f)",
+    "loss": "training loss\n(sum of its terms)",
+}
+ALIGNMENTS = {"procrustes": "rotation", "robust": "robust rotation", "linear": "linear", "per_angle": "angle by angle"}
 NOTE = "Description"
 """The name of the text in a PNG file that says of what runs the figure is."""
-LEGEND: Any = {"loc": "outside right upper", "frameon": False, "fontsize": 7}
 
 
 def angles(vectors: Floats) -> tuple[Floats, Floats]:
@@ -99,104 +99,119 @@ def training_logs(runs: Sequence[Run]) -> pd.DataFrame:
 
 @matplotlib.rc_context(STYLE)
 def training_curves(logs: pd.DataFrame) -> Figure:
-    """Validation accuracy and error, the loss and each of its terms over the target images seen, of `training_logs`.
+    """Validation accuracy and error and the loss over the target images seen, of `training_logs`.
 
-    A colour a row and recipe, a dash a category. Terms are weighted, so they sum to the loss. Seeds look alike.
+    A row of panels a measure, a column a category; a line a row and recipe: the mean of its seeds, the thin lines.
     """
-    columns = list(logs.columns[logs.columns.get_loc("targets") + 1 :])
-    titles = {column: title for column, title in LOGGED.items() if column in columns}
-    titles |= {term: f"loss: {term}" for term in columns if term not in {*LOGGED, *COUNTED}}
+    known = logs.dropna(axis=1, how="all")
+    measures = {column: title for column, title in MEASURES.items() if column in known}
     recipes = logs["recipe"].nunique() > 1
     names = logs["row"] + " (" + logs["recipe"] + ")" if recipes else logs["row"]
     colours = dict(zip(names.unique(), itertools.cycle(COLOURS), strict=False))
-    dashes = dict(zip(logs["category"].unique(), itertools.cycle(DASHES), strict=False))
-    across = min(4, len(titles))  # panels in a line: more would be too narrow to read
-    down = -(-len(titles) // across)
-    figure = Figure(figsize=(1.75 * across + 1.4, 1.5 * down + 0.2), layout="constrained")
-    grid = figure.subplots(down, across, squeeze=False).ravel()
-    for axes, (column, title) in zip(grid, titles.items(), strict=False):
-        for (name, category, _), log in logs.groupby([names, "category", "seed"], sort=False):
-            if log[column].notna().any():  # not every run has every term
-                style: Any = {"color": colours[name], "linestyle": dashes[category]}
-                axes.plot(log["targets"], log[column], linewidth=1, marker="o", markersize=2, **style)
-        axes.set_title(title, fontsize=8)
-        shares = column in ("val_accuracy", "val_folded", "val_robust")
-        axes.set_ylim(min(0, logs[column].min()), 100 if shares else None)
-        if recipes:
-            # Trainings by different recipes see numbers of images that are far apart.
-            axes.set(xscale="log", xlim=(logs["targets"].min() * 0.8, logs["targets"].max() * 1.25))
+    figure, grid = _panels(logs["category"].unique(), measures, "target images seen")
+    for (i, column), (j, category) in itertools.product(enumerate(measures), enumerate(logs["category"].unique())):
+        axes, mine = grid[i, j], logs[(logs["category"] == category) & logs[column].notna()]
+        for name, part in mine.groupby(names, sort=False):
+            seeds = part.pivot_table(column, "targets", "seed")
+            axes.plot(seeds.index, seeds, color=colours[name], linewidth=0.5, alpha=0.4)
+            axes.plot(seeds.index, seeds.mean(axis=1), color=colours[name], label=name, **LINE)
+        if recipes:  # trainings by different recipes see numbers of images that are far apart
+            axes.set_xscale("log")
             plain_ticks(axes.xaxis)
         else:
             axes.set_xlim(left=0)
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    for axes in grid[len(titles) :]:
-        axes.remove()
-    for axes in grid[max(0, len(titles) - across) : len(titles)]:
-        axes.set_xlabel("target images")
-    # A line for each style, not each run.
-    handles = [Line2D([], [], color=c, linewidth=1, label=name) for name, c in colours.items()]
-    if len(dashes) > 1:
-        handles += [Line2D([], [], color="0.3", linestyle=d, linewidth=1, label=name) for name, d in dashes.items()]
-    figure.legend(handles=handles, **LEGEND)
+    for axes, (column, title) in zip(grid[:, 0], measures.items(), strict=True):
+        axes.set_ylim(bottom=min(0, logs[column].min()), top=100 if "%" in title else None)
+    _label_ends(grid)
     return figure
 
 
 @matplotlib.rc_context(STYLE)
 def calibration_curves(scores: pd.DataFrame) -> Figure:
-    """Scores over the number of calibration photographs, a row a metric and a column a category.
+    """Accuracy over the number of calibration photographs, a row of panels a predictor and a column a category.
 
-    `scores` is that of viewnet.experiments.alignment_study.Study: a line is the median over draws and seeds of a
-    predictor (colour) by an alignment (style), the shade from the lowest to the highest.
+    `scores` is that of viewnet.experiments.alignment_study.Study: a line is the median over draws and seeds by an
+    alignment, the shade from the lowest to the highest. Grey lines are of what was fitted and needs no alignment.
     """
     categories = list(dict.fromkeys(scores["category"]))
     fitted = set(scores.loc[scores["alignment"] == "none", "predictor"])
-    colours = {predictor: f"C{i}" for i, predictor in enumerate(dict.fromkeys(scores["predictor"]))}
-    figure = Figure(figsize=(2.3 * len(categories) + 1.6, 1.7 * len(AXES)), layout="constrained")
-    grid = figure.subplots(len(AXES), len(categories), squeeze=False, sharex=True, sharey="row")
-    for (predictor, kind), rows in scores.groupby(["predictor", "alignment"], sort=False):
-        if (predictor in fitted) != (kind == "none"):  # what was fitted needs no alignment, all else needs one
-            continue
-        colour, label = colours[predictor], predictor if kind == "none" else f"{predictor}, {kind}"
-        style: Any = {"color": colour, "linestyle": STYLES[kind], "label": label}
-        for (i, metric), (j, category) in itertools.product(enumerate(AXES), enumerate(categories)):
-            shown = rows[rows["category"] == category].groupby("images")[metric].agg(["median", "min", "max"])
-            images, axes = shown.index.to_numpy(dtype=float), grid[i, j]
-            axes.plot(images, shown["median"], linewidth=1, markersize=2, marker="o", **style)
-            axes.fill_between(images, shown["min"], shown["max"], color=colour, alpha=0.1, linewidth=0)
-    for j, category in enumerate(categories):
-        grid[0, j].set_title(category)
-        grid[0, j].set_xscale("log", base=2)  # counts double
-        grid[-1, j].xaxis.set_major_formatter("{x:.0f}")
-        grid[-1, j].set_xlabel("calibration photographs")
-    for i, title in enumerate(AXES.values()):
-        grid[i, 0].set_ylabel(title)
-        grid[i, 0].set_ylim(bottom=0)  # so that small differences look small
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), **LEGEND)
+    aligned = [name for name in dict.fromkeys(scores["predictor"]) if name not in {*fitted, "Random"}]
+    titles = {name: f"{name}:\naccuracy (%)" for name in aligned}
+    figure, grid = _panels(categories, titles, "calibration photographs")
+    for (i, predictor), (j, category) in itertools.product(enumerate(aligned), enumerate(categories)):
+        axes, here = grid[i, j], scores[scores["category"] == category]
+        shown = [(ALIGNMENTS[kind], colour, here[(here["predictor"] == predictor) & (here["alignment"] == kind)])
+                 for kind, colour in zip(ALIGNMENTS, COLOURS, strict=False)]  # fmt: skip
+        shown += [(name, "0.55", here[(here["predictor"] == name) & (here["alignment"] == "none")]) for name in fitted]
+        for label, colour, rows in shown:
+            if len(rows) and label != "Constant (rotation)":  # as the other constant
+                of_draws = rows.groupby("images")["acc30"].agg(["median", "min", "max"])
+                images = of_draws.index.to_numpy(dtype=float)
+                axes.plot(images, of_draws["median"], color=colour, label=label, **LINE)
+                axes.fill_between(images, of_draws["min"], of_draws["max"], color=colour, alpha=0.1, linewidth=0)
+        axes.set_ylim(0, 100)
+        axes.set_xscale("log", base=2)  # counts double
+        axes.xaxis.set_major_formatter("{x:.0f}")
+    _label_ends(grid)
     return figure
 
 
 @matplotlib.rc_context(STYLE)
 def collapse_curves(collapse: pd.DataFrame) -> Figure:
-    """Linear alignment over the one-sidedness of photographs, a colour a category and a style a predictor.
+    """Linear alignment over the one-sidedness of photographs, a row of panels a measure and a column a category.
 
-    `collapse` is that of viewnet.experiments.alignment_study.Study. Left: the spread of aligned predictions, as a share
-    of the truth's. Middle and right: the accuracy and the DVA added to rigid alignment, points.
+    `collapse` is that of viewnet.experiments.alignment_study.Study: the spread of aligned predictions, the accuracy and
+    the DVA that the linear alignment adds to the rotation; a line a predictor, the mean of its seeds.
     """
-    styles = dict(zip(dict.fromkeys(collapse["predictor"]), itertools.cycle(DASHES), strict=False))
-    colours = {category: f"C{i}" for i, category in enumerate(dict.fromkeys(collapse["category"]))}
+    shares = {"side": 100 * collapse["side"], "spread": 100 * collapse["spread_linear"]}
     gains = {metric: collapse[f"{metric}_linear"] - collapse[f"{metric}_rigid"] for metric in ("acc30", "dva")}
-    titles = {"spread_linear": "spread left", "acc30": "accuracy added, points", "dva": "DVA added, points"}
-    figure = Figure(figsize=(8.2, 2.5), layout="constrained")
-    for axes, (column, title) in zip(figure.subplots(1, 3), titles.items(), strict=True):
+    titles = {"spread": "spread of predictions\n(% of the truth's)"}
+    titles |= {"acc30": "accuracy, linear\nless rotation (points)", "dva": "DVA, linear\nless rotation (points)"}
+    categories = list(dict.fromkeys(collapse["category"]))
+    figure, grid = _panels(categories, titles, "photographs within the commonest\n30° of azimuth (%)")
+    measured = collapse.assign(**shares, **gains)
+    colours = dict(zip(dict.fromkeys(collapse["predictor"]), itertools.cycle(COLOURS), strict=False))
+    for (i, column), (j, category) in itertools.product(enumerate(titles), enumerate(categories)):
+        axes = grid[i, j]
         axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)  # a constant, or nothing added
-        for (category, predictor), rows in collapse.assign(**gains).groupby(["category", "predictor"], sort=False):
-            means = rows.groupby("concentration")[["side", column]].mean()  # over seeds
-            style: Any = {"color": colours[category], "linestyle": styles[predictor]}
-            label = f"{category}, {predictor}"
-            axes.plot(means["side"], means[column], linewidth=1, markersize=2.5, marker="o", label=label, **style)
-        axes.set(title=title, xlabel="share of the commonest 30 degrees")
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), **LEGEND)
+        for name, rows in measured[measured["category"] == category].groupby("predictor", sort=False):
+            means = rows.groupby("concentration")[["side", column]].mean()
+            axes.plot(means["side"], means[column], color=colours[name], label=name, **LINE)
+    _label_ends(grid)
     return figure
+
+
+def _panels(columns: Sequence[str], rows: dict[str, str], below: str) -> tuple[Figure, Any]:
+    """A figure of panels (rows, columns) with room for words at the right of each, and its axes."""
+    figure = Figure(figsize=(2.6 * len(columns) + 0.3, 1.55 * len(rows) + 0.4), layout="constrained")
+    grid = figure.subplots(len(rows), len(columns), squeeze=False, sharex="col", sharey="row")
+    for j, title in enumerate(columns):
+        grid[0, j].set_title(title)
+        grid[-1, j].set_xlabel(below)
+    for i, title in enumerate(rows.values()):
+        grid[i, 0].set_ylabel(title)
+    return figure, grid
+
+
+def _label_ends(grid: Any) -> None:
+    """Write the label of each line at its end, moved to where it stands on no other, in its panel's height."""
+    for axes in grid.ravel():
+        bottom, top = axes.get_ylim()
+        gap, lowest, across = (top - bottom) / 11, bottom, axes.get_yaxis_transform()
+        lines = [line for line in axes.lines if not line.get_label().startswith("_")]
+        for above, line in zip(range(len(lines) - 1, -1, -1), sorted(lines, key=_end), strict=True):
+            place = min(max(_end(line), lowest), top - gap * above)
+            lowest, colour = place + gap, line.get_color()
+            pointer = {"arrowstyle": "-", "linewidth": 0.4, "color": colour, "relpos": (0, 0.5)} | dict.fromkeys(
+                ("shrinkA", "shrinkB"), 0
+            )
+            style: Any = {"textcoords": across, "color": colour, "fontsize": 6, "va": "center", "arrowprops": pointer}
+            axes.annotate(line.get_label(), (1, _end(line)), (1.05, place), across, **style, annotation_clip=False)
+
+
+def _end(line: Any) -> float:
+    return float(line.get_ydata()[-1])
 
 
 @matplotlib.rc_context(STYLE)
