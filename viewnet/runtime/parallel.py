@@ -89,7 +89,7 @@ class Spawned(SpawnProcess):
             try:
                 if not _guarded(script):
                     sys.modules["__main__"] = ModuleType("__main__")  # without a file to run
-                return SpawnProcess._Popen(process)  # type: ignore[attr-defined]
+                return SpawnProcess._Popen(process)
             finally:
                 sys.modules["__main__"] = script
 
