@@ -13,6 +13,10 @@ PARAMETERS ?=
 UPGRADE ?=
 
 RUN := $(VENV)/bin/python -m
+# An environment is ours where one of the stamps below is in it. Others, and what links lead to, stay as they are.
+OURS := [ ! -L "$(VENV:%/=%)" ] && { [ -e "$(VENV)/.locked" ] || [ -e "$(VENV)/.installed" ]; }
+INSTEAD := or make VENV=other $(or $(MAKECMDGOALS),setup)
+UNLINKED := [ ! -L "$(VENV:%/=%)" ] || { echo "make: $(VENV) is a symbolic link: remove it, $(INSTEAD)" >&2; exit 1; }
 # Pages whose tables and numbers are rendered from paper_tables/ by docs/measured.py
 PAGES := README.md $(wildcard docs/*.md)
 NOTEBOOK := $(VENV)/bin/viewnet notebook
@@ -33,12 +37,19 @@ $(VENV)/.locked: environment.lock
 	  echo "make: $$("$(PYTHON)" --version) is too old: 3.11 or newer is needed: make PYTHON=python3.12 ..." >&2; exit 1; }
 	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || { \
 	  echo "make: $(PYTHON) cannot make virtual environments: install python3-venv (Debian, Ubuntu)" >&2; exit 1; }
-	"$(PYTHON)" -m venv --clear "$(VENV)"
+	@$(UNLINKED)
+	@[ -z "$$(ls -A "$(VENV)" 2>/dev/null)" ] || { $(OURS); } || { \
+	  echo "make: $(VENV) was not made by make, which leaves it as it is: remove it, $(INSTEAD)" >&2; exit 1; }
+	@[ -z "$$(ls -A "$(VENV)" 2>/dev/null)" ] || [ "$(filter setup,$(MAKECMDGOALS))" ] || { \
+	  echo "make: $(VENV) is not as environment.lock says: make setup makes it anew" >&2; exit 1; }
+	@rm -rf "$(VENV)" && mkdir -p "$(VENV)" && touch -t 200001010000 $@  # ours, also where this is interrupted
+	"$(PYTHON)" -m venv "$(VENV)"
 	@echo "installing what environment.lock lists: several GB to download, PyTorch's CUDA libraries among them"
 	$(RUN) pip install --disable-pip-version-check --quiet --require-hashes -r environment.lock
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.locked pyproject.toml
+	@$(UNLINKED)
 	$(RUN) pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
@@ -87,5 +98,6 @@ lock: ## pin every dependency anew in environment.lock
 	  --python-version 3.11 --generate-hashes --quiet $(UPGRADE) --output-file environment.lock
 
 clean: ## remove the virtual environment and caches; data and runs stay
-	rm -rf "$(VENV)" build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis *.egg-info
+	@if $(OURS); then rm -rf "$(VENV)"; elif [ -e "$(VENV)" ]; then echo "make: $(VENV) stays: not made by make"; fi
+	rm -rf build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis *.egg-info
 	find viewnet tests notebooks -name __pycache__ -type d -prune -exec rm -rf {} +
