@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from helpers.cad_files import write_box
+from helpers.irregular_files import IRREGULAR
 from PIL import Image
 
 from viewnet import paths
@@ -323,6 +324,20 @@ def test_a_clip_is_opened_until_it_can_be_used(tmp_path: Path) -> None:
         "car: 1 left out: fewer than two usable frames",
         "car: 4 left out: frame does not decode",
     ]
+
+
+@pytest.mark.parametrize("make", IRREGULAR.values(), ids=IRREGULAR.keys())
+def test_a_model_that_is_no_regular_file_is_left_out_alike(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    for name in ("m0", "m1", "odd"):
+        write_box(tmp_path / "data", CAR, name, "v1")
+    (odd := tmp_path / "data" / CAR / "odd/model.obj").unlink()
+    make(odd)
+    found = catalogue.check(tmp_path / "data")
+    assert found.problems == ["car: 1 left out: not a regular file"]
+    config = DataConfig("car", root=str(tmp_path / "data"), views=1, image_size=8, models=0)
+    store = view_store(config, 1, progress=False)
+    assert set(store.index["model_id"]) == {"m0", "m1"}
+    assert store.rejected.values.tolist() == [["odd", f"{CAR}/odd/model.obj", "not a regular file"]]
 
 
 def test_a_deep_check_opens_every_model(tmp_path: Path) -> None:

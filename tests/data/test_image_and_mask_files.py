@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.irregular_files import IRREGULAR
 from PIL import Image, ImageCms, ImageOps
 
 from viewnet.data import mask_files
@@ -368,6 +369,13 @@ def test_what_is_not_read_is_refused_with_its_format(name, content, kind, tmp_pa
     (tmp_path / name).write_bytes(content)
     with pytest.raises(ViewnetError, match=rf"^image does not decode \({kind}: save it as one of JPEG, PNG, BMP"):
         read_image(tmp_path / name)
+
+
+@pytest.mark.parametrize("make", IRREGULAR.values(), ids=IRREGULAR.keys())
+def test_what_is_no_regular_file_is_refused(make, tmp_path):
+    make(tmp_path / "a.png")
+    with pytest.raises(ViewnetError, match="image is not a regular file"):
+        image_files.read(tmp_path / "a.png")
 
 
 def test_the_first_of_several_frames_is_used_and_this_told_once(tmp_path, caplog):

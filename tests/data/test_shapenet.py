@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from helpers.cad_files import AXES, COLOURS, model_of, obj_file, real_data, write_box
+from helpers.irregular_files import IRREGULAR
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -312,6 +314,13 @@ def test_missing_and_oversized_files(tmp_path: Path, monkeypatch: pytest.MonkeyP
         load_model(model_of(file))
     monkeypatch.setattr(obj, "MAX_BYTES", 10)
     with pytest.raises(UnusableModel, match=r"bytes in model_normalized\.obj, more than 10"):
+        load_model(model_of(file))
+
+
+@pytest.mark.parametrize("make", IRREGULAR.values(), ids=IRREGULAR.keys())
+def test_only_regular_files_are_read(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    make(file := obj_file(tmp_path, CAR, "odd"))
+    with pytest.raises(UnusableModel, match=r"odd/models/model_normalized\.obj: not a regular file"):
         load_model(model_of(file))
 
 

@@ -8,6 +8,7 @@ import contextlib
 import hashlib
 import json
 import os
+import stat
 import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -74,10 +75,10 @@ def _unchanged(entry: Any) -> bool:
 
 
 def _state(path: Path | str) -> list[int] | None:
-    """What changes with a file: size, times of its content and of itself, and number on its disk; None without it."""
+    """What changes with a regular file: size, times of its content and of itself, and number on its disk; else None."""
     with contextlib.suppress(OSError, ValueError):  # a name may hold a zero
-        status = os.stat(path)
-        return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
+        if stat.S_ISREG((status := os.stat(path)).st_mode):
+            return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
     return None
 
 

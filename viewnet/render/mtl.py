@@ -84,17 +84,22 @@ def named(find: Callable[[str], Found | None], text: str) -> Found | None:
     return next((each for each in found if each is not None), None)
 
 
+def unread(file: Path) -> str | None:
+    """Why a file is not opened, None for a regular one: a pipe or a device may never end."""
+    return None if file.is_file() else "not a regular file" if file.exists() else "no such file"
+
+
 def read_lines(home: Home, file: Path, most: int) -> bytes:
     """The lines of an OBJ or MTL, as UTF-8: each with its line feed, joined where continued, without marks or tabs.
 
-    Raises UnusableModel for a file that is missing, cannot be read, or has more than `most` bytes.
+    Raises UnusableModel for a file that is missing, not regular, cannot be read, or has more than `most` bytes.
     """
     try:
+        if reason := unread(file):
+            raise home.refused(reason)
         if (size := file.stat().st_size) > most:
             raise home.refused(f"{size} bytes in {file.name}, more than {most}")
         data = file.read_bytes()
-    except FileNotFoundError:
-        raise home.refused("no such file") from None
     except OSError as error:
         raise home.refused(f"{file.name} cannot be read ({error.strerror})") from None
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):

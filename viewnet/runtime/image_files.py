@@ -46,9 +46,12 @@ Source = Path | IO[bytes] | Image.Image
 def opened(source: Source, what: str = "image", formats: tuple[str, ...] = FORMATS) -> Iterator[Image.Image]:
     """An image, of a file just its header read, for a block that only decodes or converts it.
 
-    Raises ViewnetError for a file that is missing, of another format or too large, and for any error in the block.
+    Raises ViewnetError for a file that is missing, not regular, of another format or too large, and for any error in
+    the block.
     """
     try:
+        if isinstance(source, Path) and source.exists() and not source.is_file():
+            raise ViewnetError(f"{what} is not a regular file")  # a pipe or a device may never end
         with contextlib.ExitStack() as files:
             # Of a path Pillow maps some files into memory, and turned ones wrongly.
             file = files.enter_context(source.open("rb")) if isinstance(source, Path) else source

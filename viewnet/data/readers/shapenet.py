@@ -15,6 +15,7 @@ from viewnet.config import SYNSETS, known
 from viewnet.data.readers.reader import Contents, Reader, read_text
 from viewnet.errors import ViewnetError
 from viewnet.render.mesh import Mesh, UnusableModel
+from viewnet.render.mtl import unread
 from viewnet.render.obj import files_of, read_obj
 from viewnet.runtime.lists import read_list
 from viewnet.runtime.splits import SPLITS, seeded_rank, seeded_splits
@@ -192,7 +193,7 @@ def _count(root: Path, contents: Contents) -> None:
         if _synset_there(root, synset):
             with contents.error_is_problem():
                 models = find_models(root, category)
-                reasons = {model.id: f"no {model.path.name}" for model in models if not model.path.is_file()}
+                reasons = {model.id: reason for model in models if (reason := unread(model.path))}
                 for model in (models[number] for number in contents.opened(category, len(models), "models")):
                     try:
                         load_model(model)
