@@ -2,13 +2,17 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 
 import pytest
 
-from viewnet.config import CATEGORIES, SYNSETS, RunConfig, VideoConfig, settings
+from viewnet import config as settings_of
+from viewnet.config import CATEGORIES, LIMITS, SYNSETS, RunConfig, VideoConfig, settings
 from viewnet.errors import ViewnetError
 from viewnet.recipes import ABLATIONS, FILMED, PROFILES, RECIPES, VARIANTS, make_config
 
+GROUPS = [each for name, each in vars(settings_of).items() if re.fullmatch("[A-Z].*Config", name)]
+NUMBER = re.compile(r"\b(int|float)\b")
 EVERY = [(v, p, r) for v in VARIANTS for p in PROFILES for r in RECIPES]
 
 
@@ -97,14 +101,42 @@ def test_overrides_reach_their_section():
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ({"epochs": 0}, "epochs 0: expected 1 or more"),
+        ({"epochs": 0}, "epochs 0: expected 1 to 1000000"),
         ({"targets_per_object": 5}, "batch_size 32 with targets_per_object 5: expected a multiple"),
         ({"targets_per_object": 32}, "is one object a step"),
+        ({"seed": 2**32}, "seed 4294967296: expected 0 to 4294967295"),
+        ({"patience": -1}, "patience -1: expected 1 to 1000000"),
+        ({"validate_every": 0}, "validate_every 0: expected 1 to"),
+        ({"batch_size": 10**6}, "batch_size 1000000: expected 1 to 4096"),
+        ({"heads": 0}, "heads 0: expected 1 to 1024"),
+        ({"heads": 10**7}, "heads 10000000: expected 1 to 1024"),
+        ({"volume_size": 512}, "volume_size 512: expected 8 to 256"),
+        ({"encoder_channels": [8, 0]}, r"encoder_channels \(8, 0\): expected 1 to 2048"),
+        ({"generator_channels": []}, "generator_channels: 0 of them: expected 1 to 16"),
+        ({"encoder_channels": [8] * 10**6}, "encoder_channels: 1000000 of them"),
+        ({"learning_rate": -1.0}, "learning_rate -1.0: expected 1e-12 to"),
+        ({"neighbours": -3.0}, "neighbours -3.0: expected 0 to 180"),
+        ({"search": 2.0}, "search 2.0: expected 0 to 1"),
+        ({"search_views": 10**6}, "search_views 1000000: expected 1 to 1024"),
+        ({"betas": [0.9, 1.0]}, r"betas \(0.9, 1.0\): expected 0 to 0.999999"),
+        ({"backdrop": float("nan")}, "backdrop nan: expected 0 to 1"),
+        ({"models": -1}, "models -1: expected 0 to 1000000"),
+        ({"image_size": 10**5}, "image_size 100000: expected 1 to 4096"),
+        ({"elevation_limits": [30, 10]}, "expected the lower angle first"),
+        ({"elevation_range": [-20, 91]}, "elevation_range .*: expected -90 to 90"),
+        ({"video": {"category": "car", "size": 10**5}}, "size 100000: expected 1 to 1024"),
+        ({"video": {"category": "car", "frames": 10**9}}, "frames 1000000000: expected 1 to"),
     ],
 )
 def test_what_cannot_be_trained_with_is_refused_before_anything_is_made(overrides, message):
     with pytest.raises(ViewnetError, match=message):
         make_config(**overrides)
+
+
+def test_every_number_among_the_settings_has_its_limits():
+    numbers = [(cls, each) for cls in GROUPS for each in dataclasses.fields(cls)]
+    numbers = [(cls, each) for cls, each in numbers if NUMBER.search(str(each.type))]
+    assert {each.metadata.get("setting", each.name) for _, each in numbers} == set(LIMITS)
 
 
 def test_videos_are_part_of_a_configuration():

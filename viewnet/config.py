@@ -36,6 +36,35 @@ CATEGORIES = tuple(SYNSETS)
 SHAPENET_CATEGORIES = ("aeroplane", "car", "chair")
 """The three categories of Tables 1 and 2."""
 
+LIMITS: dict[str, tuple[float, float]] = {
+    **dict.fromkeys(("seed", "sequences"), (0, 2**32 - 1)),
+    **dict.fromkeys(("models", "count"), (0, 1_000_000)),
+    **dict.fromkeys(("epochs", "patience", "validate_every", "frames", "videos"), (1, 1_000_000)),
+    "views": (1, 10_000),
+    "image_size": (1, 4096),
+    "supersample": (1, 16),
+    "size": (1, 1024),
+    "input_size": (8, 512),
+    **dict.fromkeys(("volume_size", "render_size"), (8, 256)),
+    **dict.fromkeys(("encoder_channels", "generator_channels"), (1, 2048)),
+    **dict.fromkeys(("code_size", "appearance_size"), (1, 16_384)),
+    **dict.fromkeys(("heads", "search_views"), (1, 1024)),
+    **dict.fromkeys(("batch_size", "targets_per_object"), (1, 4096)),
+    "views_per_target": (1, 64),
+    "margin": (0, 2),
+    "side": (0, 4096),
+    **dict.fromkeys(("backdrop", "focal", "search", "blur", "box_error", "extra_share"), (0, 1)),
+    **dict.fromkeys(("neighbours", "tilt"), (0, 180)),
+    "azimuth_range": (-360, 720),
+    **dict.fromkeys(("elevation_range", "elevation_limits"), (-90, 90)),
+    "learning_rate": (1e-12, 1e12),
+    **dict.fromkeys(("muon", "head_spread", "exposure", "selection_temperature"), (0, 1e6)),
+    **dict.fromkeys(("pull_weight", "cycle_weight", "pixel_weight", "mask_weight"), (0, 1e6)),
+    "betas": (0, 0.999999),
+}
+"""Setting -> the least and the most that it, or each of its values, may be: beyond, it fails or fills the memory."""
+MOST_WIDTHS = 16  # of encoder_channels and generator_channels: each halves or doubles a side
+
 
 @dataclass(frozen=True)
 class DataConfig:
@@ -190,7 +219,7 @@ class PhotoAugmentationConfig:
 class TrainConfig:
     """The optimisation (sections 3 and 4.1).
 
-    Raises ViewnetError for numbers of epochs or targets that cannot be trained with.
+    Raises ViewnetError for numbers of targets that cannot be trained with.
     """
 
     start: str | None = None  # run key, folder or checkpoint whose weights come first; None: random ones [4.3] (U)
@@ -218,8 +247,6 @@ class TrainConfig:
         return self.batch_size // self.targets_per_object
 
     def __post_init__(self) -> None:
-        if self.epochs < 1:
-            raise ViewnetError(f"epochs {self.epochs}: expected 1 or more")
         together = f"batch_size {self.batch_size} with targets_per_object {self.targets_per_object}"
         if self.targets_per_object < 1 or self.batch_size % self.targets_per_object:
             raise ViewnetError(f"{together}: expected a multiple of it, and 1 or more")
@@ -330,7 +357,23 @@ def build(cls: Any, values: Any, where: str) -> Any:
     ]
     if missing:
         raise ViewnetError(f"{where}: {missing[0]!r} is missing")
-    return cls(**{name: _typed(hints[name], value, f"{where}.{name}") for name, value in values.items()})
+    typed = {name: _typed(hints[name], value, f"{where}.{name}") for name, value in values.items()}
+    for each in dataclasses.fields(cls):
+        _check_limits(each.metadata.get("setting", each.name), typed.get(each.name))
+    return cls(**typed)
+
+
+def _check_limits(name: str, value: Any) -> None:
+    """Raise ViewnetError for a setting beyond its `LIMITS`, ranges from high to low, and too many channels."""
+    if name not in LIMITS or value is None or dataclasses.is_dataclass(value):
+        return
+    (least, most), numbers = LIMITS[name], value if isinstance(value, tuple) else (value,)
+    if not all(least <= number <= most for number in numbers):
+        raise ViewnetError(f"{name} {value!r:.80}: expected {least:.10g} to {most:.10g}")
+    if name.endswith(("_range", "_limits")) and numbers[0] > numbers[1]:
+        raise ViewnetError(f"{name} {value}: expected the lower angle first")
+    if name.endswith("_channels") and not 1 <= len(numbers) <= MOST_WIDTHS:
+        raise ViewnetError(f"{name}: {len(numbers)} of them: expected 1 to {MOST_WIDTHS}")
 
 
 def _typed(hint: Any, value: Any, where: str) -> Any:

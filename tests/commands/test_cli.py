@@ -141,6 +141,34 @@ def test_train_lists_every_setting_as_it_takes_it(capsys):
     assert configurations(cli.parser().parse_args(["train", "car", *words])) == [make_config()]
 
 
+WRONG = (
+    ("epochs=-1", "epochs -1: expected 1 to 1000000"),
+    ("validate_every=0", "validate_every 0: expected 1 to 1000000"),
+    ("volume_size=33", "volume_size 33: expected a power of two of 8 or more"),
+    ("encoder_channels=[8]", "encoder_channels (8,): 5 are needed for images of 32 pixels"),
+    ("generator_channels=[8]", "generator_channels (8,): 2 are needed for a volume of 16 voxels a side"),
+)
+OF_TRAINING = (
+    ("views=1", "views 1: training needs two or more of every model"),
+    ("start=nowhere", "start nowhere: no finished run of that key or folder"),
+)
+
+
+@pytest.mark.parametrize(
+    ("command", "setting", "message"),
+    [("train", *each) for each in (*WRONG, *OF_TRAINING)] + [("render", *each) for each in WRONG],
+)
+def test_settings_are_checked_before_anything_is_rendered(command, setting, message, capsys, monkeypatch):
+    rendered = []
+    steps = replace(STEPS, views=lambda *given, **how: rendered.append(given) or STEPS.views(*given, **how))
+    monkeypatch.setattr(make_run, "default_steps", lambda: steps)
+    arguments = [command, "car", "--profile", "smoke", "-s", setting]
+    assert cli.main(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"viewnet: {message}") and said.count("\n") == 1
+    assert not rendered
+
+
 def test_a_notebook_s_kernel_gets_the_cluster(monkeypatch, capsys):
     monkeypatch.setenv("VIEWNET_CLUSTER", "")
     monkeypatch.setattr(notebooks, "run", lambda *_: os.environ["VIEWNET_CLUSTER"])

@@ -26,10 +26,11 @@ ARGUMENTS = (
 
 def run(options: shared.Options) -> None:
     """Render what is missing and print what is there."""
-    from viewnet.runs import dask_cluster, make_run
+    shared.choose_resources(options)
+    from viewnet.runs import dask_cluster, make_run, run_store
 
     configs = shared.configurations(options)
-    shared.choose_resources(options)
+    run_store.check(configs, train=False)
     views = make_run.default_steps().views
     with dask_cluster.executor() as executor:
         stores = [

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from viewnet.config import LIMITS
 from viewnet.data import contents
 from viewnet.data.readers.shapenet import READER_VERSION, ModelFile, load_model, read_files
 from viewnet.data.store import ViewStore, identity_of, made_once, write_store
@@ -47,9 +48,10 @@ class Rendering:
     backend: Backend = "auto"
 
     def __post_init__(self) -> None:
-        for name, most in (("views", 10_000), ("image_size", 4096), ("supersample", 16)):
-            if not 1 <= (value := getattr(self, name)) <= most:
-                raise ViewnetError(f"{name} {value}: expected 1 to {most}")
+        for name in ("views", "image_size", "supersample"):
+            least, most = LIMITS[name]
+            if not least <= (value := getattr(self, name)) <= most:
+                raise ViewnetError(f"{name} {value}: expected {least} to {most}")
         for name, least, most, limit in (
             ("azimuth_range", -360, 720, "at most 360 apart"),
             ("elevation_range", -90, 90, "within -90 and 90"),

@@ -19,6 +19,8 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 
+import torch
+
 from viewnet import paths
 from viewnet.config import DataConfig, ModelConfig, RunConfig, TrainConfig, VideoConfig, known
 from viewnet.data import augment
@@ -27,6 +29,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.run import Run
 from viewnet.model import checkpoint
+from viewnet.model.viewnet import ViewNet
 from viewnet.peers import registry
 from viewnet.recipes import PEERS
 from viewnet.runs import dask_cluster, make_run, worker_pool
@@ -84,6 +87,24 @@ def locate(config: RunConfig, identity: str, backgrounds: str = "") -> Path:
     return paths.runs() / config.variant / without_places.key(*identities, provenance.code_identity(code))
 
 
+def check(configs: Sequence[RunConfig], train: bool = True) -> None:
+    """Raise ViewnetError for settings of which no network can be built and, to `train`, for what would end a training.
+
+    So that it is said before anything is rendered.
+    """
+    for config in dict.fromkeys(configs):
+        if config.variant in UNTRAINED:
+            continue
+        with torch.device("meta"):  # no room is made for weights
+            _ = registry.make(config.variant, config.model) if config.variant in PEERS else ViewNet(config.model)
+        if not train:
+            continue
+        if config.data.video is None and config.data.views < 2:
+            raise ViewnetError(f"views {config.data.views}: training needs two or more of every model")
+        if config.train.start:
+            checkpoint.starting_weights(config.train.start, config.model)
+
+
 def ensure(
     configs: Sequence[RunConfig],
     workers: int | None = None,
@@ -137,6 +158,7 @@ def _plan(
 ) -> tuple[dict[RunConfig, Path], list[make_run.Job]]:
     """Each configuration's folder, and the runs that are not finished. Makes the views of all."""
     unique = list(dict.fromkeys(configs))
+    check(unique)
     data = dict.fromkeys(config.data for config in unique)
     views = sum(each.models * each.views for each in data if each.video is None)
     shared = executor is None and workers != 1 and views >= WORTH_PROCESSES
