@@ -354,8 +354,21 @@ def test_turntables_are_those_of_the_run(store, images, tmp_path):
         untrained().turntable(images[5], tmp_path / "a.webm")
     with pytest.raises(ViewnetError, match="9 images: expected one"):
         untrained().turntable(images)
-    with pytest.raises(ViewnetError, match="steps 0"):
-        untrained().turntable(images[5], steps=0)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"steps": 0}, "steps 0"),
+        ({"size": 100_000}, "size 100000: expected an even number of 64 to 1024 pixels"),
+        ({"steps": 10**9}, "steps 1000000000, hold 12: .* together at most 3640 at size 192"),
+        ({"size": 1024, "steps": 120}, "steps 120, hold 12: .* together at most 128 at size 1024"),
+    ],
+)
+def test_turntables_that_fill_the_memory_are_refused(given, message, images, monkeypatch):
+    monkeypatch.setattr(ViewpointEstimator, "render", lambda *_: pytest.fail("rendered"))
+    with pytest.raises(ViewnetError, match=message):
+        untrained().turntable(images[5], **given)
 
 
 @pytest.mark.parametrize(

@@ -105,9 +105,10 @@ def test_untrained_predictors_are_runs_too(folders):
         run_store.untrained("mean", config())
 
 
-def test_bad_requests_are_said():
-    with pytest.raises(ViewnetError, match="workers 0: expected 1 or more"):
-        ensure([config()], workers=0, steps=STEPS)
+@pytest.mark.parametrize("workers", [0, 10**6])
+def test_bad_requests_are_said(workers):
+    with pytest.raises(ViewnetError, match=f"workers {workers}: expected 1 to 1024"):
+        ensure([config()], workers=workers, steps=STEPS)
     assert ensure([], steps=STEPS) == []
 
 

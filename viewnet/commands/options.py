@@ -92,16 +92,16 @@ def _setting(text: str) -> tuple[str, Any]:
 def choose_resources(options: Options) -> None:
     """Set cluster and threads, where a command has them, for this process and those that it starts.
 
-    Call it before PyTorch is imported. ViewnetError for a number of threads out of range, and for threads of a cluster,
-    whose workers have their own.
+    Call it before PyTorch is imported. ViewnetError for a number of threads or workers out of range, and for threads of
+    a cluster, whose workers have their own.
     """
     if getattr(options, "cluster", None):
         os.environ[parallel.CLUSTER] = options.cluster
-    threads = getattr(options, "threads", None)
-    if threads is None:
+    for name in ("threads", "workers"):
+        if (count := getattr(options, name, None)) is not None and not 1 <= count <= parallel.MOST_THREADS:
+            raise ViewnetError(f"--{name} {count}: expected 1 to {parallel.MOST_THREADS}")
+    if (threads := getattr(options, "threads", None)) is None:
         return
-    if not 1 <= threads <= parallel.MOST_THREADS:
-        raise ViewnetError(f"--threads {threads}: expected 1 to {parallel.MOST_THREADS}")
     if os.environ.get(parallel.CLUSTER):
         raise ViewnetError(f"--threads: workers of a cluster have their own {parallel.THREADS}: leave one of them out")
     os.environ[parallel.THREADS] = str(threads)

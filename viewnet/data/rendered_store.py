@@ -26,7 +26,7 @@ from viewnet.render import VERSION, Backend, choose_backend, render_cameras
 from viewnet.render.camera import DISTANCE, FOCAL, look_from
 from viewnet.render.mesh import UnusableModel
 from viewnet.runtime.files import replacing, write_text
-from viewnet.runtime.parallel import as_done, cores
+from viewnet.runtime.parallel import MOST_THREADS, as_done, cores
 from viewnet.runtime.progress import bar as progress_bar
 
 CHUNK = 16  # models in a chunk
@@ -218,8 +218,8 @@ def _check(models: Sequence[ModelFile], workers: int | None) -> None:
     names = [(model.category, model.id) for model in models]
     if twice := [name for name, other in itertools.pairwise(names) if name == other]:
         raise ViewnetError(f"model {twice[0][1]} of {twice[0][0]} is given twice")
-    if workers is not None and workers < 1:
-        raise ViewnetError(f"workers {workers}: expected 1 or more, or None for one a core")
+    if workers is not None and not 1 <= workers <= MOST_THREADS:
+        raise ViewnetError(f"workers {workers}: expected 1 to {MOST_THREADS}, or None for one a core")
 
 
 def _source(model: ModelFile) -> str:

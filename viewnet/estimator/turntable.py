@@ -19,6 +19,8 @@ MARK = (213, 94, 0)  # of the predicted viewpoint
 INK = (40, 40, 40)
 STRIP = 48  # pixels: the height of the strip of text below the images
 EDGE = 4
+LARGEST = 1024  # pixels along a side of an image
+MOST_PIXELS = 2**27  # of the images of all frames, which are in memory together
 SUFFIXES = (".gif", ".mp4")
 
 
@@ -35,12 +37,15 @@ def animate(
 
     The first `hold` frames stay at the predicted viewpoint; `steps` frames then go once round at its elevation. `pose`
     (3, 3) is the predicted camera frame in the network's own frame; labels and dial are in that of the predictions.
-    `size` is the side of an image in pixels. ViewnetError unless it is even and 64 or more, and for no steps.
+    `size` is the side of an image in pixels. ViewnetError for a side that is odd or out of range, for
+    no steps, and for frames that would fill the memory.
     """
-    if size < 64 or size % 2:
-        raise ViewnetError(f"turntable: size {size}: expected an even number of 64 or more pixels")
-    if steps < 1 or hold < 0:
-        raise ViewnetError(f"turntable: steps {steps}, hold {hold}: expected 1 or more, and 0 or more")
+    if not 64 <= size <= LARGEST or size % 2:
+        raise ViewnetError(f"turntable: size {size}: expected an even number of 64 to {LARGEST} pixels")
+    most = MOST_PIXELS // size**2
+    if steps < 1 or hold < 0 or steps + hold > most:
+        wrong = f"steps {steps}, hold {hold}: expected 1 or more, and 0 or more"
+        raise ViewnetError(f"turntable: {wrong}, together at most {most} at size {size}")
     start, elevation = geometry.azimuth_elevation(pose[:, 2])
     azimuths = start + torch.arange(steps) * (360 / steps)
     poses = geometry.look_at(geometry.view_vector(azimuths, elevation.expand(steps)))  # (steps, 3, 3)

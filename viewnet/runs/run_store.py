@@ -34,7 +34,7 @@ from viewnet.peers import registry
 from viewnet.recipes import PEERS
 from viewnet.runs import dask_cluster, make_run, worker_pool
 from viewnet.runtime import distributed, provenance
-from viewnet.runtime.parallel import cores, pool
+from viewnet.runtime.parallel import MOST_THREADS, cores, pool
 
 # fmt: off
 TRAINING = (
@@ -125,8 +125,8 @@ def ensure(
     With an `executor`, or a cluster in VIEWNET_CLUSTER, views are rendered and runs trained there; its workers must see
     the same files. Under torchrun every process calls this and trains each run with the others; a failure ends all.
     """
-    if workers is not None and workers < 1:
-        raise ViewnetError(f"workers {workers}: expected 1 or more")
+    if workers is not None and not 1 <= workers <= MOST_THREADS:
+        raise ViewnetError(f"workers {workers}: expected 1 to {MOST_THREADS}")
     steps = steps or make_run.default_steps()
     distributed.start()
     with contextlib.nullcontext(executor) if executor else dask_cluster.executor() as executor:
