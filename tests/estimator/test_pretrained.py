@@ -2,21 +2,26 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
 import torch
 from helpers.estimators import untrained
 from helpers.untrained_models import finished_run, turned, untrained_run
+from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from viewnet.config import DataConfig, VideoConfig
+from viewnet.config import DataConfig, ModelConfig, VideoConfig
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator, pretrained
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Predictions
+from viewnet.peers import registry
 from viewnet.runtime.files import read_json, write_json
 
 load = ViewpointEstimator.from_pretrained
@@ -107,6 +112,50 @@ def test_errors_of_configurations(tmp_path, change, message):
     write_json(tmp_path / "config.json", {name: value for name, value in values.items() if value is not ...})
     with pytest.raises(ViewnetError, match=message):
         load(tmp_path)
+
+
+SIZES = [name for name, kind in get_type_hints(ModelConfig).items() if re.search(r"\bint\b", str(kind))]
+
+
+@pytest.mark.parametrize("size", [10**7, 0, -1])
+@pytest.mark.parametrize("name", SIZES)
+@pytest.mark.parametrize("variant", ["viewnet", "spherical_regression"])
+def test_sizes_of_a_network_beyond_all_limits_are_refused(tmp_path, variant, name, size):
+    untrained().save_pretrained(tmp_path)
+    values = read_json(tmp_path / "config.json")
+    usual = values["config"]["model"][name]
+    values["config"]["variant"] = variant
+    values["config"]["model"][name] = [size] * len(usual) if isinstance(usual, list) else size
+    write_json(tmp_path / "config.json", values)
+    with pytest.raises(ViewnetError, match=rf"config\.json .*\({name} .*{size}.*: expected [18] to \d+\)") as error:
+        load(tmp_path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+@pytest.mark.parametrize("half", [False, True])
+def test_weights_that_are_not_finite_are_refused(tmp_path, value, half):
+    untrained().save_pretrained(tmp_path, half=half)
+    path = tmp_path / "model.safetensors"
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    weights = load_file(path)
+    name = next(name for name, weight in weights.items() if weight.ndim > 1)
+    weights[name].view(-1)[-1] = value
+    save_file(weights, path, metadata)
+    with pytest.raises(ViewnetError, match=rf"model\.safetensors: {re.escape(name)} holds values that are not finite"):
+        load(tmp_path)
+
+
+def test_weights_of_a_run_that_are_not_finite_are_refused(run, tmp_path):
+    shutil.copytree(run.folder, folder := tmp_path / "run")
+    path = folder / "checkpoint.safetensors"
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    save_file(load_file(path) | {"focal": torch.tensor(float("nan"))}, path, metadata)
+    for read in (load, registry.load):
+        with pytest.raises(ViewnetError, match="focal holds values that are not finite"):
+            read(folder)
 
 
 @pytest.mark.parametrize("rotation", [np.diag([1.0, 1.0, -1.0]), 2 * np.eye(3), np.ones(5)])

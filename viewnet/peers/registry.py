@@ -49,14 +49,21 @@ def load(folder: Path, name: str = checkpoint.CHECKPOINT) -> tuple[ViewNet | Pee
     Raises ViewnetError as that does, and for weights that are not those of the configuration's network.
     """
     path = folder / name
-    if not path.is_file() or (config := checkpoint.config_of(path)).variant not in METHODS:
-        return checkpoint.load_model(folder, name)
+    if not path.is_file():
+        return checkpoint.load_model(folder, name)  # raises
+    config = checkpoint.config_of(path)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     return build(config, checkpoint.read(path)[0], path).to(device).eval(), config
 
 
 def build(config: RunConfig, weights: dict[str, Tensor], path: Path) -> ViewNet | Peer:
-    """`viewnet.model.checkpoint.build` for the network of ViewNet or of a peer; raises ViewnetError as that does."""
+    """`viewnet.model.checkpoint.build` for the network of ViewNet or of a peer.
+
+    Raises ViewnetError as that does, and for weights that are not finite, of which every prediction would be NaN.
+    """
+    for weight_name, weight in weights.items():
+        if not weight.isfinite().all():
+            raise ViewnetError(f"{path}: {weight_name} holds values that are not finite: train or save the model again")
     if config.variant not in METHODS:
         return checkpoint.build(config.model, weights, path)
     network = make(config.variant, config.model)
