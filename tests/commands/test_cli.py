@@ -172,6 +172,43 @@ def test_settings_are_checked_before_anything_is_rendered(command, setting, mess
     assert not rendered
 
 
+@pytest.mark.parametrize(
+    ("arguments", "lines"),
+    [
+        (["render", "car", "--profile", "smoke"], ["views: 0 of 1 kept, about 0.6 MB to make"]),
+        (
+            ["train", "car", "--profile", "smoke"],
+            ["views: 0 of 1 kept, about 0.6 MB to make", "runs: 0 of 1 kept, about 0.2 MB to make"],
+        ),
+        (
+            ["notebook", "table2_ablation", "-p", "profile", "smoke", "-p", "categories", "car"],
+            ["views: 0 of 1 kept, about 0.6 MB to make", "runs: 0 of 10 kept, about 1.2 MB to make"],
+        ),
+        (
+            ["notebook", "objectron", "-p", "profile", "smoke"],
+            ["views: 0 of 3 kept, at least 1.2 MB to make", "runs: 0 of 3 kept, about 0.5 MB to make"],
+        ),
+        (["notebook", "architecture"], []),
+        (
+            ["tables", "--profile", "smoke", "--only", "figure3_azimuth", "training_curves"],
+            ["views: 0 of 3 kept, about 1.8 MB to make", "runs: 0 of 21 kept, about 3.5 MB to make"],
+        ),
+    ],
+)
+def test_a_dry_run_makes_nothing_and_says_what_would_be_made(arguments, lines, folders, capsys, monkeypatch):
+    def fail(*_, **__):
+        pytest.fail("something is made")
+
+    monkeypatch.setattr(make_run, "default_steps", fail)
+    monkeypatch.setattr(notebooks, "run", fail)
+    monkeypatch.setenv("VIEWNET_TABLES", str(folders / "tables"))
+    assert cli.main([*arguments, "--dry-run"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert [line for line in said if line.startswith(("views", "runs"))] == lines
+    assert sum(line.startswith("  missing: ") for line in said) == sum(int(line.split()[3]) for line in lines)
+    assert list(folders.iterdir()) == []
+
+
 def test_a_notebook_s_kernel_gets_the_cluster(monkeypatch, capsys):
     monkeypatch.setenv("VIEWNET_CLUSTER", "")
     monkeypatch.setattr(notebooks, "run", lambda *_: os.environ["VIEWNET_CLUSTER"])

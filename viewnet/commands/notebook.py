@@ -7,13 +7,14 @@ Examples:
     viewnet notebook table2_ablation                                the copy goes to runs/notebooks/
     viewnet notebook table2_ablation -p profile smoke -p categories car -p seeds 3
     viewnet notebook table3_pascal3d -p data_root /data/PASCAL3D+_release1.1 -p cad_root /data/ShapeNetCore.v1
+    viewnet notebook table2_ablation --dry-run                      what would be rendered and trained for it
     viewnet notebook table2_ablation --parameters                   what can be set
     viewnet notebook all --refresh                                  what is stored in the notebooks, from paper_tables/
 """
 
 from pathlib import Path
 
-from viewnet.commands.options import CLUSTER, THREADS, Options, argument, choose_resources
+from viewnet.commands.options import CLUSTER, DRY_RUN, THREADS, Options, argument, choose_resources
 from viewnet.errors import ViewnetError
 
 ARGUMENTS = (
@@ -24,6 +25,7 @@ ARGUMENTS = (
     argument("--refresh", "store what is committed anew in the notebook; trains nothing", action="store_true"),
     THREADS,
     CLUSTER,
+    DRY_RUN,
 )
 
 
@@ -38,5 +40,8 @@ def run(options: Options) -> None:
         print(*notebooks.refresh(notebooks.ORDER if options.name == "all" else [options.name]), sep="\n")
     elif options.parameters:
         print(*notebooks.parameters(notebooks.find(options.name).stem), sep="\n")
+    elif options.dry_run:
+        name = notebooks.find(options.name).stem
+        print(*notebooks.check(name, [(key, value) for key, value in options.values]).needs().lines(), sep="\n")
     else:
         print(notebooks.run(options.name, [(name, value) for name, value in options.values], options.output))

@@ -56,6 +56,11 @@ CONFIGURATION = (
 """The arguments that `configurations` reads."""
 
 
+DRY_RUN = argument(
+    "--dry-run", "make nothing: what is kept, what would be made, how large, how long", action="store_true"
+)
+
+
 def print_results(options: Options, values: Any, *texts: object) -> None:
     """Print values as JSON where --json asks for it, or else texts, each on a line of its own."""
     print(*([json.dumps(values, indent=2, allow_nan=False)] if options.json else texts), sep="\n")

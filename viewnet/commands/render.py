@@ -20,6 +20,7 @@ ARGUMENTS = (
     *shared.CONFIGURATION,
     shared.argument("--workers", "processes that render (default: the machine's cores)", type=int, metavar="N"),
     shared.CLUSTER,
+    shared.DRY_RUN,
     shared.JSON,
 )
 
@@ -27,10 +28,13 @@ ARGUMENTS = (
 def run(options: shared.Options) -> None:
     """Render what is missing and print what is there."""
     shared.choose_resources(options)
-    from viewnet.runs import dask_cluster, make_run, run_store
+    from viewnet.runs import dask_cluster, make_run, needs, run_store
 
     configs = shared.configurations(options)
     run_store.check(configs, train=False)
+    if options.dry_run:
+        found = needs.views(configs)
+        return shared.print_results(options, found.as_dict(), *found.lines())
     views = make_run.default_steps().views
     with dask_cluster.executor() as executor:
         stores = [

@@ -17,7 +17,7 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import CLUSTER, Options, argument, choose_resources, print_results
+from viewnet.commands.options import CLUSTER, DRY_RUN, Options, argument, choose_resources, print_results
 from viewnet.errors import ViewnetError
 from viewnet.recipes import PROFILES
 
@@ -31,6 +31,7 @@ ARGUMENTS = (
     argument("--claims", "run nothing: the verdict on each claim of the paper", action="store_true"),
     argument("--from-predictions", AGAIN, action="store_true"),
     CLUSTER,
+    DRY_RUN,
     argument("--json", "what was made, and what failed, as JSON", action="store_true"),
 )
 
@@ -52,6 +53,10 @@ def run(options: Options) -> int:
     done = []
     if not options.page:
         planned = notebooks.plan(options.only, options.profile, options.seeds)
+        if options.dry_run:
+            found = notebooks.needs(planned)
+            print_results(options, found.as_dict(), *found.lines())
+            return 0
         for outcome in notebooks.run_all(planned):
             done.append(outcome)
             if not options.json:

@@ -7,6 +7,7 @@ Examples:
     viewnet train car chair                                         on this machine: GPUs, or cores without any
     viewnet train car --profile paper --data-root /data/ShapeNetCore.v1 --seed 1
     viewnet train car -s epochs=3 -s muon=0.01                      any setting of viewnet.config
+    viewnet train car chair --dry-run                               what would be made, how large, how long
     torchrun --nproc-per-node 4 -m viewnet train car --profile paper          one run over four GPUs
     torchrun --nnodes 2 --nproc-per-node 4 --rdzv-backend c10d --rdzv-endpoint HOST:29500 -m viewnet train car
     viewnet train car chair boat --cluster tcp://HOST:8786          many runs on a Dask cluster
@@ -20,6 +21,7 @@ ARGUMENTS = (
     shared.argument("--workers", "runs side by side (default: what there is room for)", type=int, metavar="N"),
     shared.THREADS,
     shared.CLUSTER,
+    shared.DRY_RUN,
     shared.JSON,
 )
 
@@ -29,10 +31,14 @@ def run(options: shared.Options) -> None:
     shared.choose_resources(options)
     from viewnet.evaluation.run import NOT_SCORED
     from viewnet.runs import run_store
+    from viewnet.runs.needs import needs
     from viewnet.runtime import distributed
 
     distributed.start()
     configs = shared.configurations(options, options.seed)
+    if options.dry_run:
+        found = needs(configs)
+        return shared.print_results(options, found.as_dict(), *found.lines())
     runs = run_store.ensure(configs, options.workers)
     if distributed.rank() == 0:
         lines = []

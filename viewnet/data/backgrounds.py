@@ -45,18 +45,7 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
     `source` is "drawn" (synthetic.scenes) or a folder (image_folder.list_images), of which classes have equal shares.
     Raises ViewnetError for values out of range, and a folder that does not exist or holds no usable image.
     """
-    if not 1 <= size <= LARGEST:
-        raise ViewnetError(f"backgrounds: size {size}: expected 1 to {LARGEST} pixels")
-    if count < 1:
-        raise ViewnetError(f"backgrounds: count {count}: expected 1 or more")
-    described: dict[str, int | str] = {"version": VERSION, "size": size, "count": count, "seed": seed}
-    listed: list[tuple[str, int]] = []
-    missing: list[tuple[str, str]] = []
-    if source == SYNTHETIC:
-        described["drawn"] = scenes.VERSION
-    else:
-        listed, missing = list_images(Path(source))
-        described["pictures"] = _digest(Path(source), listed, missing, _balanced(listed, seed)[:count])
+    described, listed, missing = _described(source, size, count, seed)
 
     def fill(folder: Path) -> None:
         rejected: list[tuple[str, str]] = []
@@ -70,13 +59,37 @@ def load(source: str, size: int, count: int = 2000, seed: int = 0, progress: boo
         with (folder / "rejected.csv").open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows([("path", "reason"), *missing, *rejected])
 
-    identity = identity_of(described)
-    folder = filled_once(paths.data() / "backgrounds" / identity, fill)
+    name = identity_of(described)
+    folder = filled_once(paths.data() / "backgrounds" / name, fill)
     again = "remove the folder, and it is made again"
     images = load_array(folder / "pictures.npy", again)
     if images.dtype != np.uint8 or images.shape[1:] != (3, size, size) or not images.size:
         raise ViewnetError(f"{folder}: damaged ({images.dtype} {images.shape} images): {again}")
-    return Backgrounds(images, identity)
+    return Backgrounds(images, name)
+
+
+def identity(source: str, size: int, count: int, seed: int = 0) -> str:
+    """The identity of the images that `load` gives; makes nothing. Raises ViewnetError as that does."""
+    return identity_of(_described(source, size, count, seed)[0])
+
+
+def _described(
+    source: str, size: int, count: int, seed: int
+) -> tuple[dict[str, int | str], list[tuple[str, int]], list[tuple[str, str]]]:
+    """What decides the images, and those of a folder that are listed and missing."""
+    if not 1 <= size <= LARGEST:
+        raise ViewnetError(f"backgrounds: size {size}: expected 1 to {LARGEST} pixels")
+    if count < 1:
+        raise ViewnetError(f"backgrounds: count {count}: expected 1 or more")
+    described: dict[str, int | str] = {"version": VERSION, "size": size, "count": count, "seed": seed}
+    listed: list[tuple[str, int]] = []
+    missing: list[tuple[str, str]] = []
+    if source == SYNTHETIC:
+        described["drawn"] = scenes.VERSION
+    else:
+        listed, missing = list_images(Path(source))
+        described["pictures"] = _digest(Path(source), listed, missing, _balanced(listed, seed)[:count])
+    return described, listed, missing
 
 
 def _digest(

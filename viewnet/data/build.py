@@ -41,6 +41,39 @@ def view_store(
         if config.video.category != config.category:
             raise ViewnetError(f"category {config.category}: videos show {config.video.category}: name one category")
         return video_views(config.video, workers, progress)
+    folder, settings, described, models, extra = _asked(config)
+    if folder.exists():
+        shutil.rmtree(partial_folder(folder), ignore_errors=True)
+        return ViewStore.open(folder)
+    if models is None:
+        root = built_in(config.category, config.models, config.seed, progress, executor)
+        models = find_models(root, config.category)
+        described["models"] = digest(models, built_in=True)
+    how: dict[str, Any] = {"workers": workers, "progress": progress, "executor": executor}
+    return render_views([*models, *extra], folder, **settings, **how, described=described)
+
+
+def planned(config: DataConfig) -> tuple[Path | None, int]:
+    """The folder of the views of `config`, and about how many bytes they take; makes nothing.
+
+    None and 0 where a stand-in for videos, which decides them, is not there yet. Raises ViewnetError as view_store.
+    """
+    if config.video is None:
+        folder, _, _, models, extra = _asked(config)
+        count = (config.models if models is None else len(models)) + len(extra)
+        return folder, 4 * count * config.views * config.image_size**2
+    root = Path(config.video.root) if config.video.root else _stand_in_folder(video_stand_in(config.video))
+    if not root.exists():
+        return None, 0
+    folder, clips, *_ = _asked_of_videos(config.video, root)
+    return folder, 4 * sum(len(clip.frames) for clip in clips) * config.video.size**2
+
+
+def _asked(config: DataConfig) -> tuple[Path, dict[str, Any], dict[str, Any], list[ModelFile] | None, list[ModelFile]]:
+    """Of rendered views: their folder, settings and description, their models, None for built-in ones, and extra ones.
+
+    Raises ViewnetError for settings out of range.
+    """
     if config.models < 0:
         raise ViewnetError(f"models {config.models}: expected 1 or more, or 0 for all of a collection")
     names = ("views", "image_size", "supersample", "azimuth_range", "elevation_range", "seed")
@@ -57,15 +90,7 @@ def view_store(
         models = take(find_models(config.root, config.category, config.splits, config.seed), config.models, config.seed)
         described["models"] = digest(models)
         folder = _store_folder(config.category, made_by | described)
-    if folder.exists():
-        shutil.rmtree(partial_folder(folder), ignore_errors=True)
-        return ViewStore.open(folder)
-    if models is None:
-        root = built_in(config.category, config.models, config.seed, progress, executor)
-        models = find_models(root, config.category)
-        described["models"] = digest(models, built_in=True)
-    how: dict[str, Any] = {"workers": workers, "progress": progress, "executor": executor}
-    return render_views([*models, *extra], folder, **settings, **how, described=described)
+    return folder, settings, described, models, extra
 
 
 def as_training_models(models: list[ModelFile], config: DataConfig) -> list[ModelFile]:
@@ -135,8 +160,11 @@ def photo_stand_in(config: PhotoConfig) -> StandIn:
 
 def written(stand_in: StandIn, workers: int | None = None, progress: bool = True) -> Path:
     """The folder of a stand-in, written if it is not there yet."""
-    folder = paths.data() / stand_in.FOLDER / identity_of(stand_in.describe())[:12]
-    return filled_once(folder, lambda temporary: stand_in.write(temporary, workers, progress))
+    return filled_once(_stand_in_folder(stand_in), lambda temporary: stand_in.write(temporary, workers, progress))
+
+
+def _stand_in_folder(stand_in: StandIn) -> Path:
+    return paths.data() / stand_in.FOLDER / identity_of(stand_in.describe())[:12]
 
 
 def video_views(config: VideoConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
@@ -150,18 +178,25 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     known(config.category, CATEGORIES, "category")
     if config.count < 0:
         raise ViewnetError(f"count {config.count}: expected 1 or more frames a clip, or 0 for all")
-    crop, source = Crop(config.size, config.margin, config.square), masks.mask_source(config.masks, config.category)
-    cutting = clip_store.Cutting(source, crop, config.scale, config.side, config.blur)
     root = written(video_stand_in(config), workers, progress) if config.root is None else Path(config.root)
-    clips, rejected = _clips(config, root)
-    # Stand-ins, as built-in models, are known by their files' sizes.
-    made_by = cutting.describe(clips, None if config.root is None else root)
-    folder = _store_folder(f"videos-{config.category}", made_by)
+    folder, clips, rejected, cutting, made_by = _asked_of_videos(config, root)
 
     def make() -> None:
         clip_store.clip_store(clips, folder, root, cutting, rejected, workers, progress, made_by)
 
     return ViewStore.open(made_once(folder, make))
+
+
+def _asked_of_videos(
+    config: VideoConfig, root: Path
+) -> tuple[Path, list[Clip], list[Rejected], clip_store.Cutting, dict[str, Any]]:
+    """The folder of the views of videos in `root`, their clips, what cannot be used, how they are cut, and all that."""
+    crop, source = Crop(config.size, config.margin, config.square), masks.mask_source(config.masks, config.category)
+    cutting = clip_store.Cutting(source, crop, config.scale, config.side, config.blur)
+    clips, rejected = _clips(config, root)
+    # Stand-ins, as built-in models, are known by their files' sizes.
+    made_by = cutting.describe(clips, None if config.root is None else root)
+    return _store_folder(f"videos-{config.category}", made_by), clips, rejected, cutting, made_by
 
 
 def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]:

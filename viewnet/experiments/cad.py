@@ -16,6 +16,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.request import Request, accepted
 from viewnet.recipes import make_config, repeats_viewnet
+from viewnet.runs.needs import Needs, needs
 from viewnet.runs.other_views import transferred
 from viewnet.runs.run_store import ensure, untrained
 from viewnet.tables.layouts import LAYOUTS
@@ -73,6 +74,10 @@ class Experiment(Request):
     def run(self, progress: bool = True) -> list[Run]:
         """Every run of the experiment; missing ones are trained first (viewnet.runs.run_store.ensure)."""
         return ensure(self.configs, self.workers, progress)
+
+    def needs(self) -> Needs:
+        """Which views and runs of the experiment's trainings are kept, and which `run` would make."""
+        return needs(self.configs)
 
     def table(self, runs: Sequence[Run], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
         """The table of these runs, scored on all models of `eval_root` or, without one, on their own test views.

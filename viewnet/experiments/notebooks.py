@@ -17,8 +17,10 @@ from viewnet import paths
 from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.experiments import experiment
+from viewnet.experiments.cad import Experiment
 from viewnet.experiments.parameters import PARAMETERS
-from viewnet.experiments.request import DESIGNS, TAKES, Request, accepted
+from viewnet.experiments.request import DESIGNS, TAKES, accepted
+from viewnet.runs.needs import Needs
 from viewnet.runtime.files import replacing
 
 START_TIMEOUT = 600
@@ -63,7 +65,7 @@ def parameters(name: str) -> list[str]:
     return [f"{k}: {type(p.default).__name__} = {json.dumps(p.default)}  # {p.help}" for k, p in declared.items()]
 
 
-def check(name: str, values: Values) -> Request:
+def check(name: str, values: Values) -> Experiment:
     """The request of a notebook for values given as text, of which nothing is guessed: ids keep their zeros.
 
     Raises ViewnetError for unknown and repeated names, and for values that the notebook would refuse.
@@ -73,7 +75,8 @@ def check(name: str, values: Values) -> Request:
         if known(key, accepted(name), f"parameter of {name}") in given:
             raise ViewnetError(f"parameter {key} is given twice")
         given[key] = text
-    return experiment(name, **given)
+    found: Experiment = experiment(name, **given)
+    return found
 
 
 def run(name: str, values: Values = (), output: Path | None = None) -> Path:
@@ -180,6 +183,14 @@ def plan(only: Sequence[str] | None = None, profile: str | None = None, seeds: s
         planned[name] = [(key, value) for key, value in given.items() if value is not None and key in accepted(name)]
         check(name, planned[name])
     return planned
+
+
+def needs(planned: dict[str, Values]) -> Needs:
+    """What the trainings of notebooks need, each view store and run once."""
+    found = Needs()
+    for name, values in planned.items():
+        found |= check(name, values).needs()
+    return found
 
 
 def run_all(planned: dict[str, Values]) -> Iterator[Outcome]:

@@ -26,6 +26,7 @@ from viewnet.evaluation.run import Run
 from viewnet.experiments.parameters import SHAPENET
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.recipes import PEERS, make_config
+from viewnet.runs.needs import Needs, needs
 from viewnet.runs.run_store import ensure
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry
@@ -99,6 +100,15 @@ class VideoExperiment(PhotoExperiment):
             return super().run(progress)
         starts = {run.config.seed: str(run.folder) for run in ensure(self.starts, self.workers, progress)}
         return ensure(self._configs({**starts}), self.workers, progress)
+
+    def needs(self) -> Needs:
+        """As Experiment.needs; what starts from runs that are missing is not known before them."""
+        begun = needs(self.starts)
+        if all(row["kept"] for row in begun.runs.values()):
+            folders = [row["folder"] for row in begun.runs.values()]
+            known: dict[int, str | None] = dict(zip(self.seeds, folders, strict=True)) if folders else {}
+            return begun | needs(self._configs(known or dict.fromkeys(self.seeds, self.start or None)))
+        return needs(self.starts, later=self._configs(dict.fromkeys(self.seeds, SHAPENET)))
 
     @property
     def note(self) -> str:

@@ -87,6 +87,13 @@ def locate(config: RunConfig, identity: str, backgrounds: str = "") -> Path:
     return paths.runs() / config.variant / without_places.key(*identities, provenance.code_identity(code))
 
 
+def weights(config: RunConfig) -> int:
+    """How many weights the network of a run has. ViewnetError for settings of which none can be built."""
+    with torch.device("meta"):  # no room is made for them
+        network = registry.make(config.variant, config.model) if config.variant in PEERS else ViewNet(config.model)
+    return sum(map(torch.Tensor.numel, network.state_dict().values()))
+
+
 def check(configs: Sequence[RunConfig], train: bool = True) -> None:
     """Raise ViewnetError for settings of which no network can be built and, to `train`, for what would end a training.
 
@@ -95,14 +102,13 @@ def check(configs: Sequence[RunConfig], train: bool = True) -> None:
     for config in dict.fromkeys(configs):
         if config.variant in UNTRAINED:
             continue
-        with torch.device("meta"):  # no room is made for weights
-            _ = registry.make(config.variant, config.model) if config.variant in PEERS else ViewNet(config.model)
+        weights(config)
         if not train:
             continue
         if config.data.video is None and config.data.views < 2:
             raise ViewnetError(f"views {config.data.views}: training needs two or more of every model")
         if config.train.start:
-            checkpoint.starting_weights(config.train.start, config.model)
+            checkpoint.locate(config.train.start)
 
 
 def ensure(
