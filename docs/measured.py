@@ -212,8 +212,8 @@ def printed_recipe() -> str:
     """What the paper's own recipe has on cars, by the released code's error and truly."""
     cars = definitions.of_seeds(remade("tiny-paper-viewnet/table2_ablation.json")).query("category == 'car'")
     folded, true = (", ".join(f"{x:.0f}" for x in cars[f"{name}_acc30"]) for name in ("folded", "geodesic"))
-    return f"""The paper's own recipe, after a million images, has {folded} % of cars right where opposite sides count as
-one (reported: 89), and {true} % truly, from three seeds ([why](docs/recipes.md#the-recipe-paper))."""
+    return f"""The paper's own recipe, after a million images, has {folded} % of cars right where opposite sides count
+as one (reported: 89), and {true} % truly, from three seeds ([why](docs/recipes.md#the-recipe-paper))."""
 
 
 def what_is_lost() -> str:
@@ -227,9 +227,9 @@ def what_is_lost() -> str:
             (views, "Liao (trained here)"),
         )
     )
-    return f"""ViewNet trained on built-in cars has {ours} of 700 photographs right, and the same encoder that learns from
-their viewpoints {labelled}: lost by having no labels. Of drawn views that has {drawn}: lost by having no photographs
-([supervised methods](docs/peers.md#on-photographs))."""
+    return f"""ViewNet trained on built-in cars has {ours} of 700 photographs right (robust alignment), and the same
+encoder that learns from their viewpoints {labelled}: lost by having no labels. Of drawn views that has {drawn}: lost
+by having no photographs ([supervised methods](docs/peers.md#on-photographs))."""
 
 
 def claims_by_verdict() -> str:
