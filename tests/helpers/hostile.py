@@ -388,7 +388,7 @@ OWN = (
     ("checkpoint", "volume of 512 voxels a side", put("*.safetensors", configured(volume_size=512)), "checkpoint"),
     ("checkpoint", "10^9 heads", put("*.safetensors", configured(heads=10**9)), "checkpoint"),
     ("checkpoint", "channels of 10^9", put("*.safetensors", configured(encoder_channels=[10**9] * 3)), "checkpoint"),
-    ("checkpoint to start from", "10^9 heads", put("*.safetensors", configured(heads=10**9)), "has heads 1000000000"),
+    ("checkpoint to start from", "10^9 heads", put("*.safetensors", configured(heads=10**9)), "heads 1000000000"),
     ("weights of a network", "pickled", executing("weights.pth", pickle.dumps), "does not hold"),
     ("weights of a network", "pickled within", executing("weights.pth", torch_file), "does not hold"),
     ("weights of a network", "compressed", put("weights.pth", torch_bomb), "is compressed"),
