@@ -142,20 +142,19 @@ def test_the_study_reads_as_tables(found, tmp_path):
 
 def test_figures_show_every_predictor_and_category(found, tmp_path):
     figure = plots.calibration_curves(found.scores)
-    assert len(figure.axes) == 3
-    assert figure.axes[0].get_title() == "car"
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "ViewNet, linear" in labels and "Constant" in labels and "Constant, linear" not in labels
-    assert len(figure.axes[0].lines) == 4 + 4 + 1
-    assert list(figure.axes[0].lines[0].get_xdata()) == [16, 64, 600]
+    (axes,) = figure.axes  # one category, and one predictor that is aligned and not random
+    assert axes.get_title() == "car" and axes.get_ylabel().startswith("ViewNet")
+    lines = {line.get_label(): line for line in axes.lines}
+    assert set(lines) == {"rotation", "robust rotation", "linear", "angle by angle", "Constant"}
+    assert list(lines["linear"].get_xdata()) == [16, 64, 600]
     collapse = plots.collapse_curves(found.collapse)
-    assert [axes.get_title() for axes in collapse.axes] == [
-        "spread left", "accuracy added, points", "DVA added, points",
+    assert [axes.get_ylabel().partition("\n")[0] for axes in collapse.axes] == [
+        "spread of predictions", "accuracy, linear", "DVA, linear",
     ]  # fmt: skip
-    line = collapse.axes[0].lines[1]
+    (line,) = (line for line in collapse.axes[0].lines if line.get_label() == "ViewNet")
     mine = found.collapse[found.collapse["predictor"] == "ViewNet"]
-    assert np.allclose(line.get_ydata(), mine["spread_linear"])
-    assert np.allclose(line.get_xdata(), mine["side"])
+    assert np.allclose(line.get_ydata(), 100 * mine["spread_linear"])
+    assert np.allclose(line.get_xdata(), 100 * mine["side"])
     for name, drawn in (("a", figure), ("b", collapse)):
         assert all(file.stat().st_size > 1000 for file in plots.save(drawn, tmp_path, name))
 

@@ -119,7 +119,7 @@ def test_values_are_text_and_nothing_is_guessed(root):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["-p", "sede", "3"], "unknown parameter of table1_shapenet 'sede': choose one of profile, recipe, variant"),
+        (["-p", "sede", "3"], "unknown parameter of table1_shapenet 'sede': choose one of profile, recipe, rows"),
         (["-p", "workers", "two"], "workers 'two': expected a whole number"),
         (["-p", "profile", "huge"], "unknown profile 'huge': choose one of smoke, tiny, pocket, small, paper"),
         (["-p", "categories", "02958343"], "unknown category '02958343': choose one of aeroplane"),

@@ -162,11 +162,13 @@ class Request:
             for variant in values["variants"]:
                 known(variant, LAYOUTS[name].variants, f"row of {name}")
         usual = design.usual(values["profile"])
-        parts = [
-            parameter.label.format(parameter.text(values[at]))
-            for at, parameter in ((p.field or key, p) for key, p in PARAMETERS.items() if key in taken)
+        # Two parameters of one field say it alike.
+        told = {
+            at: parameter.label.format(parameter.text(values[at]))
+            for at, parameter in ((p.field or key, p) for key, p in PARAMETERS.items())
             if parameter.label and at in values and values[at] != usual[at]
-        ]
+        }
+        parts = list(told.values())
         # The profile stands first wherever there is anything, except for a list of viewpoints, which has none.
         if parts not in ([], ["viewpoints"]) and parts[0] != values["profile"]:
             parts = [values["profile"], *parts]

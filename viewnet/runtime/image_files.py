@@ -50,8 +50,8 @@ def opened(source: Source, what: str = "image", formats: tuple[str, ...] = FORMA
     the block.
     """
     try:
-        if isinstance(source, Path) and source.exists() and not source.is_file():
-            raise ViewnetError(f"{what} is not a regular file")  # a pipe or a device may never end
+        if isinstance(source, Path) and source.exists() and not source.is_file():  # a pipe or a device may never end
+            raise ViewnetError(f"{what} is {'a folder: expected a file' if source.is_dir() else 'not a regular file'}")
         with contextlib.ExitStack() as files:
             # Of a path Pillow maps some files into memory, and turned ones wrongly.
             file = files.enter_context(source.open("rb")) if isinstance(source, Path) else source
@@ -65,8 +65,6 @@ def opened(source: Source, what: str = "image", formats: tuple[str, ...] = FORMA
         web = re.match(r"[a-z]{2,}:/", str(source))  # of :// a path keeps one stroke
         advice = ": expected a file, not an address: download it and name the copy" if web else ""
         raise ViewnetError(f"no such {what}{advice}") from None
-    except IsADirectoryError:
-        raise ViewnetError(f"{what} is a folder: expected a file") from None
     except Exception as error:  # Pillow's decoders raise many types for damaged files
         raise ViewnetError(f"{what} does not decode ({type(error).__name__})") from None
 

@@ -45,7 +45,7 @@ def theme() -> gr.themes.Base:
     return gr.themes.Default(primary_hue="blue", **fonts)
 
 
-class Blocks(gr.Blocks):
+class _Blocks(gr.Blocks):
     """Blocks that refuse forged inputs, such as paths that are no uploads, with a toast and without a traceback."""
 
     async def preprocess_data(self, *arguments: Any, **options: Any) -> Any:
@@ -63,7 +63,7 @@ class Page:
         self.estimator, self.examples = estimator, list(examples)
         self.folder = tempfile.TemporaryDirectory(prefix="viewnet-demo-")  # of the examples' files, as long as the page
         title = f"From where is this {estimator.config.category} seen?"
-        with Blocks(title=title, analytics_enabled=False, delete_cache=(LIFETIME, LIFETIME)) as self.blocks:
+        with _Blocks(title=title, analytics_enabled=False, delete_cache=(LIFETIME, LIFETIME)) as self.blocks:
             self.picker, self.encoded = (gr.State(None, time_to_live=LIFETIME) for _ in range(2))
             self.without_3d = gr.Checkbox(False, visible=False)
             gr.Markdown(f"# {title}")
