@@ -374,7 +374,7 @@ def test_what_is_not_read_is_refused_with_its_format(name, content, kind, tmp_pa
 @pytest.mark.parametrize("make", IRREGULAR.values(), ids=IRREGULAR.keys())
 def test_what_is_no_regular_file_is_refused(make, tmp_path):
     make(tmp_path / "a.png")
-    with pytest.raises(ViewnetError, match="image is (not a regular file|a folder: expected a file)"):
+    with pytest.raises(ViewnetError, match=r"image is (not a regular file|a folder: expected a file)"):
         image_files.read(tmp_path / "a.png")
 
 
