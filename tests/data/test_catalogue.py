@@ -59,7 +59,7 @@ def test_cad_models_are_counted_by_category_and_split(tmp_path):
     assert set(found.counts) == {"car", "chair"}
     assert sum(found.counts["car"].values()) == 20
     assert all(kind.startswith("v1 models to ") for kind in found.counts["car"])
-    assert found.problems == ["car: 2 left out: no model.obj"]
+    assert found.problems == ["car: 2 left out: no such file"]
     (tmp_path / f"{SYNSETS['boat']}.zip").touch()
     assert any(f"{SYNSETS['boat']}.zip is: unpack it" in problem for problem in check(tmp_path).problems)
 

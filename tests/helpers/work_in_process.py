@@ -61,7 +61,7 @@ def train(asked: RunConfig) -> None:
 
 
 def _tabulate() -> None:
-    asked = experiment("table1_shapenet", profile="smoke", categories="car", variant="viewnet", workers=1)
+    asked = experiment("table1_shapenet", profile="smoke", categories="car", rows="viewnet", workers=1)
     asked.table(asked.run(progress=False)).write(asked.folder)
 
 

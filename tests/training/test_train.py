@@ -388,7 +388,7 @@ torch.optim.Adam([torch.zeros(1, requires_grad=True)])
 
 @pytest.mark.parametrize(
     ("overrides", "message"),
-    [({"epochs": 0}, "epochs 0: expected 1 or more"), ({"targets_per_object": 8}, "one object a step")],
+    [({"epochs": 0}, "epochs 0: expected 1 to 1000000"), ({"targets_per_object": 8}, "one object a step")],
 )
 def test_settings_that_cannot_be_trained_are_named(store, tmp_path, overrides, message):
     with pytest.raises(ViewnetError, match=message):

@@ -78,7 +78,7 @@ def test_files_made_to_do_harm(written, tmp_path, case):
     assert not (tmp_path / CANARY).exists()
 
 
-TEXTS = ("profile", "categories", "seeds", "recipe", "variant", "data_root", "splits", "viewpoints", "output")
+TEXTS = ("profile", "categories", "seeds", "recipe", "rows", "data_root", "splits", "viewpoints", "output")
 
 
 @given(
