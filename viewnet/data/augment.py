@@ -85,15 +85,16 @@ def photograph(crops: Tensor, backgrounds: Tensor, config: PhotoAugmentationConf
 
 
 def expose(images: Tensor, strength: float, generator: RandomSource) -> Tensor:
-    """Images (N, 3, S, S) in [0, 1] with other brightness, contrast and gamma, some grey, blurred and noisy."""
+    """Images (N, 3, S, S) in [0, 1] with other brightness, contrast and gamma, blurred and noisy.
+
+    Colours stay: red lamps are what tells the rear of many a car from its front.
+    """
     count, device = len(images), images.device
     each = (count, 1, 1, 1)  # one number an image
     contrast, gamma = (torch.exp(strength * _uniform(-0.4, 0.4, each, generator)).to(device) for _ in range(2))
     light = (strength * _uniform(-0.15, 0.15, each, generator)).to(device)
     mean = images.mean((1, 2, 3), keepdim=True)  # (N, 1, 1, 1)
     images = ((images - mean) * contrast + mean + light).clamp(0, 1) ** gamma
-    grey = (rand(*each, generator=generator) < 0.15 * strength).to(device)
-    images = torch.where(grey, images.mean(1, keepdim=True), images)  # (N, 3, S, S)
     blurred = F.avg_pool2d(F.pad(images, (1, 1, 1, 1), mode="replicate"), 3, 1)  # 3x3 box
     images = torch.lerp(images, blurred, _uniform(0, min(1.0, strength), each, generator).to(device))
     deviation = (strength * _uniform(0, 0.05, each, generator)).to(device)
