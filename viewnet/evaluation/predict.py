@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import torch
 
+from viewnet.config import RunConfig
 from viewnet.data import augment
 from viewnet.data.pairs import model_views
 from viewnet.data.store import ViewStore
@@ -24,15 +25,16 @@ def predict(
     store: ViewStore,
     splits: tuple[str, ...] = ("val", "test"),
     checkpoint: str = CHECKPOINT,
+    config: RunConfig | None = None,
 ) -> Predictions:
     """Viewpoint hypotheses for every view of the given splits, in the store's order, by a network or a run's folder.
 
-    `checkpoint` is the file's name in that folder. Views for a run trained with backgrounds get backgrounds as in
-    training, the same each time; photographs, which have their own, are not changed. Raises ViewnetError where views
-    have no annotated viewpoint.
+    `checkpoint` is the file's name in that folder; `config` is how a network that is handed in was trained. Views for
+    networks trained with backgrounds get backgrounds as in training, the same each time; photographs, which have their
+    own, are not changed. Raises ViewnetError where views have no annotated viewpoint.
     """
     store.require_viewpoints(splits, "what cannot be scored is not predicted: use an annotated store")
-    network, config = registry.load(model, checkpoint) if isinstance(model, Path) else (model.eval(), None)
+    network, config = registry.load(model, checkpoint) if isinstance(model, Path) else (model.eval(), config)
     device, size = network.focal.device, network.config.input_size
     backgrounds = augment.load(config.data, size, device) if config else None
     rows, batches = [], []

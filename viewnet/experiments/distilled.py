@@ -1,0 +1,85 @@
+"""A saved model whose viewpoint network is trained on answers (viewnet.training.distil), scored and with its card."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from viewnet.data import build
+from viewnet.errors import ViewnetError
+from viewnet.estimator import pretrained
+from viewnet.estimator.pretrained import Pretrained
+from viewnet.evaluation.evaluate import evaluate
+from viewnet.evaluation.predict import predict
+from viewnet.evaluation.run import LEARNED_ALIGNMENTS, can_be_scored
+from viewnet.experiments.parameters import folder_named
+from viewnet.model.viewnet import ViewNet
+from viewnet.runtime import parallel, provenance
+from viewnet.training.distil import KEPT, distil
+
+
+def make(
+    where: str,
+    folder: Path,
+    teachers: Sequence[str] = (),
+    seed: int = 0,
+    half: bool = False,
+    cad_root: str | None = None,
+    progress: bool = True,
+) -> Pretrained:
+    """Distil the model `where` from the answers of `teachers`, each what pretrained.load takes, and save it.
+
+    Scores, and the rotation to the annotated frame, are of the views that the model was trained on; `cad_root` is where
+    that collection lies, if it has moved. Raises ViewnetError for models that cannot teach each other, before anything
+    is trained, and as viewnet.training.distil.distil and pretrained.save do. Nothing is written unless all succeeds.
+    """
+    if not 0 <= seed < 2**32:
+        raise ViewnetError(f"seed {seed}: expected 0 to {2**32 - 1}")
+    if folder.is_file():
+        raise ViewnetError(f"{folder}: is a file: name a folder")
+    models = [_loaded(each) for each in (where, *teachers)]
+    model, others = models[0], models[1:]
+    for name, other in zip(teachers, others, strict=True):
+        if other.config.category != model.config.category:
+            raise ViewnetError(
+                f"{name}: is of the category {other.config.category}, {where} of {model.config.category}"
+            )
+    config = model.config
+    if cad_root is not None:
+        config = replace(config, data=replace(config.data, root=folder_named(cad_root, "cad_root")))
+    torch.set_num_threads(parallel.threads())
+    store = build.view_store(config.data, progress=progress)
+    distil(model.network, config, store, [(each.network, each.config) for each in others], seed, progress)
+    metrics = None
+    if can_be_scored(store.index):
+        predictions = predict(model.network, store, config=config)
+        metrics = {kind: evaluate(predictions, kind) for kind in LEARNED_ALIGNMENTS}
+    about: dict[str, Any] = {name: getattr(config, name) for name in ("variant", "category", "profile", "recipe")}
+    about |= {"key": _identity(model.network), "seed": seed, "views": store.identity, "git": provenance.commit()}
+    keys = [each.about.get("key", "unknown") for each in models]
+    about |= {
+        "metrics": metrics,
+        "distilled": {"model": keys[0], "teachers": keys[1:] or keys[:1], "rounds": len(KEPT)},
+    }
+    rotation = None if metrics is None else np.array(metrics["procrustes"]["alignment"]["rotation"])
+    result = Pretrained(model.network, replace(model.config, seed=seed), rotation, about)
+    pretrained.save(result, folder, None, half, [])
+    return result
+
+
+def _loaded(where: str) -> Pretrained:
+    model = pretrained.load(where)
+    model.require_viewnet(f"distil {where}")
+    return replace(model, network=model.network.to(pretrained.device(None)).eval())
+
+
+def _identity(network: ViewNet) -> str:
+    """12 hex digits of the weights: the key of a model that no run of the store has."""
+    digest = hashlib.sha256()
+    for name, value in sorted(network.state_dict().items()):
+        digest.update(name.encode() + value.cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:12]

@@ -1,0 +1,210 @@
+"""Self-distillation (ours): the viewpoint network trained anew on what ViewNets answer for their training images.
+
+ViewNet learns viewpoints while it learns to reconstruct, from errors that hardly tell the front of some objects from
+their rear. Where an image and its mirror image, and several ViewNets, get one answer, it is right far more often than
+elsewhere. A network that learns these answers alone, in a second round its own, sees many more images in the same time.
+No viewpoint label is used, and all but the viewpoint network stays as it is, with the frame of its viewpoints.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from viewnet.config import OptimiserConfig, RunConfig
+from viewnet.data import augment
+from viewnet.data.pairs import Views, model_views
+from viewnet.data.store import ViewStore
+from viewnet.errors import ViewnetError
+from viewnet.evaluation.alignment import Robust
+from viewnet.model.losses import pull_loss
+from viewnet.model.viewnet import ViewNet, ViewpointNetwork
+from viewnet.runtime.progress import bar
+from viewnet.training.optimisers import set_learning_rates
+
+KEPT = (0.7, 0.8)
+"""The share of the images, those with the most confident answers, that is learned from in each round."""
+EPOCHS = 18  # of a round
+BATCH = 64
+OPTIMISER = OptimiserConfig(learning_rate=1e-3, betas=(0.9, 0.99), schedule="hold")
+AUGMENTATIONS = 8  # images of a view that a network trained over backgrounds is asked about, half of them mirrored
+NARROW, WIDE = 0.03, 0.1
+"""Of kernels exp((cos - 1) / width): hypotheses within some 14 degrees make one answer, those within 26 confidence."""
+
+Model = tuple[ViewNet, RunConfig]
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """All that networks say of N images, in the frame of the first of them."""
+
+    vectors: Tensor  # (N, K, 3)
+    weights: Tensor  # (N, K), summing to 1
+    mirror: Tensor  # (3, 3), what mirroring an image does to its view vector
+
+
+def distil(
+    model: ViewNet,
+    config: RunConfig,
+    store: ViewStore,
+    teachers: Sequence[Model] = (),
+    seed: int = 0,
+    progress: bool = True,
+) -> None:
+    """Trains `model.viewpoint` anew on the answers of `teachers`, by default its own, for training views of `store`.
+
+    Teachers may have seen views over backgrounds or over black: each is asked about such images as it was trained on.
+    Raises ViewnetError for networks with in-plane rotation, for fewer than BATCH images to learn from, and for a loss
+    that is not finite; `model` then is as it was.
+    """
+    if any(each.model.in_plane for each in (config, *(about for _, about in teachers))):
+        raise ViewnetError("distil: answers are viewpoints without in-plane rotation: train with in_plane=false")
+    device, size = next(model.parameters()).device, config.model.input_size
+    views = model_views(store, "train", size, config.model)
+    rows = math.ceil(min(KEPT) * len(views.objects))
+    if rows < BATCH:
+        raise ViewnetError(f"distil: {len(views.objects)} training views: needs {math.ceil(BATCH / min(KEPT))} or more")
+    backgrounds = augment.load(config.data, size, device)
+    before = model.viewpoint
+    generator = torch.Generator().manual_seed(seed)
+    own = ask(model, config, views, backgrounds, generator)
+    said = own
+    if teachers:
+        viewpoint, _ = vote(own)
+        asked = [_in_frame_of(viewpoint, _asked_anew(*each, store, backgrounds, generator)) for each in teachers]
+        joined = [torch.cat([getattr(each, name) for each in asked], 1) for name in ("vectors", "weights")]
+        said = Hypotheses(joined[0], joined[1] / len(asked), own.mirror)
+    try:
+        for number, kept in enumerate(KEPT):
+            viewpoint, confidence = vote(said)
+            chosen = confidence.topk(math.ceil(kept * len(confidence))).indices  # (n,)
+            torch.manual_seed(seed + number)  # the seed alone decides the initial weights
+            model.viewpoint = ViewpointNetwork(config.model).to(device)
+            title = f"round {number + 1} of {len(KEPT)}"
+            _learn(model, config, views, backgrounds, (chosen, viewpoint, said.mirror), generator, title, progress)
+            if number + 1 < len(KEPT):
+                said = ask(model, config, views, backgrounds, generator)
+    except BaseException:
+        model.viewpoint = before
+        raise
+
+
+def _asked_anew(
+    model: ViewNet, config: RunConfig, store: ViewStore, backgrounds: Tensor | None, generator: torch.Generator
+) -> Hypotheses:
+    views = model_views(store, "train", config.model.input_size, config.model)
+    if config.data.backgrounds is None:
+        backgrounds = None
+    elif backgrounds is None or backgrounds.shape[-1] != 2 * config.model.input_size:
+        backgrounds = augment.load(config.data, config.model.input_size, next(model.parameters()).device)
+    return ask(model, config, views, backgrounds, generator)
+
+
+@torch.no_grad()
+def ask(
+    model: ViewNet, config: RunConfig, views: Views, backgrounds: Tensor | None, generator: torch.Generator
+) -> Hypotheses:
+    """What a network says of views: of each as it is and mirrored, or, with backgrounds, of AUGMENTATIONS of it."""
+    model.eval()
+    device, size = next(model.parameters()).device, config.model.input_size
+    vectors, weights, answers = [], [], []
+    for rows in torch.arange(len(views.objects)).split(4 * BATCH):
+        crops = views.viewpoint_input(rows, size, device)  # (n, 4, S, S)
+        found = []
+        for number in range(2 if backgrounds is None else AUGMENTATIONS):
+            images = crops
+            if backgrounds is not None:
+                images = augment.photograph(crops, backgrounds, config.train.photo, generator)
+            found.append(model.viewpoint(model.composite(images.flip(-1) if number % 2 else images)))
+        vectors.append(torch.stack([each.vectors for each in found], 1))  # (n, A, M, 3)
+        weights.append(torch.stack([each.logits.softmax(1) for each in found], 1))  # (n, A, M)
+        answers.append(torch.stack([each.of_heads(each.logits.argmax(1)) for each in found], 1))  # (n, A, 3)
+    said, answer = torch.cat(vectors), torch.cat(answers)  # (N, A, M, 3) and (N, A, 3)
+    mirror = _mirror(answer[:, 0], answer[:, 1])
+    said[:, 1::2] = said[:, 1::2] @ mirror.T  # back to what the unmirrored image shows
+    return Hypotheses(said.flatten(1, 2), torch.cat(weights).flatten(1) / said.shape[1], mirror)
+
+
+def _mirror(plain: Tensor, mirrored: Tensor) -> Tensor:
+    """The reflection (3, 3) that takes answers (N, 3) for mirrored images to those (N, 3) for the images themselves."""
+    flip = torch.diag(plain.new_tensor([1.0, -1.0, 1.0]))
+    return flip @ _rotation(mirrored, plain @ flip)
+
+
+def _rotation(vectors: Tensor, onto: Tensor) -> Tensor:
+    """The rotation (3, 3) that takes most of view vectors (N, 3) to `onto` (N, 3)."""
+    fit = Robust.fit(*(each.double().cpu().numpy() for each in (vectors, onto)))
+    return torch.as_tensor(fit.rotation).to(vectors)
+
+
+def _in_frame_of(viewpoint: Tensor, said: Hypotheses) -> Hypotheses:
+    """What is said, turned so that most of its answers are the viewpoints (N, 3)."""
+    answer, _ = vote(said)
+    rotation = _rotation(answer, viewpoint)
+    return Hypotheses(said.vectors @ rotation.T, said.weights, rotation @ said.mirror @ rotation.T)
+
+
+def vote(said: Hypotheses) -> tuple[Tensor, Tensor]:
+    """The view vector (N, 3) where hypotheses lie closest together, and the share (N,) of their weight around it."""
+    answers, confidence = [], []
+    for vectors, weights in zip(said.vectors.split(1000), said.weights.split(1000), strict=True):
+        close = torch.exp((vectors @ vectors.transpose(1, 2) - 1) / NARROW)  # (n, K, K)
+        best = (close @ weights[:, :, None])[:, :, 0].argmax(1)  # (n,)
+        answer = vectors[torch.arange(len(vectors), device=vectors.device), best]  # (n, 3)
+        for _ in range(2):  # to the mean of what is around it
+            near = torch.exp(((vectors @ answer[:, :, None])[:, :, 0] - 1) / NARROW) * weights  # (n, K)
+            answer = F.normalize((near[:, :, None] * vectors).sum(1), dim=-1)  # (n, 3)
+        answers.append(answer)
+        around = torch.exp(((vectors @ answer[:, :, None])[:, :, 0] - 1) / WIDE)  # (n, K)
+        confidence.append((around * weights).sum(1))  # (n,)
+    return torch.cat(answers), torch.cat(confidence)
+
+
+def _learn(
+    model: ViewNet,
+    config: RunConfig,
+    views: Views,
+    backgrounds: Tensor | None,
+    answers: tuple[Tensor, Tensor, Tensor],
+    generator: torch.Generator,
+    title: str,
+    progress: bool,
+) -> None:
+    """One round: the closest head learns the answer, and the selection which head that is.
+
+    `answers` are the rows (n,) of views to learn from, the viewpoints (N, 3) of all, and the mirror (3, 3).
+    """
+    chosen, viewpoint, mirror = answers
+    device, size = viewpoint.device, config.model.input_size
+    optimiser = torch.optim.Adam(model.viewpoint.parameters(), OPTIMISER.learning_rate, OPTIMISER.betas)
+    for group in optimiser.param_groups:
+        group["initial_lr"] = group["lr"]  # what a schedule scales
+    steps = len(chosen) // BATCH  # an epoch
+    model.train()
+    with bar(progress, total=EPOCHS * steps, desc=title, unit="step") as shown:
+        for step in range(EPOCHS * steps):
+            if step % steps == 0:
+                order = chosen.cpu()[torch.randperm(len(chosen), generator=generator)]  # (n,)
+            set_learning_rates([optimiser], OPTIMISER, step / (EPOCHS * steps))
+            rows = order[step % steps * BATCH :][:BATCH]
+            images, wanted = views.viewpoint_input(rows, size, device), viewpoint[rows.to(device)]
+            if backgrounds is None:
+                images = augment.crop_and_rotate(images, generator)
+            else:
+                images = augment.photograph(images, backgrounds, config.train.photo, generator)
+            mirrored = (torch.rand(BATCH, generator=generator) < 0.5).to(device)  # (B,)
+            images = torch.where(mirrored[:, None, None, None], images.flip(-1), images)
+            wanted = torch.where(mirrored[:, None], wanted @ mirror, wanted)  # its inverse: rows times it
+            said = model.viewpoint(model.composite(images))
+            closest = said.closest(wanted)  # (B,)
+            loss = pull_loss(said.of_heads(closest), wanted) + F.cross_entropy(said.logits, closest)
+            if not loss.isfinite():
+                raise ViewnetError(f"distil: the loss is not finite at step {step} of {title}")
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            shown.update()
+    model.eval()
