@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from viewnet.config import OptimiserConfig, RunConfig
+from viewnet.config import RunConfig
 from viewnet.data import augment
 from viewnet.data.pairs import Views, model_views
 from viewnet.data.store import ViewStore
@@ -23,13 +23,12 @@ from viewnet.evaluation.alignment import Robust
 from viewnet.model.losses import pull_loss
 from viewnet.model.viewnet import ViewNet, ViewpointNetwork
 from viewnet.runtime.progress import bar
-from viewnet.training.optimisers import set_learning_rates
+from viewnet.training.optimisers import make_optimisers, set_learning_rates
 
 KEPT = (0.7, 0.8)
 """The share of the images, those with the most confident answers, that is learned from in each round."""
 EPOCHS = 18  # of a round
 BATCH = 64
-OPTIMISER = OptimiserConfig(learning_rate=1e-3, betas=(0.9, 0.99), schedule="hold")
 AUGMENTATIONS = 8  # images of a view that a network trained over backgrounds is asked about, half of them mirrored
 NARROW, WIDE = 0.03, 0.1
 """Of kernels exp((cos - 1) / width): hypotheses within some 14 degrees make one answer, those within 26 confidence."""
@@ -84,7 +83,7 @@ def distil(
             torch.manual_seed(seed + number)  # the seed alone decides the initial weights
             model.viewpoint = ViewpointNetwork(config.model).to(device)
             title = f"round {number + 1} of {len(KEPT)}"
-            _learn(model, config, views, backgrounds, (chosen, viewpoint, said.mirror), generator, title, progress)
+            learn(model, config, views, backgrounds, (chosen, viewpoint, said.mirror), generator, title, progress)
             if number + 1 < len(KEPT):
                 said = ask(model, config, views, backgrounds, generator)
     except BaseException:
@@ -163,7 +162,7 @@ def vote(said: Hypotheses) -> tuple[Tensor, Tensor]:
     return torch.cat(answers), torch.cat(confidence)
 
 
-def _learn(
+def learn(
     model: ViewNet,
     config: RunConfig,
     views: Views,
@@ -179,16 +178,14 @@ def _learn(
     """
     chosen, viewpoint, mirror = answers
     device, size = viewpoint.device, config.model.input_size
-    optimiser = torch.optim.Adam(model.viewpoint.parameters(), OPTIMISER.learning_rate, OPTIMISER.betas)
-    for group in optimiser.param_groups:
-        group["initial_lr"] = group["lr"]  # what a schedule scales
+    optimisers = make_optimisers(model, config.train)  # what has no gradient stays as it is
     steps = len(chosen) // BATCH  # an epoch
     model.train()
     with bar(progress, total=EPOCHS * steps, desc=title, unit="step") as shown:
         for step in range(EPOCHS * steps):
             if step % steps == 0:
                 order = chosen.cpu()[torch.randperm(len(chosen), generator=generator)]  # (n,)
-            set_learning_rates([optimiser], OPTIMISER, step / (EPOCHS * steps))
+            set_learning_rates(optimisers, config.train.optimiser, step / (EPOCHS * steps))
             rows = order[step % steps * BATCH :][:BATCH]
             images, wanted = views.viewpoint_input(rows, size, device), viewpoint[rows.to(device)]
             if backgrounds is None:
@@ -203,8 +200,9 @@ def _learn(
             loss = pull_loss(said.of_heads(closest), wanted) + F.cross_entropy(said.logits, closest)
             if not loss.isfinite():
                 raise ViewnetError(f"distil: the loss is not finite at step {step} of {title}")
-            optimiser.zero_grad()
+            model.zero_grad(set_to_none=True)
             loss.backward()
-            optimiser.step()
+            for optimiser in optimisers:  # Adam, and perhaps Muon
+                optimiser.step()
             shown.update()
     model.eval()

@@ -1,0 +1,141 @@
+"""Self-distillation: answers are voted on, doubtful ones left out, and what is learned is right where they were not."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from torch import nn
+
+from viewnet.data.store import COLUMNS, ViewStore
+from viewnet.errors import ViewnetError
+from viewnet.geometry import azimuth_elevation, vector_angle, view_vector
+from viewnet.model import viewnet
+from viewnet.recipes import make_config
+from viewnet.training import distil as distilling
+from viewnet.training.distil import Hypotheses, ask, distil, vote
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+CONFIG = make_config(profile="smoke", recipe="matting")
+TURN = 40.0  # degrees of azimuth from the true frame to a teacher's own
+
+
+def dials(count: int) -> ViewStore:
+    """Views that say their azimuth: its cosine in green, its sine as what the right half has more red than the left.
+
+    So a mirrored view shows what it would from the mirrored viewpoint. Every fourth is bluish.
+    """
+    azimuth = np.random.default_rng(0).uniform(0, 360, count)
+    images = np.zeros((count, 32, 32, 4), np.uint8)
+    images[..., 3] = 255
+    images[..., 1] = np.round(127 * (1 + np.cos(np.radians(azimuth))))[:, None, None]
+    for half, sign in ((slice(0, 16), -1), (slice(16, 32), 1)):
+        images[:, :, half, 0] = np.round(127 * (1 + sign * np.sin(np.radians(azimuth))))[:, None, None]
+    images[::4, ..., 2] = 25
+    index = pd.DataFrame({name: [""] * count for name in COLUMNS})
+    index = index.assign(model_id=np.arange(count) // 5, split="train", azimuth=azimuth, elevation=10.0)
+    return ViewStore(Path(), images, index, {})
+
+
+class Reader(nn.Module):
+    """Reads dials in a frame of its own; doubts bluish ones, of which it prefers the opposite."""
+
+    def forward(self, images: torch.Tensor) -> viewnet.Hypotheses:
+        green, red = images[:, 1].mean((1, 2)), images[:, 0]
+        sine = (red[:, :, 16:].mean((1, 2)) - red[:, :, :16].mean((1, 2))) / 2
+        azimuth = torch.rad2deg(torch.atan2(sine, green - 0.5)) + TURN
+        doubt = images[:, 2].mean((1, 2)) > 0.05
+        right, opposite = (view_vector(azimuth + turn, torch.full_like(azimuth, 10)) for turn in (0, 180))
+        logits = torch.where(doubt[:, None], torch.tensor([0.0, 0.3, -9.0]), torch.tensor([4.0, 0.0, -9.0]))
+        return viewnet.Hypotheses(torch.stack([right, opposite, right], 1), logits)
+
+
+def reader() -> viewnet.ViewNet:
+    torch.manual_seed(0)
+    model = viewnet.ViewNet(CONFIG.model).eval()
+    model.viewpoint = Reader()
+    return model
+
+
+def wrong(model: viewnet.ViewNet, store: ViewStore) -> float:
+    """The share of views whose answer is off by more than 30 degrees in the reader's frame."""
+    images = torch.from_numpy(store.images).permute(0, 3, 1, 2).float() / 255
+    with torch.no_grad():
+        said = model.eval().viewpoint(model.composite(images))
+    azimuth = torch.tensor(store.index["azimuth"].to_list())
+    truth = view_vector(azimuth + TURN, torch.full_like(azimuth, 10))
+    return float((vector_angle(said.of_heads(said.logits.argmax(1)), truth) > 30).float().mean())
+
+
+def test_hypotheses_that_lie_together_outvote_one_that_is_surer():
+    azimuth = torch.tensor([[10.0, 14.0, 200.0], [0.0, 120.0, 240.0]])
+    said = Hypotheses(
+        view_vector(azimuth, torch.zeros(2, 3)), torch.tensor([[0.3, 0.3, 0.4], [0.2, 0.5, 0.3]]), torch.eye(3)
+    )
+    answer, confidence = vote(said)
+    assert azimuth_elevation(answer)[0].tolist() == pytest.approx([12, 120], abs=0.5)
+    assert confidence.tolist() == pytest.approx([0.6, 0.5], abs=0.02)
+
+
+def test_the_mirror_is_found_without_labels():
+    store, model = dials(300), reader()
+    views = distilling.model_views(store, "train", 32, CONFIG.model)
+    said = ask(model, CONFIG, views, None, torch.Generator().manual_seed(0))
+    # In the true frame y changes its sign: in one turned by TURN about the vertical, azimuth a becomes 2 TURN - a.
+    azimuth = torch.tensor([0.0, 70.0, 200.0])
+    mirrored = azimuth_elevation(view_vector(azimuth, torch.full((3,), 10.0)) @ said.mirror.T)[0]
+    assert torch.allclose(torch.cos(torch.deg2rad(mirrored - (2 * TURN - azimuth))), torch.ones(3), atol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_student_is_right_where_its_teacher_was_wrong_in_the_same_frame():
+    store, model = dials(1500), reader()
+    assert wrong(model, store) == pytest.approx(0.25, abs=0.01)
+    others = {name: value.clone() for name, value in model.state_dict().items()}
+    distil(model, CONFIG, store, progress=False)
+    assert wrong(model, store) < 0.05
+    after = model.state_dict()
+    assert all(torch.equal(after[name], value) for name, value in others.items())  # all but the viewpoint network
+
+
+def test_teachers_answer_in_frames_of_their_own_and_the_model_keeps_its(monkeypatch):
+    monkeypatch.setattr(distilling, "EPOCHS", 1)
+    learned = []
+    monkeypatch.setattr(distilling, "learn", lambda *what: learned.append(what[4]))
+    store, model = dials(300), reader()
+    turned = reader()
+    before = turned.viewpoint.forward
+
+    def elsewhere(images):
+        said = before(images)
+        azimuth, elevation = azimuth_elevation(said.vectors)
+        return viewnet.Hypotheses(view_vector(azimuth + 77, elevation), said.logits)
+
+    turned.viewpoint.forward = elsewhere
+    monkeypatch.setattr(distilling, "KEPT", (0.7,))
+    distil(model, CONFIG, store, [(turned, CONFIG), (turned, CONFIG)], progress=False)
+    chosen, viewpoint, _ = learned[0]
+    assert len(chosen) == 210
+    truth = torch.tensor(store.index["azimuth"].to_list()) + TURN
+    errors = vector_angle(viewpoint, view_vector(truth, torch.full_like(truth, 10)))
+    assert (errors[chosen] < 5).all()  # none of the doubtful ones
+    assert (errors > 150).float().mean() == pytest.approx(0.25, abs=0.01)
+
+
+def test_what_cannot_be_distilled_is_refused_and_a_failure_leaves_the_model_as_it_was(monkeypatch):
+    model = reader()
+    tilted = dataclasses.replace(CONFIG, model=dataclasses.replace(CONFIG.model, in_plane=True))
+    with pytest.raises(ViewnetError, match="in_plane=false"):
+        distil(model, tilted, dials(300), progress=False)
+    with pytest.raises(ViewnetError, match="50 training views: needs 92 or more"):
+        distil(model, CONFIG, dials(50), progress=False)
+    steep = make_config(profile="smoke", recipe="matting", learning_rate=1e12, muon=0.0)
+    viewpoint = model.viewpoint
+    with pytest.raises(ViewnetError, match="the loss is not finite at step"):
+        distil(model, steep, dials(300), progress=False)
+    assert model.viewpoint is viewpoint
