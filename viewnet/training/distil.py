@@ -27,7 +27,7 @@ from viewnet.training.optimisers import make_optimisers, set_learning_rates
 
 KEPT = (0.7, 0.8)
 """The share of the images, those with the most confident answers, that is learned from in each round."""
-EPOCHS = 18  # of a round
+EPOCHS = 30  # of a round
 BATCH = 64
 AUGMENTATIONS = 8  # images of a view that a network trained over backgrounds is asked about, half of them mirrored
 NARROW, WIDE = 0.03, 0.1
