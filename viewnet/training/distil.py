@@ -174,7 +174,8 @@ def learn(
 ) -> None:
     """One round: the closest head learns the answer, and the selection which head that is.
 
-    `answers` are the rows (n,) of views to learn from, the viewpoints (N, 3) of all, and the mirror (3, 3).
+    `answers` are the rows (n,) of views to learn from, the viewpoints (N, 3) of all, and the mirror (3, 3). Raises
+    ViewnetError for a loss that is not finite.
     """
     chosen, viewpoint, mirror = answers
     device, size = viewpoint.device, config.model.input_size
