@@ -129,6 +129,8 @@ def run_command(words: list[str], world: Path, monkeypatch) -> None:
     monkeypatch.setattr("viewnet.commands.demo.start", lambda options: requests.append(options) or page)
     monkeypatch.setattr("viewnet.runs.run_store.ensure", lambda configs, workers=None: requests.extend(configs) or [])
     monkeypatch.setattr("papermill.execute_notebook", lambda source, *_, **__: requests.append(source))
+    result = SimpleNamespace(about={"metrics": None})
+    monkeypatch.setattr("viewnet.experiments.distilled.make", lambda *what: requests.append(what) or result)
     monkeypatch.setattr("viewnet.bench.measure.measure", lambda settings: requests.append(settings) or {})
     monkeypatch.setattr("viewnet.bench.steps.measure", lambda configs, settings: requests.append(settings) or {})
     for name in ("as_text", "steps_as_text"):
@@ -144,7 +146,7 @@ def run_command(words: list[str], world: Path, monkeypatch) -> None:
         assert cli.main([*moved(words, world), *(["--steps", "2"] if words[0] == "turntable" else [])]) == 0
     if words[-1] == "--json":
         assert json.loads(Path(output).read_text())
-    if words[0] in ("train", "notebook", "bench", "demo") and "--parameters" not in words:
+    if words[0] in ("train", "distil", "notebook", "bench", "demo") and "--parameters" not in words:
         assert requests
 
 
