@@ -17,8 +17,8 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime import parallel
 
 COMMANDS = (
-    *("notebook", "tables", "replicate", "render", "train", "evaluate", "predict", "turntable", "distil", "save"),
-    *("demo", "data", "audit", "bench", "completion"),
+    *("notebook", "tables", "replicate", "render", "train", "evaluate", "predict", "turntable", "distil", "adapt"),
+    *("save", "demo", "data", "audit", "bench", "completion"),
 )
 """The modules of viewnet.commands, in the order of the help."""
 NEGATIVE = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$|-inf(inity)?$|-nan$", re.IGNORECASE)

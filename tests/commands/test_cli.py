@@ -23,7 +23,7 @@ from viewnet.runs import make_run
 from viewnet.runtime.files import read_json
 
 COMMANDS = (
-    *("notebook", "tables", "render", "train", "evaluate", "predict", "turntable", "distil", "save", "demo"),
+    *("notebook", "tables", "render", "train", "evaluate", "predict", "turntable", "distil", "adapt", "save", "demo"),
     *("data", "audit", "bench", "completion"),
 )
 

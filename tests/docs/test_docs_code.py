@@ -31,6 +31,7 @@ from viewnet.data.store import ViewStore
 from viewnet.experiments import notebooks, request, score_model
 from viewnet.runs.run_store import ensure
 from viewnet.runtime import torchvision_weights
+from viewnet.training.adapt import Adaptation
 
 KEY = "0123456789ab"
 FOREIGN = {"dask", "srun", "helm", "kubectl"}
@@ -131,6 +132,8 @@ def run_command(words: list[str], world: Path, monkeypatch) -> None:
     monkeypatch.setattr("papermill.execute_notebook", lambda source, *_, **__: requests.append(source))
     result = SimpleNamespace(about={"metrics": None})
     monkeypatch.setattr("viewnet.experiments.distilled.make", lambda *what: requests.append(what) or result)
+    found = Adaptation(80, 20, 0.8, 0.9, 1.0, 1.0)
+    monkeypatch.setattr("viewnet.experiments.adapted.make", lambda *what: requests.append(what) or found)
     monkeypatch.setattr("viewnet.bench.measure.measure", lambda settings: requests.append(settings) or {})
     monkeypatch.setattr("viewnet.bench.steps.measure", lambda configs, settings: requests.append(settings) or {})
     for name in ("as_text", "steps_as_text"):
@@ -146,7 +149,7 @@ def run_command(words: list[str], world: Path, monkeypatch) -> None:
         assert cli.main([*moved(words, world), *(["--steps", "2"] if words[0] == "turntable" else [])]) == 0
     if words[-1] == "--json":
         assert json.loads(Path(output).read_text())
-    if words[0] in ("train", "distil", "notebook", "bench", "demo") and "--parameters" not in words:
+    if words[0] in ("train", "distil", "adapt", "notebook", "bench", "demo") and "--parameters" not in words:
         assert requests
 
 

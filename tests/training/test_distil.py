@@ -3,56 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
 import torch
-from torch import nn
+from helpers.dials import TURN, Reader, dials
 
-from viewnet.data.store import COLUMNS, ViewStore
+from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.geometry import azimuth_elevation, vector_angle, view_vector
 from viewnet.model import viewnet
 from viewnet.recipes import make_config
 from viewnet.training import distil as distilling
-from viewnet.training.distil import Hypotheses, ask, distil, vote
+from viewnet.training.distil import Hypotheses, ask_about, distil, vote
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 CONFIG = make_config(profile="smoke", recipe="matting")
-TURN = 40.0  # degrees of azimuth from the true frame to a teacher's own
-
-
-def dials(count: int) -> ViewStore:
-    """Views that say their azimuth: its cosine in green, its sine as what the right half has more red than the left.
-
-    So a mirrored view shows what it would from the mirrored viewpoint. Every fourth is bluish.
-    """
-    azimuth = np.random.default_rng(0).uniform(0, 360, count)
-    images = np.zeros((count, 32, 32, 4), np.uint8)
-    images[..., 3] = 255
-    images[..., 1] = np.round(127 * (1 + np.cos(np.radians(azimuth))))[:, None, None]
-    for half, sign in ((slice(0, 16), -1), (slice(16, 32), 1)):
-        images[:, :, half, 0] = np.round(127 * (1 + sign * np.sin(np.radians(azimuth))))[:, None, None]
-    images[::4, ..., 2] = 25
-    index = pd.DataFrame({name: [""] * count for name in COLUMNS})
-    index = index.assign(model_id=np.arange(count) // 5, split="train", azimuth=azimuth, elevation=10.0)
-    return ViewStore(Path(), images, index, {})
-
-
-class Reader(nn.Module):
-    """Reads dials in a frame of its own; doubts bluish ones, of which it prefers the opposite."""
-
-    def forward(self, images: torch.Tensor) -> viewnet.Hypotheses:
-        green, red = images[:, 1].mean((1, 2)), images[:, 0]
-        sine = (red[:, :, 16:].mean((1, 2)) - red[:, :, :16].mean((1, 2))) / 2
-        azimuth = torch.rad2deg(torch.atan2(sine, green - 0.5)) + TURN
-        doubt = images[:, 2].mean((1, 2)) > 0.05
-        right, opposite = (view_vector(azimuth + turn, torch.full_like(azimuth, 10)) for turn in (0, 180))
-        logits = torch.where(doubt[:, None], torch.tensor([0.0, 0.3, -9.0]), torch.tensor([4.0, 0.0, -9.0]))
-        return viewnet.Hypotheses(torch.stack([right, opposite, right], 1), logits)
 
 
 def reader() -> viewnet.ViewNet:
@@ -85,7 +51,7 @@ def test_hypotheses_that_lie_together_outvote_one_that_is_surer():
 def test_the_mirror_is_found_without_labels():
     store, model = dials(300), reader()
     views = distilling.model_views(store, "train", 32, CONFIG.model)
-    said = ask(model, CONFIG, views, None, torch.Generator().manual_seed(0))
+    said = ask_about(model, CONFIG, views, None, torch.Generator().manual_seed(0))
     # In the true frame y changes its sign: in one turned by TURN about the vertical, azimuth a becomes 2 TURN - a.
     azimuth = torch.tensor([0.0, 70.0, 200.0])
     mirrored = azimuth_elevation(view_vector(azimuth, torch.full((3,), 10.0)) @ said.mirror.T)[0]
@@ -106,7 +72,7 @@ def test_a_student_is_right_where_its_teacher_was_wrong_in_the_same_frame():
 def test_teachers_answer_in_frames_of_their_own_and_the_model_keeps_its(monkeypatch):
     monkeypatch.setattr(distilling, "EPOCHS", 1)
     learned = []
-    monkeypatch.setattr(distilling, "learn", lambda *what: learned.append(what[4]))
+    monkeypatch.setattr(distilling, "learn", lambda *what: learned.append(what[2][0]))
     store, model = dials(300), reader()
     turned = reader()
     before = turned.viewpoint.forward
@@ -119,7 +85,7 @@ def test_teachers_answer_in_frames_of_their_own_and_the_model_keeps_its(monkeypa
     turned.viewpoint.forward = elsewhere
     monkeypatch.setattr(distilling, "KEPT", (0.7,))
     distil(model, CONFIG, store, [(turned, CONFIG), (turned, CONFIG)], progress=False)
-    chosen, viewpoint, _ = learned[0]
+    chosen, viewpoint = learned[0].rows, learned[0].viewpoint
     assert len(chosen) == 210
     truth = torch.tensor(store.index["azimuth"].to_list()) + TURN
     errors = vector_angle(viewpoint, view_vector(truth, torch.full_like(truth, 10)))

@@ -7,7 +7,7 @@ No viewpoint label is used, and all but the viewpoint network stays as it is, wi
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -34,6 +34,8 @@ NARROW, WIDE = 0.03, 0.1
 """Of kernels exp((cos - 1) / width): hypotheses within some 14 degrees make one answer, those within 26 confidence."""
 
 Model = tuple[ViewNet, RunConfig]
+Seen = Callable[[Tensor, torch.Generator], Tensor]
+"""From rows (n,) of N images to these as a network is shown them, augmented: (n, 4, S, S) on its device."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,16 @@ class Hypotheses:
     vectors: Tensor  # (N, K, 3)
     weights: Tensor  # (N, K), summing to 1
     mirror: Tensor  # (3, 3), what mirroring an image does to its view vector
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """Images whose viewpoints are learned."""
+
+    rows: Tensor  # (n,) which of N images
+    viewpoint: Tensor  # (N, 3)
+    share: int  # images of a batch
+    seen: Seen
 
 
 def distil(
@@ -69,8 +81,7 @@ def distil(
     backgrounds = augment.load(config.data, size, device)
     before = model.viewpoint
     generator = torch.Generator().manual_seed(seed)
-    own = ask(model, config, views, backgrounds, generator)
-    said = own
+    own = said = ask_about(model, config, views, backgrounds, generator)
     if teachers:
         viewpoint, _ = vote(own)
         asked = [_in_frame_of(viewpoint, _asked_anew(*each, store, backgrounds, generator)) for each in teachers]
@@ -82,10 +93,11 @@ def distil(
             chosen = confidence.topk(math.ceil(kept * len(confidence))).indices  # (n,)
             torch.manual_seed(seed + number)  # the seed alone decides the initial weights
             model.viewpoint = ViewpointNetwork(config.model).to(device)
-            title = f"round {number + 1} of {len(KEPT)}"
-            learn(model, config, views, backgrounds, (chosen, viewpoint, said.mirror), generator, title, progress)
+            lesson = Lesson(chosen.cpu(), viewpoint, BATCH, learned(config, views, backgrounds, device))
+            title, steps = f"round {number + 1} of {len(KEPT)}", EPOCHS * (len(chosen) // BATCH)
+            learn(model, config, [lesson], said.mirror, steps, generator, title, progress)
             if number + 1 < len(KEPT):
-                said = ask(model, config, views, backgrounds, generator)
+                said = ask_about(model, config, views, backgrounds, generator)
     except BaseException:
         model.viewpoint = before
         raise
@@ -99,32 +111,55 @@ def _asked_anew(
         backgrounds = None
     elif backgrounds is None or backgrounds.shape[-1] != 2 * config.model.input_size:
         backgrounds = augment.load(config.data, config.model.input_size, next(model.parameters()).device)
-    return ask(model, config, views, backgrounds, generator)
+    return ask_about(model, config, views, backgrounds, generator)
+
+
+def ask_about(
+    model: ViewNet, config: RunConfig, views: Views, backgrounds: Tensor | None, generator: torch.Generator
+) -> Hypotheses:
+    """What a network says of views: of each as it is and mirrored, or, with backgrounds, of AUGMENTATIONS of it."""
+    device, size = next(model.parameters()).device, config.model.input_size
+    seen, times = learned(config, views, backgrounds, device), AUGMENTATIONS
+    if backgrounds is None:
+        seen, times = (lambda rows, _: views.viewpoint_input(rows, size, device)), 2
+    return ask(model, len(views.objects), seen, times, generator)
+
+
+def learned(config: RunConfig, views: Views, backgrounds: Tensor | None, device: torch.device) -> Seen:
+    """Views as networks are trained on them, over backgrounds or, without any, as they are."""
+
+    def seen(rows: Tensor, generator: torch.Generator) -> Tensor:
+        crops = views.viewpoint_input(rows, config.model.input_size, device)  # (n, 4, S, S)
+        if backgrounds is None:
+            return augment.crop_and_rotate(crops, generator)
+        return augment.photograph(crops, backgrounds, config.train.photo, generator)
+
+    return seen
 
 
 @torch.no_grad()
 def ask(
-    model: ViewNet, config: RunConfig, views: Views, backgrounds: Tensor | None, generator: torch.Generator
+    model: ViewNet, count: int, seen: Seen, times: int, generator: torch.Generator, mirror: Tensor | None = None
 ) -> Hypotheses:
-    """What a network says of views: of each as it is and mirrored, or, with backgrounds, of AUGMENTATIONS of it."""
+    """What a network says of `count` images that it is shown so many times, every second time mirrored.
+
+    Without a `mirror` the one that brings most answers for the first two together.
+    """
     model.eval()
-    device, size = next(model.parameters()).device, config.model.input_size
     vectors, weights, answers = [], [], []
-    for rows in torch.arange(len(views.objects)).split(4 * BATCH):
-        crops = views.viewpoint_input(rows, size, device)  # (n, 4, S, S)
+    for rows in torch.arange(count).split(4 * BATCH):
         found = []
-        for number in range(2 if backgrounds is None else AUGMENTATIONS):
-            images = crops
-            if backgrounds is not None:
-                images = augment.photograph(crops, backgrounds, config.train.photo, generator)
+        for number in range(times):
+            images = seen(rows, generator)  # (n, 4, S, S)
             found.append(model.viewpoint(model.composite(images.flip(-1) if number % 2 else images)))
         vectors.append(torch.stack([each.vectors for each in found], 1))  # (n, A, M, 3)
         weights.append(torch.stack([each.logits.softmax(1) for each in found], 1))  # (n, A, M)
-        answers.append(torch.stack([each.of_heads(each.logits.argmax(1)) for each in found], 1))  # (n, A, 3)
-    said, answer = torch.cat(vectors), torch.cat(answers)  # (N, A, M, 3) and (N, A, 3)
-    mirror = _mirror(answer[:, 0], answer[:, 1])
+        answers.append(torch.stack([each.of_heads(each.logits.argmax(1)) for each in found[:2]], 1))  # (n, 2, 3)
+    said = torch.cat(vectors)  # (N, A, M, 3)
+    if mirror is None:
+        mirror = _mirror(*torch.cat(answers).unbind(1))
     said[:, 1::2] = said[:, 1::2] @ mirror.T  # back to what the unmirrored image shows
-    return Hypotheses(said.flatten(1, 2), torch.cat(weights).flatten(1) / said.shape[1], mirror)
+    return Hypotheses(said.flatten(1, 2), torch.cat(weights).flatten(1) / times, mirror)
 
 
 def _mirror(plain: Tensor, mirrored: Tensor) -> Tensor:
@@ -165,45 +200,46 @@ def vote(said: Hypotheses) -> tuple[Tensor, Tensor]:
 def learn(
     model: ViewNet,
     config: RunConfig,
-    views: Views,
-    backgrounds: Tensor | None,
-    answers: tuple[Tensor, Tensor, Tensor],
+    lessons: Sequence[Lesson],
+    mirror: Tensor,
+    steps: int,
     generator: torch.Generator,
     title: str,
     progress: bool,
 ) -> None:
-    """One round: the closest head learns the answer, and the selection which head that is.
+    """Train `model.viewpoint`: the closest head learns the viewpoint, and the selection which head that is.
 
-    `answers` are the rows (n,) of views to learn from, the viewpoints (N, 3) of all, and the mirror (3, 3). Raises
-    ViewnetError for a loss that is not finite.
+    Half of the images are mirrored, and their viewpoints by `mirror` (3, 3). Raises ViewnetError for a loss that is not
+    finite.
     """
-    chosen, viewpoint, mirror = answers
-    device, size = viewpoint.device, config.model.input_size
     optimisers = make_optimisers(model, config.train)  # what has no gradient stays as it is
-    steps = len(chosen) // BATCH  # an epoch
+    batches = [_batches(lesson, generator) for lesson in lessons]
     model.train()
-    with bar(progress, total=EPOCHS * steps, desc=title, unit="step") as shown:
-        for step in range(EPOCHS * steps):
-            if step % steps == 0:
-                order = chosen.cpu()[torch.randperm(len(chosen), generator=generator)]  # (n,)
-            set_learning_rates(optimisers, config.train.optimiser, step / (EPOCHS * steps))
-            rows = order[step % steps * BATCH :][:BATCH]
-            images, wanted = views.viewpoint_input(rows, size, device), viewpoint[rows.to(device)]
-            if backgrounds is None:
-                images = augment.crop_and_rotate(images, generator)
-            else:
-                images = augment.photograph(images, backgrounds, config.train.photo, generator)
-            mirrored = (torch.rand(BATCH, generator=generator) < 0.5).to(device)  # (B,)
+    with bar(progress, total=steps, desc=title, unit="step") as shown:
+        for step in range(steps):
+            set_learning_rates(optimisers, config.train.optimiser, step / steps)
+            parts = [next(batch) for batch in batches]
+            images, wanted = (torch.cat(each) for each in zip(*parts, strict=True))  # (B, 4, S, S) and (B, 3)
+            mirrored = (torch.rand(len(wanted), generator=generator) < 0.5).to(wanted.device)  # (B,)
             images = torch.where(mirrored[:, None, None, None], images.flip(-1), images)
             wanted = torch.where(mirrored[:, None], wanted @ mirror, wanted)  # its inverse: rows times it
             said = model.viewpoint(model.composite(images))
             closest = said.closest(wanted)  # (B,)
             loss = pull_loss(said.of_heads(closest), wanted) + F.cross_entropy(said.logits, closest)
             if not loss.isfinite():
-                raise ViewnetError(f"distil: the loss is not finite at step {step} of {title}")
+                raise ViewnetError(f"{title}: the loss is not finite at step {step}")
             model.zero_grad(set_to_none=True)
             loss.backward()
             for optimiser in optimisers:  # Adam, and perhaps Muon
                 optimiser.step()
             shown.update()
     model.eval()
+
+
+def _batches(lesson: Lesson, generator: torch.Generator) -> Iterator[tuple[Tensor, Tensor]]:
+    """Images and their viewpoints, `share` at a time: pass after pass over all but the last few."""
+    while True:
+        order = lesson.rows[torch.randperm(len(lesson.rows), generator=generator)]  # (n,)
+        for start in range(0, len(order) - lesson.share + 1, lesson.share):
+            rows = order[start : start + lesson.share]
+            yield lesson.seen(rows, generator), lesson.viewpoint[rows.to(lesson.viewpoint.device)]
