@@ -41,7 +41,8 @@ def test_predict_prints_a_line_for_each_image(images, capsys):
     assert lines[0].split() == ["azimuth", "elevation", "confidence"]
     for line, image, one in zip(lines[1:], images, said, strict=True):
         shares = f"{one.azimuth:.1f}", f"{one.elevation:.1f}", f"{100 * one.confidence:.0f}", "%"
-        assert line.split() == [image, *shares]
+        doubt = ["or", "azimuth", f"{one.rival.azimuth:.1f}"] if one.rival else []
+        assert line.split() == [image, *shares, *doubt]
 
 
 def test_predict_prints_every_hypothesis_where_it_is_asked_to(images, capsys):

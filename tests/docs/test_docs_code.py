@@ -118,7 +118,7 @@ def moved(words: list[str], world: Path) -> list[str]:
     for word in words:
         for name in re.findall(r"/data/[\w.+]+", word):
             (world / name[1:]).mkdir(parents=True, exist_ok=True)
-    places = {"saved/car": "KEY", "*.png": "car.png", f"runs/viewnet/{KEY}": f"runs/viewnet/{KEY}"}
+    places = {"saved/car": "KEY", "my-car": "KEY", "*.png": "car.png", f"runs/viewnet/{KEY}": f"runs/viewnet/{KEY}"}
     places["docs/car.jpg"] = str(ROOT / "docs" / "car.jpg")
     return [places.get(word, word.replace("/data/", f"{world}/data/")) for word in words]
 

@@ -67,7 +67,7 @@ def test_notes_say_why_a_prediction_may_be_wrong():
 def test_a_likely_hypothesis_of_the_other_side_puts_the_answer_in_doubt(azimuths, shares, other):
     vectors = view_vector(torch.tensor(azimuths, dtype=torch.float64), torch.full((len(azimuths),), 10.0).double())
     (viewpoint,) = Viewpoints.of(vectors[None].numpy(), np.log([shares]), None, True)
-    found = analysis.rival(viewpoint)
+    found = viewpoint.rival
     assert (found and round(found.azimuth)) == other
     encoded = analysis.Analysis(viewpoint, *[None] * 3, ())
     told = app.answer(encoded, ())

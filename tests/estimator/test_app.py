@@ -324,7 +324,7 @@ def visit(browser, address):
 
 
 def spoken(said):
-    rival = analysis.rival(said)
+    rival = said.rival
     azimuths = [f"{each.azimuth:.1f}°" for each in (said, rival) if each]
     return [*azimuths, f"{said.elevation:.1f}°", f"{100 * said.confidence:.1f} %"]
 

@@ -252,7 +252,7 @@ def test_the_command_prints_a_line_an_alignment(run, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f"{run.name}: {KEY}"
     assert lines[1].startswith("  its own test views: 12 of 4 objects; aligned on 12 of 4; ")
-    assert [line.split()[0] for line in lines[2:]] == ["aligned", "procrustes", "robust", "linear"]
+    assert [line.split()[0] for line in lines[2:]] == ["aligned", "procrustes", "robust", "linear", "confidence"]
     score = scores(KEY)["alignments"]["procrustes"]
     low, high = score["intervals"]["acc30"]
     assert f"{score['acc30']:.1f} [{low:.1f}, {high:.1f}]" in lines[3]

@@ -32,7 +32,10 @@ ARGUMENTS = (
 
 
 def run(options: Options) -> int:
-    """Write the folder and print its path and what the photographs held out say; 1 where it is not written."""
+    """Write the folder and print its path and what the photographs held out say; 1 where it is not written.
+
+    Raises ViewnetError for no images, and as viewnet.experiments.adapted.make does.
+    """
     choose_resources(options)
     if not options.images and not options.boxes:
         raise ViewnetError("adapt: no images: name some, a folder of them, or --boxes with a list")

@@ -1,10 +1,10 @@
 """Predict the viewpoints of images.
 
-Print the viewpoint of each image: azimuth (0 shows the object's front, 90 its left side), elevation, and the
-probability that the network gives to it. The object's mask or box decides which part of an image the network sees;
-transparency is a mask. An IMAGE is a file, a folder of them, a quoted pattern such as 'photos/*.jpg', or - for the
-standard input. Images that cannot be used are named on the standard error, and the exit code is then 3; the others are
-answered.
+Print the viewpoint of each image: azimuth (0 shows the object's front, 90 its left side), elevation, and how probable
+the network takes it to be within 30 degrees; with the azimuth of the other side where that is probable too. The
+object's mask or box decides which part of an image the network sees; transparency is a mask. An IMAGE is a file, a
+folder of them, a quoted pattern such as 'photos/*.jpg', or - for the standard input. Images that cannot be used are
+named on the standard error, and the exit code is then 3; the others are answered.
 
 Examples:
 
@@ -132,8 +132,10 @@ def _print(viewpoints: Any, names: list[str], every: bool, frame: str, form: str
         for each in viewpoint.ranked() if every else viewpoint.ranked()[:1]:
             numbers = each.rotation(frame, form).ravel() if form else ()
             rotation = "".join(f"{number:z9.{digits}f}" for number in numbers)
-            angles = f"{each.azimuth:7.1f}  {each.elevation:9.1f}  {100 * each.probability:8.0f} %"
-            print(f"{name if each.chosen else '':{width}}  {angles}{rotation}")
+            sure = each.probability if every else viewpoint.confidence
+            angles = f"{each.azimuth:7.1f}  {each.elevation:9.1f}  {100 * sure:8.0f} %"
+            doubt = f"  or azimuth {viewpoint.rival.azimuth:.1f}" if viewpoint.rival and not every else ""
+            print(f"{name if each.chosen else '':{width}}  {angles}{rotation}{doubt}")
     if form:
         print(f"rotation: {camera_axes.MEANINGS[frame]}")
     if not viewpoints.aligned:

@@ -9,6 +9,7 @@ Examples:
     viewnet save 0123456789ab saved/car --half --push somebody/viewnet-car
     viewnet evaluate 0123456789ab --data-root /data/cars --json > scores.json
     viewnet save 0123456789ab saved/car --scores scores.json        adds these scores to the card
+    viewnet save car saved/car --calibrate /data/cars
 """
 
 from pathlib import Path
@@ -17,12 +18,14 @@ from viewnet.commands.options import Options, argument
 
 LICENCE = "of the weights, in the hub's words (default: mit if trained on built-in models, else other)"
 SCORES = "output of viewnet evaluate --json on this model, for the card"
+CALIBRATE = "make confidences true on photographs with a list of viewpoints, by those marked val"
 ARGUMENTS = (
     argument("model", "a finished run's key or folder, or another saved model's", metavar="WHERE"),
     argument("folder", "where to write it", type=Path, metavar="FOLDER"),
     argument("--half", "weights in 16 bits, at half the size", action="store_true"),
     argument("--license", LICENCE),
     argument("--scores", SCORES, nargs="+", type=Path, default=[], metavar="FILE"),
+    argument("--calibrate", CALIBRATE, metavar="FOLDER"),
     argument("--push", "send the folder to the Hugging Face hub", metavar="NAME/MODEL"),
 )
 
@@ -30,9 +33,12 @@ ARGUMENTS = (
 def run(options: Options) -> None:
     """Write the folder and print its path, or its address on the hub."""
     from viewnet.estimator import ViewpointEstimator
+    from viewnet.experiments import calibrated
     from viewnet.runtime.files import read_json
 
     estimator = ViewpointEstimator.from_pretrained(options.model, device="cpu")
+    if options.calibrate:
+        calibrated.calibrate(estimator, options.calibrate)
     scores = []
     for path in options.scores:
         values = read_json(path)

@@ -52,7 +52,7 @@ def selected(scores: dict[str, Any], key: Any) -> dict[str, Any]:
         raise ViewnetError("scores: expected the output of viewnet evaluate --json on this model")
     if run != key:
         raise ViewnetError(f"scores: are of the run {run}, and the model of {key}: score this model")
-    return {"on": on, "alignments": alignments}
+    return {"on": on, "alignments": alignments, "confidence": scores.get("confidence")}
 
 
 def with_interval(scores: dict[str, Any], metric: str) -> str:

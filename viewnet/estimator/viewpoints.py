@@ -10,12 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from viewnet import geometry
 from viewnet.estimator import camera_axes
+from viewnet.evaluation.confidence import confidence, probabilities
 
 if TYPE_CHECKING:
     import pandas as pd  # loaded only for tables
 
 Floats = NDArray[np.float64]  # an array of double precision
 LINES = 12  # images that a summary lists
+DOUBT = 0.1  # probability of hypotheses behind the object from which on the answer is in doubt
 
 
 class Rotated:
@@ -65,6 +67,12 @@ class Viewpoint(Rotated):
     confidence: float
     aligned: bool
 
+    @property
+    def rival(self) -> Hypothesis | None:
+        """The likeliest hypothesis of the object's other side, if those of that side have DOUBT or more together."""
+        opposite = [each for each in self.ranked() if each.frame[:, 2] @ self.vector < 0]
+        return opposite[0] if sum(each.probability for each in opposite) >= DOUBT else None
+
     def ranked(self) -> list[Hypothesis]:
         """Every hypothesis by falling probability; among equals the chosen one comes first.
 
@@ -93,7 +101,7 @@ class Viewpoints(Rotated):
     hypothesis_frames  (N, M, 3, 3) their camera frames, one of which is `frame`
     probabilities      (N, M) that each hypothesis is the best
     choice             (N,) the most probable hypothesis
-    confidence         (N,) its probability
+    confidence         (N,) that of the viewpoint: the probability of all hypotheses within 30 degrees of the chosen one
     aligned            whether the frame is the annotated one; otherwise it is the network's own, whose azimuth 0 and up
                        are arbitrary: only differences between viewpoints mean anything
 
@@ -118,15 +126,14 @@ class Viewpoints(Rotated):
     def of(cls, hypotheses: ArrayLike, logits: ArrayLike, ups: ArrayLike | None, aligned: bool) -> "Viewpoints":
         """From unit view vectors (N, M, 3), logits (N, M) and, with in-plane rotation, unit up vectors (N, M, 3)."""
         vectors, scores = np.array(hypotheses, dtype=np.float64), np.array(logits, dtype=np.float64)
-        shares = np.exp(scores - scores.max(1, keepdims=True))
-        shares /= shares.sum(1, keepdims=True)
+        shares = probabilities(scores)
         rows, choice = np.arange(len(scores)), scores.argmax(1)
         chosen = vectors[rows, choice]
         up = None if ups is None else torch.from_numpy(np.array(ups, dtype=np.float64))
         azimuth, elevation = (angle.numpy() for angle in geometry.azimuth_elevation(torch.from_numpy(chosen)))
         frames = geometry.look_at(torch.from_numpy(vectors), up).numpy()
-        frame, confidence = frames[rows, choice], shares[rows, choice]
-        return cls(azimuth, elevation, chosen, frame, vectors, frames, shares, choice, confidence, aligned)
+        sure = confidence(frames, scores)
+        return cls(azimuth, elevation, chosen, frames[rows, choice], vectors, frames, shares, choice, sure, aligned)
 
     def __len__(self) -> int:
         return len(self.azimuth)

@@ -21,8 +21,10 @@ from viewnet.data.readers.registry import READERS
 from viewnet.errors import ViewnetError
 from viewnet.estimator import pretrained
 from viewnet.estimator.model_card import METRICS, with_interval
+from viewnet.estimator.viewpoints import Viewpoints
 from viewnet.evaluation.alignment import MINIMUM
-from viewnet.evaluation.evaluate import calibrating, evaluate
+from viewnet.evaluation.confidence import calibration_error
+from viewnet.evaluation.evaluate import Aligned, align, calibrating, evaluate
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import LEARNED_ALIGNMENTS, Run
 from viewnet.evaluation.support import support
@@ -61,6 +63,8 @@ def scores(
                       of photographs with its "support" (viewnet.evaluation.support)
     choose            of photographs the alignment to take: the first one, unless another is right on more of the
                       calibration images that it was not fitted on, by more than chance can be (two standard errors)
+    confidence        its mean in per cent and its expected calibration error in points, by the alignment to take, else
+                      the first one; None of single hypotheses
 
     Alignments are fitted on `calibration` images (None: all) of the model's own validation views, or of photographs'
     calibration split; with fewer than four of these there is `OWN` alone. Raises ViewnetError where there is no model,
@@ -91,7 +95,9 @@ def scores(
     if where_from == "photographs":
         choose = choice(found, by_kind, calibration)
     about = {"model": where, "name": run.name, "key": result.get("key"), "on": description}
-    return about | {"alignments": found, "choose": choose}
+    said, kind = by_kind[choose or next(iter(by_kind))]
+    sure = _confidence(align(said, kind, calibration)) if said.heads > 1 else None
+    return about | {"alignments": found, "choose": choose, "confidence": sure}
 
 
 def choice(
@@ -127,12 +133,21 @@ def as_text(scores: dict[str, Any]) -> str:
         f"  {scores['on']}: {images}; {calibrated}; [95 % intervals over objects]",
         *("  " + row for row in aligned([header, *rows], len(header))),
     ]
+    if sure := scores["confidence"]:
+        average = f"confidence {sure['mean']:.1f} % on average"
+        lines.append(f"  {average}; expected calibration error {sure['error']:.1f} points")
     if "support" in first:
         right = {name: score["support"]["acc30"] for name, score in found.items()}
         lines.append(f"  take {scores['choose']}; left out: calibration images that a fit to others has right")
         if worse := [name for name, value in right.items() if value < right.get(OWN, 0)]:
             lines.append(f"  worse than the model's own rotation: {', '.join(worse)}: calibrate on more images")
     return "\n".join(lines)
+
+
+def _confidence(aligned: Aligned) -> dict[str, float]:
+    test = aligned.predictions
+    sure = Viewpoints.of(test.hypotheses, test.logits, test.ups, aligned=False).confidence  # (N,)
+    return {"mean": 100 * float(sure.mean()), "error": calibration_error(sure, aligned.selected_errors < 30)}
 
 
 def _support(support: dict[str, float | None]) -> tuple[str, str]:

@@ -67,6 +67,14 @@ class ViewpointNetwork(nn.Module):
         ups = F.normalize(rest[:, 1] + rest.new_tensor([0.0, 0.0, 1.0]), dim=-1) if self.in_plane else None
         return Hypotheses(vectors, logits, ups)
 
+    @torch.no_grad()
+    def divide_logits(self, temperature: float) -> None:
+        """Make the selection less sure, or with a temperature below 1 surer; every choice stays."""
+        last = next(layer for layer in reversed(self.encoder) if isinstance(layer, nn.Conv2d))
+        last.weight[: self.heads] /= temperature
+        assert last.bias is not None
+        last.bias[: self.heads] /= temperature
+
     def on_sphere(self, raw: Tensor) -> Tensor:
         """Unit vectors of raw ones (..., 3), their elevation squashed into the limits where there are any."""
         if self.limits is None:

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from viewnet.estimator import ViewpointEstimator, inputs, preprocess, templating
-from viewnet.estimator.viewpoints import Hypothesis, Viewpoint
+from viewnet.estimator.viewpoints import Viewpoint
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
 from viewnet.model.reconstruction import Encoded
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import trimesh
 
 SIZE = 256  # pixels along a side of rendered images, about
-DOUBT = 0.1  # probability of hypotheses behind the object from which on the answer is in doubt
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +59,6 @@ def novel_view(estimator: ViewpointEstimator, encoded: Encoded, azimuth: float, 
     angles = (torch.tensor([value], dtype=torch.float64) for value in (azimuth, elevation))
     pose = estimator.in_own_frame(look_at(view_vector(*angles)))
     return np.asarray(estimator.displayed(estimator.render(encoded, pose, _size(estimator)))[0])
-
-
-def rival(viewpoint: Viewpoint) -> Hypothesis | None:
-    """The likeliest hypothesis of the object's other side, if those of that side together are likely enough."""
-    opposite = [each for each in viewpoint.ranked() if each.frame[:, 2] @ viewpoint.vector < 0]
-    return opposite[0] if sum(each.probability for each in opposite) >= DOUBT else None
 
 
 def four_sides(mesh: "trimesh.Trimesh", azimuth: float, elevation: float) -> np.ndarray:

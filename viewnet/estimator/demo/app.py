@@ -240,7 +240,7 @@ def answer(result: analysis.Analysis, notes: Sequence[str]) -> str:
     """HTML: the viewpoint in numbers, in words if it is in the annotated frame, and on two compasses."""
     one = result.viewpoint
     above, side = compass_svg.from_above(one), compass_svg.from_the_side(one)
-    rival = analysis.rival(one)
+    rival = one.rival
     words = ", or ".join(compass_svg.words(each.azimuth, each.elevation) for each in (one, rival) if each)
     return templating.rendered("answer.html", one=one, rival=rival, words=words, above=above, side=side, notes=notes)
 
