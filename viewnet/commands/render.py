@@ -31,8 +31,7 @@ def run(options: shared.Options) -> None:
     from viewnet.runs import dask_cluster, make_run, needs, run_store
 
     configs = shared.configurations(options)
-    if options.set:  # else they are those of a profile, and building a network, if only for its size, takes a second
-        run_store.check(configs, train=False)
+    run_store.check(configs, train=False)
     if options.dry_run:
         found = needs.views(configs)
         return shared.print_results(options, found.as_dict(), *found.lines())

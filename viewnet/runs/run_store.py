@@ -31,7 +31,7 @@ from viewnet.evaluation.run import Run
 from viewnet.model import checkpoint
 from viewnet.model.viewnet import ViewNet
 from viewnet.peers import registry
-from viewnet.recipes import PEERS
+from viewnet.recipes import PEERS, make_config
 from viewnet.runs import dask_cluster, make_run, worker_pool
 from viewnet.runtime import distributed, provenance
 from viewnet.runtime.parallel import MOST_THREADS, cores, pool
@@ -102,7 +102,9 @@ def check(configs: Sequence[RunConfig], train: bool = True) -> None:
     for config in dict.fromkeys(configs):
         if config.variant in UNTRAINED:
             continue
-        weights(config)
+        # A profile's own network can be built; building one, if only for its size, takes a second.
+        if config.model != make_config(config.variant, config.category, config.profile, config.recipe).model:
+            weights(config)
         if not train:
             continue
         if config.data.video is None and config.data.views < 2:
