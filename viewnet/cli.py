@@ -18,7 +18,7 @@ from viewnet.runtime import parallel
 
 COMMANDS = (
     *("notebook", "tables", "replicate", "render", "train", "evaluate", "predict", "turntable", "distil", "adapt"),
-    *("save", "demo", "data", "audit", "bench", "completion"),
+    *("runs", "save", "demo", "data", "audit", "bench", "completion"),
 )
 """The modules of viewnet.commands, in the order of the help."""
 NEGATIVE = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$|-inf(inity)?$|-nan$", re.IGNORECASE)

@@ -24,7 +24,7 @@ from viewnet.runtime.files import read_json
 
 COMMANDS = (
     *("notebook", "tables", "render", "train", "evaluate", "predict", "turntable", "distil", "adapt", "save", "demo"),
-    *("data", "audit", "bench", "completion"),
+    *("runs", "data", "audit", "bench", "completion"),
 )
 
 

@@ -187,14 +187,19 @@ def load_array(path: Path, again: str, mmap_mode: Literal["r"] | None = None) ->
 
 
 @contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold the lock of `folder`, waiting while a living process does; ViewnetError where it cannot be written."""
+def locked(folder: Path, wait: bool = True) -> Iterator[None]:
+    """Hold the lock of `folder`, waiting while a living process does.
+
+    ViewnetError where it cannot be written and, without `wait`, where a living process holds it.
+    """
     lock = FileLock(folder.with_name(f".{folder.name}.lock"))
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         try:
             lock.acquire(timeout=0)
         except Timeout:
+            if not wait:
+                raise ViewnetError(f"{folder} is being made by another process: try again when it is done") from None
             log.warning("%s is being made by another process: waiting for it", folder)
             lock.acquire()
     except OSError as error:
