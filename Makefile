@@ -58,7 +58,7 @@ table2: setup ## Table 2 on built-in data, trained here where it is missing
 	$(RUN) papermill notebooks/table2_ablation.ipynb "$(OUTPUT)" $(PARAMETERS)
 	@echo "the executed notebook: $(OUTPUT)"
 
-replication: setup ## every training behind the tables of CAD models, kept in paper_tables/; stop and start it at will
+replication: setup ## every training behind the tables, kept in paper_tables/; stop and start it at will
 	$(VENV)/bin/viewnet replicate
 
 test: style ## style, types, all tests and every notebook; what else lint checks is among the tests

@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 from helpers.fake_steps import STEPS
-from helpers.photo_data import keep_apart, make_photos
+from helpers.photo_data import fake_photographs, keep_apart, make_photos
 from helpers.tables import cell_of
 
 from viewnet.config import CATEGORIES, SHAPENET_CATEGORIES, PhotoConfig
@@ -29,23 +29,7 @@ def folders(tmp_path, monkeypatch):
 @pytest.fixture
 def photographs(tmp_path, monkeypatch):
     """Fake photographs, by their configurations."""
-    configs: list[PhotoConfig] = []
-
-    def views(config, workers=None, progress=True):
-        configs.append(config)
-        folder = tmp_path / "photos" / config.category
-        if folder.exists():
-            return photo_store(folder)
-        return make_photos(folder, category=config.category, seed=CATEGORIES.index(config.category))
-
-    from viewnet.data.store import ViewStore
-
-    photo_store = ViewStore.open
-    monkeypatch.setattr("viewnet.data.build.photo_views", views, raising=False)
-    monkeypatch.setattr(
-        "viewnet.data.photo_store.summary", lambda store: f"{len(store)} used, {len(store.rejected)} left out"
-    )
-    return configs
+    return fake_photographs(tmp_path, monkeypatch)
 
 
 def run(request: PhotoExperiment):

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from helpers import fake_steps
 from helpers.fake_steps import STEPS, calls
+from helpers.photo_data import fake_photographs, keep_apart, make_photos
 
 from viewnet.errors import ViewnetError
 from viewnet.experiments.replication import QUEUE, Replication
@@ -108,3 +109,47 @@ def test_weights_chosen_robustly_have_a_row_of_their_own(folders):
     queue(folders, one).train(workers=1, progress=False, steps=STEPS)
     assert cells(folders, "smoke-viewnet-car/table2_ablation").equals(rows)
     assert not len(kept_predictions.differences(folders / "tables/smoke-viewnet-car/table2_ablation.json"))
+
+
+@pytest.fixture
+def on_photographs(tmp_path, monkeypatch):
+    """Folders of the test's own, made photographs, and trainings and predictions that take milliseconds."""
+    monkeypatch.setattr("viewnet.runs.make_run.default_steps", lambda: STEPS)
+    fake_photographs(tmp_path, monkeypatch)
+    return keep_apart(tmp_path, monkeypatch)
+
+
+ON_PHOTOGRAPHS = ("table3_pascal3d", {"categories": "car", "rows": "constant,viewnet", "seeds": "2"})
+
+
+@pytest.mark.slow
+def test_runs_scored_on_photographs_are_kept_and_nothing_twice(on_photographs):
+    parts = (ON_PHOTOGRAPHS, ("table5_dva", ON_PHOTOGRAPHS[1]))
+    queue(on_photographs, *parts).train(workers=1, progress=False, steps=STEPS)
+    assert sorted(calls(on_photographs)) == ["car-0", "car-1"]
+    paths = [on_photographs / f"tables/smoke-constant-viewnet-car/{name}" for name, _ in parts]
+    first = [path.with_suffix(".parquet").read_bytes() for path in paths]
+    rows = cells(on_photographs, "smoke-constant-viewnet-car/table3_pascal3d")["seeds"]
+    assert rows.to_dict() == {
+        "Constant": 1,
+        "ViewNet (photos)": 2,
+        "ViewNet (robust, photos)": 2,
+        "ViewNet* (photos)": 2,
+    }
+    shutil.rmtree(on_photographs / "runs")  # as on another machine
+    again = queue(on_photographs, *parts)
+    assert [(part["runs"], part["kept"]) for part in again.plan()] == [(2, 2), (2, 2)]
+    again.train(workers=1, progress=False, steps=STEPS)
+    assert len(calls(on_photographs)) == 2
+    assert [path.with_suffix(".parquet").read_bytes() for path in paths] == first
+
+
+@pytest.mark.slow
+def test_rows_on_other_photographs_are_not_mixed(on_photographs):
+    queue(on_photographs, ON_PHOTOGRAPHS).train(workers=1, progress=False, steps=STEPS)
+    shutil.rmtree(on_photographs / "photos/car")
+    make_photos(on_photographs / "photos/car", seed=99)
+    name, parameters = ON_PHOTOGRAPHS
+    more = queue(on_photographs, (name, parameters | {"seeds": "3"}))
+    with pytest.raises(ViewnetError, match="photographs of another version: remove the table's files"):
+        more.train(workers=1, progress=False, steps=STEPS)

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from viewnet.config import CATEGORIES, PhotoConfig
 from viewnet.data.store import ViewStore, write_store
 from viewnet.evaluation import features
 
@@ -24,6 +25,24 @@ def keep_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
     monkeypatch.setattr(features, "SIZE", 32)
     return tmp_path
+
+
+def fake_photographs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[PhotoConfig]:
+    """Have experiments use made photographs; what configurations they ask for is in the list."""
+    configs: list[PhotoConfig] = []
+
+    def views(config: PhotoConfig, workers: int | None = None, progress: bool = True) -> ViewStore:
+        configs.append(config)
+        folder = tmp_path / "photos" / config.category
+        if folder.exists():
+            return ViewStore.open(folder)
+        return make_photos(folder, category=config.category, seed=CATEGORIES.index(config.category))
+
+    monkeypatch.setattr("viewnet.data.build.photo_views", views)
+    monkeypatch.setattr(
+        "viewnet.data.photo_store.summary", lambda store: f"{len(store)} used, {len(store.rejected)} left out"
+    )
+    return configs
 
 
 def write_crops(

@@ -1,4 +1,4 @@
-"""Train all that the tables of CAD models need, and keep each run as it ends.
+"""Train all that the tables need, and keep each run as it ends.
 
 A queue of trainings at the profile tiny, in the order of what each tells: some twenty hours on two cores. As a run
 ends, its predictions, its log and where it comes from are added to paper_tables/. It can be stopped at any time; the

@@ -98,6 +98,23 @@ class Experiment(Request):
         unmeasured = [row.label for row in rows if row.variant and row.variant not in measured]
         return Table.of(self.name, own, self.categories, self.note, remarks, unmeasured=unmeasured, added=added)
 
+    def entries_of(self, run: Run) -> list[Entry]:
+        """What a finished run adds to the table, without `eval_root`."""
+        return [*entries(self.name, [run]), *by_robust_weights(self.name, [run])]
+
+    @property
+    def untrained_rows(self) -> list[str]:
+        """Rows of predictors that are no runs."""
+        return []
+
+    def untrained(self) -> list[Entry]:
+        """The entries of `untrained_rows`."""
+        return []
+
+    def scores(self, category: str) -> str:
+        """What its runs are scored on, as a key; "" for their own test views."""
+        return ""
+
     def eval_data(self, config: RunConfig) -> DataConfig:
         """The views of `eval_root`, rendered as those of a run."""
         assert self.eval_root is not None

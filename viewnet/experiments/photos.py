@@ -15,6 +15,7 @@ from viewnet.config import PhotoConfig, RunConfig
 from viewnet.data import build, photo_store
 from viewnet.data.readers.registry import READERS
 from viewnet.data.store import ViewStore
+from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, features
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
@@ -97,10 +98,38 @@ class PhotoExperiment(Experiment):
 
     def table(self, runs: Sequence[Run], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
         """The table of these runs and of the untrained predictors; `added` and `remarks` as in Experiment."""
+        return self.table_of(self.entries(runs, self.stores()), added, remarks)
+
+    def table_of(self, own: Sequence[Entry], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
+        """The table of these entries; see `table`. Raises ViewnetError for those on photographs of another version."""
         stores = self.stores()
-        measured, lines = self.entries(runs, stores), [*self.remarks(stores), *remarks]
+        if other := [e for e in own if e.origin["photographs"] != stores[e.category].identity]:
+            what = f"{self.folder / self.name}: {other[0].row} was scored on photographs of another version"
+            raise ViewnetError(f"{what}: remove the table's files to make it again")
+        lines = [*self.remarks(stores), *remarks]
         rows = (self.renamed_rows, self.unmeasured_rows)
-        return Table.of(self.name, measured, self.categories, self.note, lines, *rows, added)
+        return Table.of(self.name, own, self.categories, self.note, lines, *rows, added)
+
+    def entries_of(self, run: Run) -> list[Entry]:
+        """What a finished run adds to the table."""
+        return self.trained_entries([run], self.stores())
+
+    @property
+    def _untrained_variants(self) -> list[str]:
+        return [variant for variant in self.variants if variant not in VARIANTS | PEERS]
+
+    @property
+    def untrained_rows(self) -> list[str]:
+        """Rows of predictors that are no runs."""
+        return [row.label for variant in self._untrained_variants for row in LAYOUTS[self.name].rows_of(variant)]
+
+    def untrained(self) -> list[Entry]:
+        """The entries of `untrained_rows`."""
+        return self.untrained_entries(self.stores())
+
+    def scores(self, category: str) -> str:
+        """What its runs are scored on, as a key."""
+        return str(self.photo_config(category))
 
     @property
     def unmeasured_rows(self) -> tuple[str, ...]:
@@ -135,15 +164,25 @@ class PhotoExperiment(Experiment):
 
     def entries(self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
         """The entries of a table, by default its own: the runs, and the untrained predictors, on these photographs."""
-        name, result = name or self.name, []
+        return [*self.trained_entries(runs, stores, name), *self.untrained_entries(stores, name)]
+
+    def trained_entries(
+        self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None
+    ) -> list[Entry]:
+        """Of `entries`, the runs."""
 
         def predictions(run: Run) -> Predictions:
             return other_views.on_photographs(run, stores[run.config.category])
 
-        for entry in entries(name, runs, predictions, self.calibration):
-            result.append(replace(entry, origin=entry.origin | {"photographs": stores[entry.category].identity}))
-        untrained = [variant for variant in self.variants if variant not in VARIANTS | PEERS]
-        shown = [variant for variant in untrained if variant in LAYOUTS[name].variants]
+        return [
+            replace(entry, origin=entry.origin | {"photographs": stores[entry.category].identity})
+            for entry in entries(name or self.name, runs, predictions, self.calibration)
+        ]
+
+    def untrained_entries(self, stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
+        """Of `entries`, the untrained predictors."""
+        name, result = name or self.name, []
+        shown = [variant for variant in self._untrained_variants if variant in LAYOUTS[name].variants]
         for (category, store), variant in product(stores.items(), shown):
             fitted, settings = self.fitted(variant, store, self.calibration)
             alignment = ALIGNED.get(variant, "none")

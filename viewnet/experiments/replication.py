@@ -1,15 +1,16 @@
-"""The replication: a queue of the trainings behind the tables of CAD models, kept in paper_tables/ as they end.
+"""The replication: a queue of the trainings behind the tables, kept in paper_tables/ as they end.
 
 A table of the queue is made of the runs that are kept beside it: their predictions and where they come from
 (viewnet.tables.kept_predictions). As a run ends, the tables with a row of it are written again, its log beside them. So
 what was measured survives the machine, a queue that was stopped goes on where it was, and what is kept is not trained
 again, by whichever version it was trained: its commit stands in the table's JSON. To train runs again, remove the
-table's files.
+table's files. Predictors that are not trained, such as constants, are measured once and kept too.
 """
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from viewnet.runs.run_store import ensure
 from viewnet.runtime.files import read_csv, read_json, write_csv
 from viewnet.tables import definitions, kept_predictions, plots
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.table import CHOSEN_ROBUSTLY, Entry, by_robust_weights, entries
+from viewnet.tables.table import CHOSEN_ROBUSTLY, Entry
 
 QUEUE: tuple[tuple[str, dict[str, str]], ...] = (
     # Does each part of the method matter, and does the cycle help?
@@ -35,6 +36,10 @@ QUEUE: tuple[tuple[str, dict[str, str]], ...] = (
     # Does the method as printed tell front from rear?
     ("table2_ablation", {"seeds": "3", "recipe": "paper", "rows": "viewnet"}),
     ("table2_ablation", {"seeds": "1", "recipe": "paper", "categories": "car"}),
+    # What is left of it on photographs, and after training on videos?
+    ("table3_pascal3d", {"seeds": "3"}),
+    ("table5_dva", {"seeds": "3"}),
+    ("table4_freiburg", {"seeds": "3"}),
     # What is needed of what our recipe adds?
     ("recipe_ablation", {"seeds": "3"}),
 )
@@ -46,7 +51,8 @@ class Replication:
     """The queue: what of it is kept, and what is missing."""
 
     requests: Sequence[Experiment]
-    kept: dict[str, dict[str, Entry]] = field(default_factory=dict)  # RunConfig.settings_key -> row -> its entry
+    # What is scored (Experiment.scores), and RunConfig.settings_key or the key of what is not trained -> row -> entry
+    kept: dict[tuple[str, str], dict[str, Entry]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, parts: Sequence[tuple[str, dict[str, str]]] = QUEUE, **parameters: Any) -> "Replication":
@@ -58,18 +64,25 @@ class Replication:
         for request in queue.requests:
             path = _file(request)
             if path.with_suffix(".parquet").is_file():
-                queue._add(kept_predictions.read(path).entries)
+                queue._add(request, kept_predictions.read(path).entries)
         return queue
 
-    def _add(self, entries: Sequence[Entry]) -> None:
+    def _add(self, request: Experiment, entries: Sequence[Entry]) -> None:
         for entry in entries:
-            self.kept.setdefault(entry.origin.get("settings", ""), {})[entry.row] = entry
+            key = (request.scores(entry.category), entry.origin.get("settings", entry.key))
+            self.kept.setdefault(key, {})[entry.row] = entry
+
+    def _kept(self, request: Experiment, config: RunConfig) -> dict[str, Entry]:
+        """Row -> what is kept of a run for what a request scores; nothing where the run is to be trained."""
+        return self.kept.get((request.scores(config.category), config.settings_key()), {})
 
     @property
     def missing(self) -> list[RunConfig]:
         """The runs that are not kept, in the order to train them: part by part, of each the first seeds first."""
-        wanted = (config for request in self.requests for config in sorted(request.configs, key=lambda c: c.seed))
-        return [config for config in dict.fromkeys(wanted) if config.settings_key() not in self.kept]
+        return list(dict.fromkeys(config for request in self.requests for config in self._missing_of(request)))
+
+    def _missing_of(self, request: Experiment) -> list[RunConfig]:
+        return [c for c in sorted(request.configs, key=lambda c: c.seed) if not self._kept(request, c)]
 
     def plan(self) -> list[dict[str, Any]]:
         """Of each part: its table, its runs, how many are kept, and `core_hours` for those that no part before has.
@@ -80,13 +93,13 @@ class Replication:
         for entry in (next(iter(rows.values())) for rows in self.kept.values()):
             if entry.recipe:
                 seconds.setdefault(entry.recipe, []).append(entry.origin["training"]["seconds"])
-        parts, missing = [], set(self.missing)
+        parts, before = [], set[RunConfig]()
         for request in self.requests:
-            own = missing & set(request.configs)
-            missing -= own
+            own = set(self._missing_of(request)) - before
+            before |= own
             trained = [config.recipe for config in own if config.variant not in UNTRAINED]
             hours = sum(float(np.mean(seconds.get(recipe, [np.nan]))) for recipe in trained) / 3600
-            kept = sum(config.settings_key() in self.kept for config in request.configs)
+            kept = sum(bool(self._kept(request, config)) for config in request.configs)
             name = f"{request.label}/{request.name}".lstrip("/")
             parts.append({"table": name, "runs": len(request.configs), "kept": kept, "core_hours": hours})
         return parts
@@ -99,7 +112,7 @@ class Replication:
         for request in self.requests:  # runs that one table has kept may be another's rows
             path = _file(request)
             shown = {run.get("settings") for run in read_json(path)["runs"].values()} if path.is_file() else set()
-            if {config.settings_key() for config in request.configs} & self.kept.keys() - shown:
+            if any(c.settings_key() not in shown for c in request.configs if self._kept(request, c)):
                 self._write(request)
         ensure(self.missing, workers, progress, steps, finished=self.keep)
 
@@ -107,17 +120,31 @@ class Replication:
         """Write every table that has a row of a finished run again, with its predictions and its log."""
         for request in self.requests:
             if run.config in request.configs:
-                self._add([*entries(request.name, [run]), *by_robust_weights(request.name, [run])])
+                self._add(request, request.entries_of(run))
                 self._write(request)
                 if run.trained:
                     self._write_log(request, run)
 
     def _write(self, request: Experiment) -> None:
-        found = [entry for config in request.configs for entry in self.kept.get(config.settings_key(), {}).values()]
+        found = [entry for config in request.configs for entry in self._kept(request, config).values()]
         labels = {row.label for row in LAYOUTS[request.name].rows}
         own = [entry for entry in found if entry.row in labels]
         chosen = [entry for entry in found if entry.row.endswith(CHOSEN_ROBUSTLY)]
-        definitions.write_with(request.table_of(own, chosen, _uneven(own)), request.folder)
+        table = request.table_of([*self._untrained(request), *own], chosen, _uneven(own))
+        definitions.write_with(table, request.folder)
+
+    def _untrained(self, request: Experiment) -> list[Entry]:
+        """The entries of predictors without training that are no runs, measured where some are not kept."""
+
+        def kept() -> dict[tuple[str, str], Entry]:
+            scored = {request.scores(category) for category in request.categories}
+            entries = (entry for (what, _), rows in self.kept.items() if what in scored for entry in rows.values())
+            return {(entry.row, entry.category): entry for entry in entries if "settings" not in entry.origin}
+
+        wanted = list(product(request.untrained_rows, request.categories))
+        if set(wanted) - kept().keys():
+            self._add(request, request.untrained())
+        return [kept()[each] for each in wanted]
 
     def _write_log(self, request: Experiment, run: Run) -> None:
         """The logs of the table's runs, of several machines perhaps, one below the other."""
