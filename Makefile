@@ -9,6 +9,10 @@ VENV ?= .venv
 OUTPUT ?= runs/notebooks/table2_ablation.ipynb
 # Passed on to papermill, e.g. PARAMETERS="-p categories car -p seeds 3"
 PARAMETERS ?=
+# make image WHEELS=cuda BUILDER=podman BUILD_OPTIONS="--build-arg BASE=..."
+WHEELS ?= cpu
+BUILDER ?= $(firstword $(foreach each,docker podman buildah,$(if $(shell command -v $(each)),$(each))))
+BUILD_OPTIONS ?=
 # make lock UPGRADE=--upgrade takes the newest versions; without it, pins change only where they have to.
 UPGRADE ?=
 
@@ -22,7 +26,7 @@ PAGES := README.md $(wildcard docs/*.md)
 NOTEBOOK := $(VENV)/bin/viewnet notebook
 COG := $(RUN) cogapp -P -I docs -p "from measured import *" --verbosity=1
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 replication test test-fast style lint format numbers notebooks docs lock clean
+.PHONY: help setup table2 replication test test-fast style lint format numbers notebooks docs image lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z0-9-]*\):.*## /\1\t/p' Makefile | expand -t 12
@@ -90,6 +94,10 @@ notebooks: setup ## parameters of the notebooks, and what they show of paper_tab
 docs: setup ## the pages and the reference of every module as HTML: build/docs/index.html
 	$(VENV)/bin/python docs/build.py build/docs
 	@echo "the first page: build/docs/index.html"
+
+image: ## an image for containers, by docker, podman or buildah; with CUDA: make image WHEELS=cuda
+	@[ -n "$(BUILDER)" ] || { echo "make: no docker, podman or buildah here: install one of them" >&2; exit 1; }
+	$(BUILDER) build --file Containerfile --build-arg WHEELS=$(WHEELS) --tag viewnet:$(WHEELS) $(BUILD_OPTIONS) .
 
 lock: ## pin every dependency anew in environment.lock
 	"$(PYTHON)" -m venv build/uv

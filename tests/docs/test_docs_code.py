@@ -34,8 +34,8 @@ from viewnet.runtime import torchvision_weights
 from viewnet.training.adapt import Adaptation
 
 KEY = "0123456789ab"
-FOREIGN = {"dask", "srun", "helm", "kubectl"}
-"""Cluster programs, whose options are not checked."""
+FOREIGN = {"apptainer", "dask", "docker", "helm", "kubectl", "sbatch", "srun"}
+"""Programs of clusters and containers, whose options are not checked."""
 OTHER = ("category,model_id,view,", "target  rgb alpha")
 """How blocks begin that are neither Python nor commands: a file's first lines, a formula."""
 HISTORY = "CHANGELOG.md"
