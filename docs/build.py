@@ -37,6 +37,7 @@ PROSE = {
     "docs/running.md": "running",
     "docs/estimator.md": "estimator",
     "docs/models.md": "models",
+    "docs/own_category.md": "own_category",
     "docs/real_data.md": "real_data",
     "docs/your_method.md": "your_method_guide",
     "docs/architecture.md": "architecture_guide",

@@ -9,6 +9,7 @@ import dataclasses
 import difflib
 import hashlib
 import json
+import re
 import types
 import typing
 from collections.abc import Iterable, Iterator
@@ -70,7 +71,7 @@ MOST_WIDTHS = 16  # of encoder_channels and generator_channels: each halves or d
 class DataConfig:
     """Views of one category to train on: rendered from CAD models (section 4.2), or frames of videos (section 4.4)."""
 
-    category: str  # a PASCAL3D+ name [4.2] (U)
+    category: str  # a PASCAL3D+ name, of own data any other [4.2] (U)
     root: str | None = None  # ShapeNetCore folder, v1 or v2 layout; None: built-in models [4.2] (U)
     splits: str | None = None  # folder of <synset>_{train,val,test}.txt; None: all.csv, else a seeded split [4.2] (U)
     models: int = 1000  # built-in: how many to make; real: at most so many, 0 for all [ours] (P)
@@ -85,9 +86,7 @@ class DataConfig:
     renderer: Literal["auto", "raycast", "pyrender"] = "auto"  # [ours] (U)
     # Behind both inputs in training, never behind the target: a folder of images (SUN397) or "drawn" [4.3] (R)
     backgrounds: str | None = None
-    video: "VideoConfig | None" = (
-        None  # given: views are frames of its clips, and only backgrounds count beside [4.4] (U)
-    )
+    video: "VideoConfig | None" = None  # views are frames of its clips: only backgrounds count beside [4.4] (U)
 
 
 @dataclass(frozen=True)
@@ -146,9 +145,7 @@ class ModelConfig:
     code_size: int = 1024  # channels of the fixed canonical code [supplement] (P)
     generator_channels: tuple[int, ...] = (512, 128, 128, 16)  # at 4, 8, 16, 32 voxels a side [supplement] (P)
     generator_refine: bool = True  # a second, 3x3x3 layer at each resolution [supplement] (P)
-    generator_last_kernel: Literal[2, 4] = (
-        4  # of the layer to full resolution; 2 is far cheaper [supplement; 2: ours] (P)
-    )
+    generator_last_kernel: Literal[2, 4] = 4  # of the layer to full resolution; 2: far cheaper [supplement; ours] (P)
     appearance_size: int = 256  # channels of the appearance code [supplement] (P)
     heads: int = 3  # M, viewpoint hypotheses an image [3.1, 4.1] (V)
     head_spread: float = 0.0  # length of a vector added to each head's, evenly around the object [ours] (R)
@@ -217,10 +214,7 @@ class PhotoAugmentationConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """The optimisation (sections 3 and 4.1).
-
-    Raises ViewnetError for numbers of targets that cannot be trained with.
-    """
+    """The optimisation (sections 3 and 4.1). ViewnetError for numbers of targets that cannot be trained with."""
 
     start: str | None = None  # run key, folder or checkpoint whose weights come first; None: random ones [4.3] (U)
     epochs: int = 1000  # an epoch has as many targets as there are views [4.1] (P)
@@ -325,6 +319,13 @@ def known(value: str, choices: Iterable[str], what: str) -> str:
         names = ", ".join(map(str, choices))
         raise ViewnetError(f"unknown {what} {value!r}: choose one of {names}{nearest(value, choices)}")
     return value
+
+
+def own_category(name: str) -> str:
+    """`name` itself if it can be the category of people's own data, where any is possible; else ViewnetError."""
+    if not re.fullmatch(r"\w[\w-]{0,49}", name):
+        raise ViewnetError(f"category {name!r}: expected letters, digits, _ and -, 50 at most, such as teapot")
+    return name
 
 
 def nearest(value: object, choices: Iterable[object]) -> str:

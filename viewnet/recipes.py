@@ -13,7 +13,7 @@ weights to start from (`STARTED`), the variant, its length at the smallest profi
 from dataclasses import replace
 from typing import Any
 
-from viewnet.config import CATEGORIES, RunConfig, build, known, nearest, settings
+from viewnet.config import CATEGORIES, RunConfig, build, known, nearest, own_category, settings
 from viewnet.errors import ViewnetError
 
 Changes = dict[str, Any]
@@ -269,8 +269,8 @@ def make_config(
 ) -> RunConfig:
     """The configuration of one run. Overrides are settings by name, e.g. `epochs=3` or `search_views=16`.
 
-    Raises ViewnetError naming the valid choices for an unknown variant, category, profile, recipe or setting, and for a
-    value that a setting cannot have.
+    Raises ViewnetError naming the valid choices for an unknown variant, profile, recipe or setting, for an unknown
+    category without data of one's own, and for a value that a setting cannot have.
 
     >>> make_config(category="car", recipe="photos", heads=5).model.heads
     5
@@ -279,7 +279,6 @@ def make_config(
     viewnet.errors.ViewnetError: unknown profile 'huge': choose one of smoke, tiny, pocket, small, paper
     """
     known(variant, (*VARIANTS, *PEERS), "variant")
-    known(category, CATEGORIES, "category")
     known(profile, PROFILES, "profile")
     recipes = (*RECIPES, *PEER_RECIPES) if variant in PEERS else RECIPES
     recipe = PROFILE_RECIPE[profile] if recipe is None else known(recipe, recipes, "recipe")
@@ -300,7 +299,10 @@ def make_config(
         overridden(overrides),
     ]
     run = {"variant": variant, "category": category, "profile": profile, "recipe": recipe, "seed": seed}
-    return build(RunConfig, {**run, **merged(*changes)}, "config")
+    config = build(RunConfig, {**run, **merged(*changes)}, "config")
+    own = config.data.root or (config.data.video and config.data.video.root)
+    _ = own_category(category) if own else known(category, CATEGORIES, "category")
+    return config
 
 
 def repeats_viewnet(variant: str, recipe: str) -> bool:

@@ -136,7 +136,7 @@ def test_the_command_tells_all_there_is(capsys, tmp_path, monkeypatch):
     assert cli.main(["data", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert [d["key"] for d in told["data sets"]] == list(DATA_SETS)
-    assert list(DATA_SETS) == [key for key in READERS if key != "folder"]
+    assert list(DATA_SETS) == list(READERS)
     assert {w["network"]: w["there"] for w in told["weights"]}["vgg16"] is True
     assert {w["network"] for w in told["weights"]} == set(catalogue.NETWORKS)
 

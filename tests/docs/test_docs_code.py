@@ -19,10 +19,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers import documents, imagenet3d_files
+from helpers.cad_files import write_box
 from helpers.documents import NOTEBOOKS, PAGES, ROOT
 from helpers.fake_steps import STEPS
 from helpers.photo_data import keep_apart, make_photos
 from helpers.untrained_models import finished_run
+from helpers.video_data import write_frames
 from PIL import Image
 
 from viewnet import cli, config, recipes
@@ -94,6 +96,9 @@ def world(tmp_path, monkeypatch) -> Path:
     shutil.copytree(tmp_path, tmp_path / "photos", ignore=shutil.ignore_patterns("[!a-b]*", "*_mask.png"))
     for place in (".", "photos"):
         (tmp_path / place / "boxes.csv").write_text("image,x0,y0,x1,y1\na.jpg,40,60,380,250\nb.jpg,40,60,380,250\n")
+    for number in range(5):
+        write_frames(tmp_path / f"turntables/mug{number}", {"0.png": 50, "1.png": 90})
+        write_box(tmp_path / "mugs", "", f"mug{number}", "v1")
     (tmp_path / "FILE").write_text("category,azimuth_deg,elevation_deg\ncar,10,5\ncar,200,10\n")
     return tmp_path
 
@@ -118,7 +123,13 @@ def moved(words: list[str], world: Path) -> list[str]:
     for word in words:
         for name in re.findall(r"/data/[\w.+]+", word):
             (world / name[1:]).mkdir(parents=True, exist_ok=True)
-    places = {"saved/car": "KEY", "my-car": "KEY", "*.png": "car.png", f"runs/viewnet/{KEY}": f"runs/viewnet/{KEY}"}
+    places = {
+        "saved/car": "KEY",
+        "my-car": "KEY",
+        "my-mug": "KEY",
+        "*.png": "car.png",
+        f"runs/viewnet/{KEY}": f"runs/viewnet/{KEY}",
+    }
     places["docs/car.jpg"] = str(ROOT / "docs" / "car.jpg")
     return [places.get(word, word.replace("/data/", f"{world}/data/")) for word in words]
 

@@ -2,9 +2,11 @@
 
 import argparse
 import json
+import math
 import os
 from functools import reduce
 from operator import getitem
+from pathlib import Path
 from typing import Any
 
 from viewnet.config import CATEGORIES, RunConfig, settings
@@ -43,14 +45,15 @@ _TINY = make_config().to_dict()
 SETTINGS = "\n".join(
     f"{name}={json.dumps(reduce(getitem, at, _TINY))}" for name, at in sorted(settings()) if name not in NAMED
 )
+OWN = "ShapeNetCore, v1 or v2, or a folder of your own: .obj models, videos, or folders of frames, with masks"
 CONFIGURATION = (
-    argument("categories", f"of {', '.join(CATEGORIES)}", nargs="+", metavar="CATEGORY"),
+    argument("categories", f"{', '.join(CATEGORIES)}; of own data any", nargs="+", metavar="CATEGORY"),
     VARIANT,
     argument("--profile", f"{', '.join(PROFILES)} (default: tiny)", default="tiny"),
     RECIPE,
     argument("-s --set", "another value, as JSON", action="append", default=[], metavar="NAME=VALUE"),
     argument("--settings", "list them with their values at the profile tiny", action="version", version=SETTINGS),
-    argument("--data-root", "ShapeNetCore, v1 or v2 (default: the built-in models)", metavar="FOLDER"),
+    argument("--data-root --data", f"{OWN} (default: the built-in models)", metavar="FOLDER"),
     argument("--splits", "lists <synset>_train.txt, _val.txt and _test.txt for it", metavar="FOLDER"),
 )
 """The arguments that `configurations` reads."""
@@ -72,13 +75,34 @@ def records(frame: Any) -> list[dict[str, Any]]:
 
 
 def configurations(options: Options, seed: int = 0) -> list[RunConfig]:
-    """One configuration for each category. Raises ViewnetError as make_config does."""
+    """One configuration for each category, of models or videos as the folder has them.
+
+    Where these are few, there are more views of each model, or more epochs of videos, so that a training has as many
+    targets as one of built-in models. Raises ViewnetError as make_config and view_store do.
+    """
+    from viewnet.data import build
     from viewnet.experiments.parameters import folder_named
 
     settings = dict(_setting(text) for text in options.set)
     root, splits = (folder_named(getattr(options, name) or "", name) for name in ("data_root", "splits"))
-    how = (options.profile, options.recipe, seed, root, splits)
-    return [make_config(options.variant, name, *how, **settings) for name in options.categories]
+
+    def config(category: str) -> RunConfig:
+        filmed = root and "video" not in settings and build.shows_videos(Path(root), category)
+        video: dict[str, Any] = {"video": {"category": category, "root": root}} if filmed else {}
+
+        def made(**more: Any) -> RunConfig:
+            how = (options.variant, category, options.profile, options.recipe, seed, None if filmed else root, splits)
+            return make_config(*how, **(settings | video | more))
+
+        found, usual = made(), make_config(profile=options.profile, recipe=options.recipe).data
+        setting = "epochs" if filmed else "views"
+        if not root or options.profile == "smoke" or setting in settings:
+            return found
+        share = build.planned(found.data)[2] / (usual.models * usual.views)
+        value = found.train.epochs if filmed else found.data.views
+        return made(**{setting: math.ceil(value / share)}) if 0 < share < 1 else found
+
+    return [config(category) for category in options.categories]
 
 
 def _setting(text: str) -> tuple[str, Any]:

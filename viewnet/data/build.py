@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from viewnet import cad, paths
-from viewnet.config import CATEGORIES, DataConfig, PhotoConfig, VideoConfig, known
+from viewnet.config import CATEGORIES, SYNSETS, DataConfig, PhotoConfig, VideoConfig, known, own_category
 from viewnet.data import clip_store, masks, photo_store
-from viewnet.data.clips import Clip, masks_in
+from viewnet.data.clips import Clip, is_image, is_video, masks_in
 from viewnet.data.crop import Crop
 from viewnet.data.readers import freiburg, objectron, pascal3d
 from viewnet.data.readers.photo_folder import LIST
 from viewnet.data.readers.registry import READERS
-from viewnet.data.readers.shapenet import ModelFile, find_models, take
+from viewnet.data.readers.shapenet import ModelFile, find_models, holds_models, take
 from viewnet.data.rendered_store import Rendering, digest, partial_folder, render_views
 from viewnet.data.store import Rejected, ViewStore, filled_once, identity_of, made_once
 from viewnet.data.synthetic.freiburg_standin import SEQUENCES, FreiburgStandIn
@@ -53,20 +53,22 @@ def view_store(
     return render_views([*models, *extra], folder, **settings, **how, described=described)
 
 
-def planned(config: DataConfig) -> tuple[Path | None, int]:
-    """The folder of the views of `config`, and about how many bytes they take; makes nothing.
+def planned(config: DataConfig) -> tuple[Path | None, int, int]:
+    """The folder of the views of `config`, about how many bytes they take, and how many they are; makes nothing.
 
-    None and 0 where a stand-in for videos, which decides them, is not there yet. Raises ViewnetError as view_store.
+    None, 0 and 0 where a stand-in for videos, which decides them, is not there yet. Raises ViewnetError as view_store.
     """
     if config.video is None:
         folder, _, _, models, extra = _asked(config)
         count = (config.models if models is None else len(models)) + len(extra)
-        return folder, 4 * count * config.views * config.image_size**2
+        views, size = count * config.views, config.image_size
+        return folder, 4 * views * size**2, views
     root = Path(config.video.root) if config.video.root else _stand_in_folder(video_stand_in(config.video))
     if not root.exists():
-        return None, 0
+        return None, 0, 0
     folder, clips, *_ = _asked_of_videos(config.video, root)
-    return folder, 4 * sum(len(clip.frames) for clip in clips) * config.video.size**2
+    views = sum(len(clip.frames) for clip in clips)
+    return folder, 4 * views * config.video.size**2, views
 
 
 def _asked(config: DataConfig) -> tuple[Path, dict[str, Any], dict[str, Any], list[ModelFile] | None, list[ModelFile]]:
@@ -129,7 +131,7 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
     Raises ViewnetError for a root in no layout that can be read, settings that do not apply to it, a split without
     usable photographs, and one photograph in both.
     """
-    known(config.category, CATEGORIES, "category")
+    _check_category(config)
     crop = Crop(config.size, config.margin, config.square)
     made_by: dict[str, Any] = {"category": config.category, "crop": photo_store.describe_crop(crop)}
     data: photo_store.Photographs | None = None
@@ -150,6 +152,29 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
         photo_store.photo_store(photographs, folder, crop, made_by, workers, progress)
 
     return ViewStore.open(made_once(folder, make))
+
+
+def shows_videos(root: Path, category: str) -> bool:
+    """Whether a folder is one of videos, or of folders of frames, and not of CAD models.
+
+    Raises ViewnetError for images that are not in folders.
+    """
+    if holds_models(root) or any((root / name).is_dir() for name in (SYNSETS.get(category, category), category)):
+        return False
+    layouts = (reader for key, reader in READERS.items() if reader.videos and key != "folder")
+    places = list(root.iterdir())
+    if any(reader.accepts(root) for reader in layouts) or any(map(is_video, places)):
+        return True
+    if any(path.is_dir() and any(map(is_image, path.iterdir())) for path in places):
+        return True
+    if any(map(is_image, places)):
+        raise ViewnetError(f"{root}: images side by side: put the frames of each object in a folder of their own")
+    return False
+
+
+def _check_category(config: PhotoConfig | VideoConfig) -> None:
+    """ViewnetError for a category that stand-ins do not know, or that cannot be one of people's own data."""
+    _ = own_category(config.category) if config.root else known(config.category, CATEGORIES, "category")
 
 
 def photo_stand_in(config: PhotoConfig) -> StandIn:
@@ -175,7 +200,7 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     frames' files, and reads annotations and images' headers. Raises ViewnetError for a root that cannot be read,
     missing weights of a network for masks, and where no clip to train on is left.
     """
-    known(config.category, CATEGORIES, "category")
+    _check_category(config)
     if config.count < 0:
         raise ViewnetError(f"count {config.count}: expected 1 or more frames a clip, or 0 for all")
     root = written(video_stand_in(config), workers, progress) if config.root is None else Path(config.root)

@@ -21,7 +21,7 @@ import pandas as pd
 from PIL import Image
 from scipy import ndimage
 
-from viewnet.config import CATEGORIES, known
+from viewnet.config import known, own_category
 from viewnet.data import contents
 from viewnet.data.clips import Clip, Frame, frame_count, read_frames
 from viewnet.data.crop import Crop, bounds, cut, inside, shrunk
@@ -120,7 +120,7 @@ def clip_store(
     if twice := [name for name, count in Counter(clip.id for clip in clips).items() if count > 1]:
         raise ViewnetError(f"clip {twice[0]!r} is there twice: give every clip a name of its own")
     for clip in clips:
-        known(clip.category, CATEGORIES, "category")
+        own_category(clip.category)
         known(clip.split, SPLITS, "split")
     rejected = list(rejected)
     ordered = sorted(clips, key=lambda clip: clip.id)
@@ -148,7 +148,8 @@ def clip_store(
         index = pd.DataFrame(rows, columns=list(COLUMNS)).astype(kinds)
         if not (index["split"] == "train").any():
             first = f" (the first that was left out: {': '.join(rejected[0])})" if rejected else ""
-            raise ViewnetError(f"{root}: no clip to train on can be used{first}")
+            remedy = ": put masks in masks/<clip>/, named as the frames" if "mask is missing" in first else ""
+            raise ViewnetError(f"{root}: no clip to train on can be used{first}{remedy}")
         batches = (np.load(file) for file in files)
         return write_store(folder, batches, index, made_by or cutting.describe(clips), rejected)
 

@@ -103,7 +103,7 @@ def check(configs: Sequence[RunConfig], train: bool = True) -> None:
         if config.variant in UNTRAINED:
             continue
         # A profile's own network can be built; building one, if only for its size, takes a second.
-        if config.model != make_config(config.variant, config.category, config.profile, config.recipe).model:
+        if config.model != make_config(config.variant, profile=config.profile, recipe=config.recipe).model:
             weights(config)
         if not train:
             continue

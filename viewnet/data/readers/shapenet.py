@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from viewnet.config import SYNSETS, known
+from viewnet.config import SYNSETS, nearest, own_category
 from viewnet.data.readers.reader import Contents, Reader, read_text
 from viewnet.errors import ViewnetError
 from viewnet.render.mesh import Mesh, UnusableModel
@@ -23,6 +23,7 @@ from viewnet.runtime.splits import SPLITS, seeded_rank, seeded_splits
 Layout = Literal["v1", "v2"]
 LAYOUTS: dict[Layout, str] = {"v2": "models/model_normalized.obj", "v1": "model.obj"}
 """Where a model lies in its folder."""
+OTHER_FORMATS = (".3ds", ".blend", ".dae", ".fbx", ".glb", ".gltf", ".off", ".ply", ".stl", ".step", ".usdz")
 # world_from_file: rows are world axes (x front, y left, z up) in the file's axes. Both layouts are y up; v1 faces +x,
 # v2 faces -z.
 WORLD_FROM_FILE = {
@@ -61,10 +62,11 @@ def find_models(root: Path | str, category: str, splits: Path | str | None = Non
     `all.csv` at the root (columns id, synsetId, subSynsetId, modelId, split); else seeded (runtime.splits). Models that
     a list lacks and listed models that are missing are not used; the log has their numbers.
 
-    Raises ViewnetError for a root that is not a collection, an unknown category, a category without models, and a
-    malformed list, or one whose models of some split are all missing.
+    A category that is not PASCAL3D+'s has a folder of its own name in place of a synset's.
+    Raises ViewnetError for a root that is not a collection, a category without models, and a malformed list, or one
+    whose models of some split are all missing.
     """
-    root, synset = Path(root), SYNSETS[known(category, SYNSETS, "category")]
+    root, synset = Path(root), SYNSETS.get(own_category(category), category)
     models = _scan(root, synset, category)
     if splits is not None:
         listed, source = _read_lists(Path(splits), synset), str(splits)
@@ -129,26 +131,51 @@ def read_files(model: ModelFile) -> dict[str, Path]:
     return {os.path.relpath(file.resolve(), folder): file for file in files_of(model.path, model.folder)}
 
 
+def holds_models(folder: Path) -> bool:
+    """Whether CAD models lie in a folder, each in one of its own or all side by side."""
+    return any(folder.glob("*.obj")) or any(next(folder.glob(f"*/{place}"), None) for place in LAYOUTS.values())
+
+
 def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
-    """Every model folder of the category, sorted by id; one without its .obj is rejected when it is rendered."""
+    """Every model folder of the category, sorted by id; one without its .obj is rejected when it is rendered.
+
+    A folder of one's own may be named by the category, or be the root, and models may be files side by side.
+    """
     if not root.is_dir():
         raise ViewnetError(f"{root}: no such folder: give the folder of a ShapeNetCore collection")
-    folder = root / synset
-    if not folder.is_dir():
-        names = sorted(path.name for path in root.iterdir() if re.fullmatch(r"\d{8}", path.name) and path.is_dir())
-        if (root / f"{synset}.zip").exists():
-            raise ViewnetError(f"{folder}: not there, but {synset}.zip is: unpack it")
-        if not names:
-            raise ViewnetError(f"{root}: not a ShapeNetCore collection: expected a folder {synset} ({category}) in it")
-        raise ViewnetError(f"{root}: no folder {synset} ({category}); it has {', '.join(names)}")
+    folder = next((root / name for name in (synset, category) if (root / name).is_dir()), root)
+    if folder == root and not holds_models(root):
+        raise _no_collection(root, synset, category)
     names = sorted(entry.name for entry in os.scandir(folder) if entry.is_dir() and entry.name[0] not in "._")
     there = [[key for key, file in LAYOUTS.items() if (folder / name / file).is_file()] for name in names]
     counts = Counter(layouts[0] for layouts in there if layouts)
     if not counts["v1"] + counts["v2"]:
-        raise ViewnetError(f"{folder}: no models: expected <id>/{LAYOUTS['v2']} (v2) or <id>/{LAYOUTS['v1']} (v1)")
+        if files := sorted(folder.glob("[!.]*.obj")):
+            return [ModelFile(file.stem, category, file, "v1", "") for file in files]
+        places = f"<id>/{LAYOUTS['v2']} (v2), <id>/{LAYOUTS['v1']} (v1) or <id>.obj"
+        raise ViewnetError(f"{folder}: no models: expected {places}{_others(folder)}")
     usual: Layout = "v2" if counts["v2"] >= counts["v1"] else "v1"
     pairs = [(name, (*layouts, usual)[0]) for name, layouts in zip(names, there, strict=True)]
     return [ModelFile(name, category, folder / name / LAYOUTS[layout], layout, "") for name, layout in pairs]
+
+
+def _no_collection(root: Path, synset: str, category: str) -> ViewnetError:
+    """What to say of a root without a folder of the category and without models."""
+    if (root / f"{synset}.zip").exists():
+        return ViewnetError(f"{root / synset}: not there, but {synset}.zip is: unpack it")
+    if names := sorted(path.name for path in root.iterdir() if re.fullmatch(r"\d{8}", path.name) and path.is_dir()):
+        wanted = f"{synset} ({category})" if synset != category else category
+        return ViewnetError(f"{root}: no folder {wanted}; it has {', '.join(names)}{nearest(category, SYNSETS)}")
+    if synset != category:
+        return ViewnetError(f"{root}: not a ShapeNetCore collection: expected a folder {synset} ({category}) in it")
+    expected = f"expected .obj files in it or in a folder {category} of it, or videos, or folders of frames"
+    return ViewnetError(f"{root}: no models of {category}: {expected}{_others(root)}{nearest(category, SYNSETS)}")
+
+
+def _others(folder: Path) -> str:
+    """The end of a message: models in other formats, if there are any."""
+    found = sorted({path.suffix.lower() for path in folder.rglob("*")} & {*OTHER_FORMATS})
+    return f"; it has {', '.join(found)}: export these as .obj" if found else ""
 
 
 def _read_csv(file: Path, synset: str) -> dict[str, str]:
@@ -189,20 +216,23 @@ def _synset_there(root: Path, synset: str) -> bool:
 
 
 def _count(root: Path, contents: Contents) -> None:
-    for category, synset in SYNSETS.items():
-        if _synset_there(root, synset):
-            with contents.error_is_problem():
-                models = find_models(root, category)
-                reasons = {model.id: reason for model in models if (reason := unread(model.path))}
-                for model in (models[number] for number in contents.opened(category, len(models), "models")):
-                    try:
-                        load_model(model)
-                    except UnusableModel as error:
-                        reasons.setdefault(model.id, error.reason)
-                usable = [f"{model.layout} models to {model.split}" for model in models if model.id not in reasons]
-                contents.add(category, usable, reasons.values())
+    # Models of one's own name no category.
+    for category in [name for name, synset in SYNSETS.items() if _synset_there(root, synset)] or [""]:
+        with contents.error_is_problem():
+            models = find_models(root, category or "own")
+            reasons = {model.id: reason for model in models if (reason := unread(model.path))}
+            for model in (models[number] for number in contents.opened(category, len(models), "models")):
+                try:
+                    load_model(model)
+                except UnusableModel as error:
+                    reasons.setdefault(model.id, error.reason)
+            layout = {name: f"{name} models" if category else "models" for name in LAYOUTS}
+            usable = [f"{layout[model.layout]} to {model.split}" for model in models if model.id not in reasons]
+            contents.add(category, usable, reasons.values())
 
 
-READER = Reader(
-    recognises=lambda folder: any(_synset_there(folder, synset) for synset in SYNSETS.values()), count=_count
-)
+def _recognises(folder: Path) -> bool:
+    return any(_synset_there(folder, synset) for synset in SYNSETS.values()) or holds_models(folder)
+
+
+READER = Reader(recognises=_recognises, count=_count)

@@ -13,9 +13,9 @@ Nothing is left out silently: whatever is not used is listed with the reason.
 from collections.abc import Mapping
 from pathlib import Path
 
-from viewnet.config import CATEGORIES, known
+from viewnet.config import known, own_category
 from viewnet.data.clips import Clip, Frame, Pick, frame_count, is_video, masks_in, pick_frames
-from viewnet.data.readers.reader import Reader
+from viewnet.data.readers.reader import Contents, Reader
 from viewnet.data.store import Rejected, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime.lists import one_form, read_list
@@ -36,7 +36,7 @@ def read(
     Raises ViewnetError for a folder that does not exist, a malformed list, and where no clip can be used.
     """
     root = Path(root)
-    known(category, CATEGORIES, "category")
+    own_category(category)
     if not root.is_dir():
         raise ViewnetError(f"{root}: no such folder: give one of videos, or of folders of frames")
     rejected: list[Rejected] = []
@@ -123,7 +123,14 @@ def _listed(root: Path) -> dict[str, str]:
     return listed
 
 
+def _count(root: Path, contents: Contents) -> None:
+    clips, rejected = read(root, "own", None)
+    contents.add_clips(root, "", [("clips", clip) for clip in clips], "clips", [reason for *_, reason in rejected])
+
+
 READER = Reader(
+    recognises=lambda folder: (folder / MASKS).is_dir() or any(map(is_video, folder.iterdir())),
+    count=_count,
     accepts=lambda folder: True,
     videos=lambda config, root: read(root, config.category, config.count or None, config.pick, config.seed),
 )
