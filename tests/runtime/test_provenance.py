@@ -172,3 +172,16 @@ def test_processes_that_another_one_started_leave_it_to_that_one(checkout, monke
     with ProcessPoolExecutor(1, get_context("fork")) as pool:
         assert pool.submit(provenance.commit).result()["unknown"]
     assert capfd.readouterr().err == ""
+
+
+def test_tables_that_are_written_are_no_change_of_the_code(checkout):
+    for name in ("paper_tables/table.csv", "settings.toml"):
+        (checkout / name).parent.mkdir(exist_ok=True)
+        (checkout / name).write_text("before")
+    subprocess.run(["git", "-C", str(checkout), "add", "-A"], check=True)
+    who = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    subprocess.run(["git", "-C", str(checkout), *who, "commit", "-qm", "more"], check=True)
+    (checkout / "paper_tables/table.csv").write_text("after")
+    assert provenance.commit()["dirty"] is False
+    (checkout / "settings.toml").write_text("after")
+    assert provenance.commit()["dirty"] is True

@@ -19,6 +19,8 @@ from viewnet.errors import ViewnetError
 from viewnet.runtime.parallel import cores
 
 PACKAGE = Path(__file__).resolve().parent.parent
+COUNTED = (":(top)", ":(top,exclude)paper_tables")
+"""Of a checkout, what decides results: tables are written there between one training and the next."""
 LIBRARIES = ("torch", "numpy", "scipy", "pandas", "numba", "safetensors", "trimesh", "embreex")
 
 log = logging.getLogger(__name__)
@@ -49,7 +51,7 @@ class _Bare(ast.NodeTransformer):
 
 
 def commit() -> dict[str, Any]:
-    """The git commit of this package's checkout, and whether tracked files were changed.
+    """The git commit of this package's checkout, and whether tracked files were changed, but for tables of results.
 
     What cannot be told is None, and "unknown" says why. So does the log, once; not in a process that another one
     started: that one asks too.
@@ -59,7 +61,7 @@ def commit() -> dict[str, Any]:
         head = _git("rev-parse", "HEAD")
         _git("ls-files", "--error-unmatch", "errors.py")  # fails in another project that contains this folder
         known["commit"] = head
-        known["dirty"] = bool(_git("status", "--porcelain", "--untracked-files=no"))
+        known["dirty"] = bool(_git("status", "--porcelain", "--untracked-files=no", "--", *COUNTED))
     except ViewnetError as error:
         known["unknown"], remedy = _reason(str(error))
         if multiprocessing.parent_process() is None:

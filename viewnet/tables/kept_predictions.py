@@ -18,8 +18,8 @@ from viewnet.tables.table import CHOSEN_ROBUSTLY, Entry, Table, named, run_of
 
 NUMBERS = ("measured", "sd", "low", "high")
 """The columns of a table's cells that predictions decide."""
-TOLERANCE = 1e-3
-"""Of these, in per cent or degrees: predictions are kept in single precision, cells with four digits."""
+TOLERANCE = 5e-3
+"""Of these, in per cent or degrees: predictions are kept as multiples of 2^-17, cells with four digits."""
 
 
 def cells_of(about: Mapping[str, Any]) -> pd.DataFrame:
