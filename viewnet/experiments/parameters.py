@@ -223,7 +223,7 @@ PARAMETERS: dict[str, Parameter] = {
     "image": Parameter("", lambda value, what: _path(value, what) if value else None,
                        "a file with an image of your own; empty: docs/car.jpg, a drawn car"),
     "box": Parameter("", _box, "of the object in your image, in pixels: 40,60,380,250; empty: all of it"),
-    "model": Parameter("car", lambda value, what: value, "car, chair, aeroplane; a run's key, a folder or a hub's name"),
+    "model": Parameter("car", lambda value, what: value, "car, chair, aeroplane; a run's key, a folder, a hub's name"),
 }
 # fmt: on
 """Every parameter, in the order of the parts of a folder's name."""
