@@ -18,6 +18,8 @@ from viewnet.experiments.request import DESIGNS, TAKES, accepted
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 PATHS = sorted(FOLDER.glob("*.ipynb"))
+TOUR = FOLDER / "quickstart.ipynb"
+"""Shows small steps as code; the others show committed tables and figures, by as little code as can be."""
 WRITTEN = ("your_method", "method")
 """The cell in which a reader writes code: the only one with a class."""
 
@@ -36,15 +38,10 @@ def test_every_design_has_a_notebook_and_every_notebook_a_design():
 
 @pytest.mark.parametrize("path", PATHS, ids=lambda p: p.stem)
 class TestForm:
-    def test_title_then_evidence_then_parameters_then_one_live_cell(self, path):
+    def test_title_then_one_cell_of_parameters(self, path):
         cells = notebooks.read(path).cells
         assert cells[0].cell_type == "markdown" and cells[0].source.startswith("# ")
-        code = code_cells(path)
-        assert code[0].source.startswith(f'from viewnet.experiments import show\n\nshow.evidence("{path.stem}"')
-        assert [cell for cell in code if "parameters" in tags(cell)] == [
-            cell for cell in code if cell.id == "parameters"
-        ]
-        assert f'show.live(experiment("{path.stem}", globals())' in code[-1].source
+        assert [cell.id for cell in code_cells(path) if "parameters" in tags(cell)] == ["parameters"]
 
     def test_its_parameters_are_those_of_the_table(self, path):
         (cell,) = (cell for cell in code_cells(path) if "parameters" in tags(cell))
@@ -62,6 +59,22 @@ class TestForm:
         cell: dict[str, object] = {"something": "else"}
         exec("\n".join(notebooks.parameters(path.stem)), cell)
         assert experiment(path.stem, cell) == experiment(path.stem) and experiment(path.stem).label == ""
+
+    def test_nothing_of_a_machine_is_in_it(self, path):
+        text = path.read_text()
+        assert not re.search(r"/(work|tmp|opt|root|home|Users)/", text)
+        book = notebooks.read(path)
+        assert set(book.metadata) == {"kernelspec"} and book.metadata.kernelspec.name == "python3"
+        for cell in book.cells:
+            assert set(cell.metadata) <= {"tags"}
+
+
+@pytest.mark.parametrize("path", [path for path in PATHS if path != TOUR], ids=lambda p: p.stem)
+class TestFormOfThoseWithEvidence:
+    def test_evidence_first_and_one_live_cell_last(self, path):
+        code = code_cells(path)
+        assert code[0].source.startswith(f'from viewnet.experiments import show\n\nshow.evidence("{path.stem}"')
+        assert f'show.live(experiment("{path.stem}", globals())' in code[-1].source
 
     def test_the_live_cell_alone_is_not_compared_and_has_nothing_stored(self, path):
         *compared, live = code_cells(path)
@@ -82,13 +95,22 @@ class TestForm:
                 if (path.stem, cell.id) != WRITTEN:
                     assert not isinstance(node, (ast.FunctionDef, ast.ClassDef))
 
-    def test_nothing_of_a_machine_is_in_it(self, path):
-        text = path.read_text()
-        assert not re.search(r"/(work|tmp|opt|root|home|Users)/", text)
-        book = notebooks.read(path)
-        assert set(book.metadata) == {"kernelspec"} and book.metadata.kernelspec.name == "python3"
-        for cell in book.cells:
-            assert set(cell.metadata) <= {"tags"}
+
+class TestFormOfTheTour:
+    def test_every_cell_is_short_and_every_output_is_stored_and_compared(self):
+        code = code_cells(TOUR)
+        assert len(code) <= 12 and all(len(cell.source.splitlines()) < 10 for cell in code)
+        assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+        assert not any(notebooks.LIVE in tags(cell) for cell in code)
+        assert not any(output.output_type == "error" for cell in code for output in cell.outputs)
+        assert sum(any("image" in kind for o in cell.outputs for kind in o.get("data", ())) for cell in code) >= 5
+
+    def test_its_parameters_are_checked(self):
+        request = experiment("quickstart", image="street.jpg", box="40, 60,380,250.5", model="KEY")
+        assert (request.image, request.box, request.model) == (Path("street.jpg"), (40, 60, 380, 250.5), "KEY")
+        for box in ("40,60,380", "40,60,380,250,1", "left,60,380,250"):
+            with pytest.raises(ViewnetError, match=f"^box '{box}': expected left, top, right, bottom"):
+                experiment("quickstart", box=box)
 
 
 def write(folder: Path, name: str, *sources: str) -> Path:

@@ -125,6 +125,17 @@ def _seeds(value: Any, what: str) -> tuple[int, ...]:
     raise problem
 
 
+def _box(value: str, what: str) -> tuple[float, ...] | None:
+    """Left, top, right and bottom, None for "". Whether that is a box within an image, the estimator says."""
+    if not value:
+        return None
+    try:
+        left, top, right, bottom = map(float, value.split(","))
+    except ValueError:
+        raise ViewnetError(f"{what} {value!r}: expected left, top, right, bottom in pixels: 40,60,380,250") from None
+    return left, top, right, bottom
+
+
 def _count(least: int, expected: str, help: str, label: str = "") -> Parameter:
     """0, checked to None, or a whole number from `least`."""
     return Parameter(0, lambda value, what: _whole(value, what, expected, least) or None, help, label, plain=False)
@@ -209,6 +220,10 @@ PARAMETERS: dict[str, Parameter] = {
                         "for tables; empty: paper_tables"),
     "workers": _count(1, ", 0 for what the machine has room for",
                       "parallel trainings; 0: as many as the machine has room for"),
+    "image": Parameter("", lambda value, what: _path(value, what) if value else None,
+                       "a file with an image of your own; empty: docs/car.jpg, a drawn car"),
+    "box": Parameter("", _box, "of the object in your image, in pixels: 40,60,380,250; empty: all of it"),
+    "model": Parameter("car", lambda value, what: value, "car, chair, aeroplane; a run's key, a folder, a hub's name"),
 }
 # fmt: on
 """Every parameter, in the order of the parts of a folder's name."""

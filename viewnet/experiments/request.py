@@ -37,6 +37,7 @@ TAKES = {
     "table4_freiburg": (*_VIDEOS, "rows", "split_rule", "start", "features"),
     "objectron": (*_VIDEOS, "category", "weak_masks"),
     "your_method": (*_ALL, "categories", "cad_root", "backgrounds", "calibration"),
+    "quickstart": ("image", "box", "model"),
 }
 """Notebook -> the parameters that it takes; in the order to run them, where the first of those that share runs trains
 them and the others take no time."""
@@ -99,6 +100,7 @@ DESIGNS = {
     # Nothing is trained for these, so the default is the paper's size.
     "architecture": Design(categories=(), profile="paper"),
     "audit_metrics": Design(categories=(), profile="paper"),
+    "quickstart": Design(categories=()),
 }
 
 
@@ -135,6 +137,9 @@ class Request:
     calibration: int | None
     output: Path
     workers: int | None
+    image: Path | None
+    box: tuple[float, ...] | None
+    model: str
     label: str
 
     def __post_init__(self) -> None:
