@@ -19,6 +19,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import torch
+import torch.nn.functional as F
+
 from viewnet.data.crop import AROUND
 from viewnet.estimator import ViewpointEstimator, pretrained
 from viewnet.estimator.camera_axes import COLUMNS, MEANINGS, SIGNS
@@ -33,8 +36,8 @@ ROOT = WEB.parent
 MODELS = ("car", "chair", "aeroplane")
 EXAMPLE = {"file": "car.jpg", "model": "car", "box": [129, 108, 341, 200]}
 """Of docs/: an image to try, the model for it, and its box in pixels."""
-PAGE = ("index.html", "style.css", "icon.svg", "page.js", "image.js", "crop.js", "network.js", "viewpoint.js")
-PAGE += ("compass.js", "stage.js")
+SCRIPTS = ("page.js", "stage.js", "image.js", "crop.js", "network.js", "viewpoint.js", "compass.js")
+PAGE = ("index.html", "style.css", "icon.svg", *SCRIPTS)
 RUNTIME = "ort.wasm.bundle.min.mjs"
 WASM = "ort-wasm-simd-threaded.wasm"
 ABOUT = "models.json"
@@ -102,6 +105,7 @@ def exported(name: str, folder: Path) -> dict[str, Any]:
     path = estimator.export_onnx(folder / f"{name}.onnx")
     whole = asdict(framing.whole)
     seen = {"crop": whole.pop("size"), **whole, "size": framing.size, "around": AROUND, "opaque": OPAQUE}
+    seen["between"] = between(framing.whole.size) if halvings == 2 else []
     rotation = estimator.annotated_from_model.tolist()
     return {
         "file": path.name,
@@ -111,6 +115,16 @@ def exported(name: str, folder: Path) -> dict[str, Any]:
         "temperature": estimator.about.get("calibrated", {}).get("temperature"),
         "accuracy": accuracy(estimator),
     }
+
+
+def between(side: int) -> list[tuple[int, float]]:
+    """Columns (and rows) of an image that PyTorch's grid samples beside their pixel by a rounding error, and where.
+
+    A fourth of all averages lie half way between two numbers, and such an error decides to which they are rounded.
+    """
+    grid = F.affine_grid(torch.eye(2, 3)[None], [1, 1, side, side], align_corners=False)  # (1, H, H, 2)
+    places = ((grid[0, 0, :, 0] + 1) * side - 1) / 2  # (H,), in pixels
+    return [(i, place) for i, place in enumerate(places.tolist()) if place != i]
 
 
 def accuracy(estimator: pretrained.Pretrained) -> list[dict[str, Any]]:

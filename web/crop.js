@@ -13,7 +13,7 @@ const MOST_PIXELS = 2 ** 28; // of a crop before it is resized
  *
  * image    as above
  * box      [left, top, right, bottom] in pixels, or null: the whole image or, with transparency, what is opaque
- * framing  {size, crop, margin, square, around, opaque} from models.json
+ * framing  {size, crop, margin, square, around, opaque, between} from models.json
  *
  * Throws an Error with one sentence for people where the box has no part in the image, or nothing in it is opaque.
  */
@@ -33,7 +33,7 @@ export function networkInput(image, box, framing) {
     size = ready ? framing.size : framing.crop;
   }
   const cropped = cut(image, box, { size, margin, square: framing.square });
-  return scaled(cropped, framing.size);
+  return scaled(cropped, framing.size, framing.between);
 }
 
 /** The box's part of an image, [left, top, right, bottom]. Throws an Error for less than a pixel of it. */
@@ -233,7 +233,7 @@ function transposed(image) {
  *
  * Every step is in single precision, as in PyTorch, since a fourth of all averages lie half way between two numbers.
  */
-function scaled(image, size) {
+function scaled(image, size, between) {
   let side = image.width;
   let channels = [0, 1, 2].map((channel) => {
     const values = new Float32Array(side * side);
@@ -242,6 +242,9 @@ function scaled(image, size) {
     }
     return values;
   });
+  if (side > size) {
+    channels.forEach((values) => sampleBetween(values, side, between));
+  }
   while (side > size) {
     channels = channels.map((values) => halved(values, side));
     side /= 2;
@@ -253,6 +256,21 @@ function scaled(image, size) {
     });
   });
   return input;
+}
+
+/** Take some columns and rows, [index, place] each, of a square from between two of its own. */
+function sampleBetween(values, side, between) {
+  for (const [across, along] of [[1, side], [side, 1]]) {
+    for (const [index, place] of between) {
+      const first = Math.floor(place);
+      const second = Math.fround(place - first);
+      for (let i = 0; i < side; i++) {
+        const at = first * across + i * along;
+        const blended = Math.fround(values[at] * (1 - second)) + Math.fround(values[at + across] * second);
+        values[index * across + i * along] = blended;
+      }
+    }
+  }
 }
 
 /** Averages of blocks of two by two numbers of a square. */
