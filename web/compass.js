@@ -23,7 +23,7 @@ export function fromAbove(ranked) {
     const [endX, endY] = polar(MIDDLE, RING + 4, azimuth - 90);
     drawn.append(shape("line", { x1: startX, y1: startY, x2: endX, y2: endY, class: "tick" }));
     const [atX, atY] = polar(MIDDLE, RING, azimuth - 90);
-    drawn.append(label(atX + x, atY + y - 3, `${azimuth}°`, anchor));
+    drawn.append(label(atX + x, atY + y - 3, `${azimuth}°`, anchor, "label"));
     drawn.append(label(atX + x, atY + y + 11, name, anchor, "label strong"));
   }
   // A body with a nose at the front.
@@ -43,11 +43,12 @@ export function fromTheSide(ranked) {
     const [endX, endY] = polar(BESIDE, ARC + 4, elevation);
     drawn.append(shape("line", { x1: startX, y1: startY, x2: endX, y2: endY, class: "tick" }));
     const [atX, atY] = polar(BESIDE, ARC + 20, elevation);
-    const upright = Math.abs(elevation) === 90;
-    drawn.append(label(upright ? x - 10 : atX, upright ? atY + 10 * Math.sign(elevation) : atY + 4, `${elevation}°`));
+    const upright = Math.abs(elevation) === 90; // beside the end of the arc
+    const place = upright ? [x - 8, endY + 4, "end"] : [atX, atY + 4, "middle"];
+    drawn.append(label(place[0], place[1], `${elevation}°`, place[2], "label"));
   }
   drawn.append(shape("rect", { x: x - 22, y: y - 16, width: 44, height: 32, rx: 7, class: "body" }));
-  drawn.append(label(0, y - 6, "horizon", "start"));
+  drawn.append(label(0, y - 6, "horizon", "start", "label"));
   drawn.append(...arrows(ranked, BESIDE, ARC, (each) => each.elevation));
   return drawn;
 }
@@ -89,7 +90,7 @@ function polar([x, y], radius, degrees) {
   return [x + radius * Math.cos(angle), y - radius * Math.sin(angle)];
 }
 
-function label(x, y, text, anchor = "middle", kind = "label") {
+function label(x, y, text, anchor, kind = "label") {
   const found = shape("text", { x, y, "text-anchor": anchor, class: kind });
   found.textContent = text;
   return found;

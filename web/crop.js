@@ -37,7 +37,7 @@ export function networkInput(image, box, framing) {
 }
 
 /** The box's part of an image, [left, top, right, bottom]. Throws an Error for less than a pixel of it. */
-export function clipped(box, width, height) {
+function clipped(box, width, height) {
   const left = Math.max(box[0], 0);
   const top = Math.max(box[1], 0);
   const right = Math.min(box[2], width);
@@ -91,7 +91,7 @@ function part(image, left, top, right, bottom) {
 }
 
 /** Image.resize of Pillow to a square, of a box, by Hamming's window and with a gap for reduction. */
-export function resized(image, size, box) {
+function resized(image, size, box) {
   const factorX = Math.trunc((box[2] - box[0]) / size / REDUCING_GAP) || 1;
   const factorY = Math.trunc((box[3] - box[1]) / size / REDUCING_GAP) || 1;
   if (factorX > 1 || factorY > 1) {
@@ -125,7 +125,7 @@ export function resized(image, size, box) {
 }
 
 /** Image.reduce of Pillow: averages of blocks of factorX by factorY pixels; blocks at the far edges may be smaller. */
-export function reduced(image, factorX, factorY, box) {
+function reduced(image, factorX, factorY, box) {
   const [left, top, right, bottom] = box;
   const width = Math.ceil((right - left) / factorX);
   const height = Math.ceil((bottom - top) / factorY);
@@ -266,8 +266,8 @@ function sampleBetween(values, side, between) {
       const second = Math.fround(place - first);
       for (let i = 0; i < side; i++) {
         const at = first * across + i * along;
-        const blended = Math.fround(values[at] * (1 - second)) + Math.fround(values[at + across] * second);
-        values[index * across + i * along] = blended;
+        // The second product is not rounded before it is added (a fused multiplication and addition).
+        values[index * across + i * along] = Math.fround(values[at] * (1 - second)) + values[at + across] * second;
       }
     }
   }
@@ -297,7 +297,8 @@ function roundedToEven(value) {
   return Math.round(value);
 }
 
-function isTransparent(image) {
+/** Whether any pixel lets something through. */
+export function isTransparent(image) {
   for (let i = 3; i < image.pixels.length; i += 4) {
     if (image.pixels[i] < 255) {
       return true;

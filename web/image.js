@@ -1,5 +1,7 @@
 // From a file to pixels as Pillow decodes them: upright, colours as they are in the file, not multiplied by alpha.
 
+import { isTransparent } from "./crop.js";
+
 const STRIP = 2 ** 22; // pixels that are read at once: some browsers have small canvases
 
 /**
@@ -17,7 +19,7 @@ export async function readImage(file, largest) {
   try {
     bitmap = await createImageBitmap(file, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
     pixels = drawnPixels(bitmap);
-    if (pixels.some((value, i) => i % 4 === 3 && value < 255)) {
+    if (isTransparent({ pixels })) {
       pixels = (await straightPixels(bitmap)) ?? pixels;
     }
   } catch {

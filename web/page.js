@@ -114,11 +114,16 @@ function number(id, value, unit) {
   element(id).textContent = value === undefined || value === null ? "–" : value.toFixed(1) + unit;
 }
 
+/** A row of the table; its number is marked as in the compass, and the first is the answer. */
 function hypothesisRow(each) {
   const row = document.createElement("tr");
+  const kind = each?.chosen ? "chosen" : "other";
   const head = document.createElement("th");
   head.scope = "row";
-  head.textContent = each ? `${each.number}${each.chosen ? " (the answer)" : ""}` : "–";
+  const badge = document.createElement("span");
+  badge.className = each ? `badge ${kind}` : "";
+  badge.textContent = each ? each.number : "–";
+  head.append(badge);
   row.append(head);
   const cells = each ? [`${each.azimuth.toFixed(1)}°`, `${each.elevation.toFixed(1)}°`] : ["–", "–"];
   for (const text of cells) {
@@ -126,9 +131,9 @@ function hypothesisRow(each) {
   }
   const share = row.insertCell();
   share.textContent = each ? `${(100 * each.probability).toFixed(1)} %` : "–";
-  const bar = document.createElement("meter");
-  bar.value = each ? each.probability : 0;
-  bar.ariaHidden = "true"; // the number says it
+  const bar = document.createElement("span");
+  bar.className = `bar ${kind}`;
+  bar.style.width = each ? `${100 * each.probability}%` : "0";
   share.append(bar);
   return row;
 }

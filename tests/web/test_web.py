@@ -35,7 +35,7 @@ CAR = ROOT / "docs" / "car.jpg"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SECOND = 1000
 NOTHING = "\u2013"  # a dash, in place of a number
-EXACT = 0.01  # degrees, and points of probability, for images that are decoded and cut alike
+EXACT = 0.002  # degrees, and points of probability, for images that are decoded and cut alike
 ALIKE = 0.1  # degrees, for JPEG, of which browsers may decode pixels a grey level apart
 
 spec = importlib.util.spec_from_file_location("web_build", ROOT / "web" / "build.py")
