@@ -13,11 +13,12 @@ const edge = (name) => document.querySelector(`#box [name=${name}]`);
 
 let about = null; // models.json
 let image = null; // of readImage
+let reading = null; // the promise that `image` is there, broken where its file is none
 let answer = null; // of viewpointOf
 let newest = 0; // number of the latest question: what earlier ones bring comes too late
 
 /** Answer for what is on the page now; whatever goes wrong is told in one sentence, and no answer is left. */
-async function ask(prepare = () => {}) {
+async function ask() {
   newest += 1;
   const question = newest;
   element("message").textContent = "";
@@ -25,7 +26,7 @@ async function ask(prepare = () => {}) {
   let found = null;
   let problem = "";
   try {
-    await prepare(() => question === newest);
+    await reading;
     if (image && question === newest) {
       const model = chosenModel();
       const input = networkInput(image, typedBox(), model.framing);
@@ -42,17 +43,22 @@ async function ask(prepare = () => {}) {
   }
 }
 
-/** Take a file for the new image, with a box or, by null, all of it. */
+/** Take a file, or the promise of one, for the new image, with a box or, by null, all of it. */
 function take(file, box = null) {
-  return ask(async (current) => {
-    answer = null;
-    showAnswer();
-    setImage(null, null);
-    const read = await readImage(file, about.largest);
-    if (current()) {
-      setImage(read, box);
-    }
-  });
+  answer = null;
+  showAnswer();
+  setImage(null, null);
+  const mine = Promise.resolve(file)
+    .then((content) => readImage(content, about.largest))
+    .then((read) => {
+      if (reading === mine) {
+        setImage(read, box);
+      } else {
+        read.bitmap.close(); // another file has been chosen meanwhile
+      }
+    });
+  reading = mine;
+  ask();
 }
 
 function setImage(read, box) {
@@ -174,12 +180,11 @@ function listen() {
       take(file);
     }
   });
-  element("example").addEventListener("click", async () => {
+  element("example").addEventListener("click", () => {
     const { file, model, box } = about.example;
     document.querySelector(`[name=model][value=${model}]`).checked = true;
     showAccuracy();
-    const content = await (await fetch(file)).blob();
-    take(new File([content], file), box);
+    take(fetchedFile(file), box);
   });
   element("models").addEventListener("change", () => {
     showAccuracy();
@@ -208,6 +213,11 @@ function listen() {
     takeFirst(event.dataTransfer);
   });
   document.addEventListener("paste", (event) => takeFirst(event.clipboardData));
+}
+
+async function fetchedFile(name) {
+  const found = await fetch(name);
+  return new File([await found.blob()], name);
 }
 
 function takeFirst(transfer) {

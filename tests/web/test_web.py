@@ -27,6 +27,7 @@ from viewnet.estimator import ViewpointEstimator
 from viewnet.estimator.camera_axes import MEANINGS
 from viewnet.estimator.inputs import read_image
 from viewnet.estimator.preprocess import crop_to_object, prepare
+from viewnet.estimator.pretrained import shipped
 
 pytestmark = pytest.mark.slow
 
@@ -394,7 +395,10 @@ def test_the_page_may_load_only_its_own_files(visit, folder):
         assert "http" not in path.read_text().replace("http://www.w3.org/2000/svg", "").replace("http.server", "")
 
 
-def test_the_example_is_that_of_the_documents():
+def test_models_and_example_are_those_of_package_and_documents():
+    offered = re.findall(r'name="model" value="(\w+)"', (ROOT / "web" / "index.html").read_text())
+    assert offered == list(build.MODELS)
+    assert sorted(offered) == shipped()
     assert script("example").BOX == BOX
 
 
