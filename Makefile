@@ -26,7 +26,7 @@ PAGES := README.md $(wildcard docs/*.md)
 NOTEBOOK := $(VENV)/bin/viewnet notebook
 COG := $(RUN) cogapp -P -I docs -p "from measured import *" --verbosity=1
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 replication test test-fast style lint format numbers notebooks docs image lock clean
+.PHONY: help setup table2 replication test test-fast style lint format numbers notebooks docs web image lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z0-9-]*\):.*## /\1\t/p' Makefile | expand -t 12
@@ -94,6 +94,10 @@ notebooks: setup ## parameters of the notebooks, and what they show of paper_tab
 docs: setup ## the pages and the reference of every module as HTML: build/docs/index.html
 	$(VENV)/bin/python docs/build.py build/docs
 	@echo "the first page: build/docs/index.html"
+
+web: setup ## a page that needs no server, for any static host: build/web; needs npm
+	$(VENV)/bin/python web/build.py build/web
+	@echo "to look at it: $(VENV)/bin/python -m http.server --directory build/web"
 
 image: ## an image for containers, by docker, podman or buildah; with CUDA: make image WHEELS=cuda
 	@[ -n "$(BUILDER)" ] || { echo "make: no docker, podman or buildah here: install one of them" >&2; exit 1; }

@@ -13,7 +13,7 @@ import pytest
 TESTS = Path(__file__).resolve().parent
 PACKAGE = TESTS.parent / "viewnet"
 FILES = sorted(path for path in TESTS.rglob("*.py") if path != Path(__file__).resolve())
-BESIDE = {"docs", "helpers", "trust"}
+BESIDE = {"docs", "helpers", "trust", "web"}
 """Folders that belong to no room."""
 PRIVATE = re.compile(r"_(?!_)\w*")
 
