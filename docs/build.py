@@ -48,6 +48,7 @@ PROSE = {
     "docs/scaling.md": "scaling",
     "docs/speed.md": "speed",
     "docs/trust.md": "trust",
+    "docs/checklists.md": "checklists",
     "benchmarks/README.md": "benchmarks",
     "CONTRIBUTING.md": "contributing",
     "CHANGELOG.md": "changelog",
