@@ -99,6 +99,7 @@ def test_few_models_are_seen_from_more_viewpoints(folders, monkeypatch):
     assert asked(monkeypatch, "teapot", "--data", str(data), "-s", "views=7").data.views == 7
     assert asked(monkeypatch, "teapot", "--data", str(data), "--profile", "smoke").data.views == 5
     assert asked(monkeypatch, "car").data.views == usual.views
+    assert asked(monkeypatch, "teapot", "--data", str(data), "--profile", "paper").data.views == usual.views
 
 
 def test_few_frames_are_gone_through_more_often(folders, monkeypatch):

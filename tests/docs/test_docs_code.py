@@ -123,6 +123,8 @@ def moved(words: list[str], world: Path) -> list[str]:
     for word in words:
         for name in re.findall(r"/data/[\w.+]+", word):
             (world / name[1:]).mkdir(parents=True, exist_ok=True)
+            if name == "/data/ShapeNetCore.v1":
+                write_box(world / name[1:], config.SYNSETS["car"], "m", "v1")
     places = {
         "saved/car": "KEY",
         "my-car": "KEY",

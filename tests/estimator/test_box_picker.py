@@ -75,3 +75,8 @@ def test_a_box_is_typed_as_four_edges_or_none():
     for text in ("1 2 3", "1 2 3 4 5", "left 0 1 2"):
         with pytest.raises(ViewnetError, match=r"^box '.*': expected its left"):
             parse_box(text)
+
+
+def test_an_image_that_is_all_length_is_shown_with_a_side_of_one_pixel(tmp_path):
+    Image.new("RGB", (60_000, 2)).save(tmp_path / "long.png")
+    assert BoxPicker.of(tmp_path / "long.png", "long.png").display.size == (SHOWN, 1)

@@ -95,10 +95,10 @@ def configurations(options: Options, seed: int = 0) -> list[RunConfig]:
             return make_config(*how, **(settings | video | more))
 
         found, usual = made(), make_config(profile=options.profile, recipe=options.recipe).data
-        setting = "epochs" if filmed else "views"
-        if not root or options.profile == "smoke" or setting in settings:
+        setting, wanted = "epochs" if filmed else "views", usual.models * usual.views  # 0 models: all that there are
+        if not root or not wanted or options.profile == "smoke" or setting in settings:
             return found
-        share = build.planned(found.data)[2] / (usual.models * usual.views)
+        share = build.planned(found.data)[2] / wanted
         value = found.train.epochs if filmed else found.data.views
         return made(**{setting: math.ceil(value / share)}) if 0 < share < 1 else found
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from PIL import Image, ImageDraw, ImageOps
+from PIL import Image, ImageDraw
 
 from viewnet.data.crop import Box
 from viewnet.errors import ViewnetError
@@ -29,7 +29,8 @@ class BoxPicker:
     def of(cls, path: Path, name: str) -> "BoxPicker":
         """Read a file. ViewnetError, which calls it `name`, if it is not an image that can be read."""
         image = image_files.read(path, f"image {name}")
-        display = ImageOps.contain(image, (SHOWN, SHOWN))
+        scale = SHOWN / max(image.size)
+        display = image.resize([max(1, round(scale * side)) for side in image.size], Image.Resampling.BICUBIC)
         if display.mode == "RGBA":
             display = Image.alpha_composite(Image.new("RGBA", display.size, "white"), display)
         return cls(path, name, image.size, display.convert("RGB"))
