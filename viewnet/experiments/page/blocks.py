@@ -206,5 +206,5 @@ READERS: dict[str, Callable[[Files], Content]] = {
     "audit_metrics": audit,
     "architecture": architecture,
     "bench": bench,
-    **dict.fromkeys(("fuzz", "faults", "crashes", "videos", "predicting"), csv_files),
+    **dict.fromkeys(("fuzz", "doors", "faults", "crashes", "videos", "predicting"), csv_files),
 }
