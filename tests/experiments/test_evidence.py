@@ -8,6 +8,7 @@ import functools
 import itertools
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -187,13 +188,14 @@ def read_cells(html: str) -> dict[tuple[str, str, str], tuple[str, ...]]:
 
 
 @pytest.mark.slow
-def test_definitions_are_those_of_the_predictions_beside_them():
+def test_definitions_of_cars_are_those_of_the_predictions_beside_them():
     files = sorted(TABLES.rglob("*_definitions.csv"))
     assert files
     for path in files:
         table = kept_predictions.read(path.with_name(path.name.replace("_definitions.csv", ".json")))
-        kept = pd.read_csv(path, index_col=["row", "category"])
-        again = definitions.by_definition(table)
+        cars = replace(table, entries=tuple(entry for entry in table.entries if entry.category == "car"))
+        kept = pd.read_csv(path, index_col=["row", "category"]).query("category == 'car'")
+        again = definitions.by_definition(cars)
         pd.testing.assert_frame_equal(kept, again, check_dtype=False, atol=0.11)
 
 
