@@ -34,6 +34,7 @@ from gradio.utils import get_upload_folder
 from helpers.damage import damaged
 from helpers.hostile import CAD, EPS, HUGE, LONG
 from helpers.readers import READERS
+from helpers.survival import growth
 from PIL import Image
 
 from viewnet import cli, paths
@@ -58,15 +59,13 @@ class Door:
     def tried(self, file: Path, what: str) -> None:
         """Give it a file. `ask` returns "" for an answer, or what the refusal says."""
         self.row["cases"] += 1
-        before = _status("VmRSS")
-        Path("/proc/self/clear_refs").write_text("5")  # the peak is counted from here on
-        begun = time.monotonic()
+        grown, begun = growth(), time.monotonic()
         try:
             said = self.ask(file)
             problem = "" if not said or any(name in said for name in self.named(file)) else f"names no file: {said!r}"
         except Exception as error:
             said, problem = "", f"{type(error).__name__}: {error}"
-        seconds, peak = time.monotonic() - begun, _status("VmHWM") - before
+        seconds, peak = time.monotonic() - begun, grown()
         self.slowest, self.peak = max(self.slowest, seconds), max(self.peak, peak)
         if seconds > SECONDS or peak > MEMORY:
             problem = problem or f"{seconds:.1f} s, {peak >> 20} MiB"
@@ -108,6 +107,13 @@ def rendered(folder: Path) -> str:
     return said or "".join(left_out)
 
 
+def spoilt(content: bytes, cases: int, number: int) -> list[bytes]:
+    """So many damaged versions of a file."""
+    found: list[bytes] = []
+    draw_all(damaged(content), cases, number, found.append)
+    return found
+
+
 def images(folder: Path, cases: int, number: int) -> Iterator[tuple[bytes, str]]:
     """So many hostile images, and what they are: those made to do harm, then damaged ones of every format."""
     yield from ((content, f"{content[:12]!r}...") for content in HARM[:cases])
@@ -115,8 +121,7 @@ def images(folder: Path, cases: int, number: int) -> Iterator[tuple[bytes, str]]
     picture = Image.open(folder / "car.jpg").convert("RGB").resize((96, 72))
     for kind in FORMATS:
         picture.save(original := io.BytesIO(), kind)
-        found: list[bytes] = []
-        draw_all(damaged(original.getvalue()), rest // len(FORMATS) + 1, number, found.append)
+        found = spoilt(original.getvalue(), rest // len(FORMATS) + 1, number)
         yield from ((content, f"damaged {kind} {position}") for position, content in enumerate(found))
 
 
@@ -136,23 +141,15 @@ def collections(folder: Path, cases: int, number: int) -> Iterator[tuple[Path, s
             file.write_bytes(content)
 
     for name, spoil, _ in CAD[:cases]:
-        with contextlib.suppress(ValueError):  # a case of a folder that is laid out otherwise
-            spoil(folder)
-            yield folder, name
+        spoil(folder)
+        yield folder, name
         restore()
     rest = max(0, cases - len(CAD))
     for file, content in original.items():
-        found: list[bytes] = []
-        draw_all(damaged(content), rest // len(original) + 1, number, found.append)
-        for position, spoilt in enumerate(found):
-            file.write_bytes(spoilt)
+        for position, other in enumerate(spoilt(content, rest // len(original) + 1, number)):
+            file.write_bytes(other)
             yield folder, f"damaged {file.name} {position}"
         file.write_bytes(content)
-
-
-def _status(name: str) -> int:
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(f"{name}:"))
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -321,11 +321,11 @@ def known(value: str, choices: Iterable[str], what: str) -> str:
     return value
 
 
-def own_category(name: str) -> str:
-    """`name` itself if it can be the category of people's own data, where any is possible; else ViewnetError."""
-    if not re.fullmatch(r"\w[\w-]{0,49}", name):
+def known_category(name: str, own: object = True) -> str:
+    """`name` itself if it is a category: one of CATEGORIES, of people's own data any name. ViewnetError otherwise."""
+    if own and not re.fullmatch(r"\w[\w-]{0,49}", name):
         raise ViewnetError(f"category {name!r}: expected letters, digits, _ and -, 50 at most, such as teapot")
-    return name
+    return name if own else known(name, CATEGORIES, "category")
 
 
 def nearest(value: object, choices: Iterable[object]) -> str:

@@ -13,7 +13,7 @@ weights to start from (`STARTED`), the variant, its length at the smallest profi
 from dataclasses import replace
 from typing import Any
 
-from viewnet.config import CATEGORIES, RunConfig, build, known, nearest, own_category, settings
+from viewnet.config import RunConfig, build, known, known_category, nearest, settings
 from viewnet.errors import ViewnetError
 
 Changes = dict[str, Any]
@@ -300,8 +300,7 @@ def make_config(
     ]
     run = {"variant": variant, "category": category, "profile": profile, "recipe": recipe, "seed": seed}
     config = build(RunConfig, {**run, **merged(*changes)}, "config")
-    own = config.data.root or (config.data.video and config.data.video.root)
-    _ = own_category(category) if own else known(category, CATEGORIES, "category")
+    known_category(category, own=config.data.root or (config.data.video and config.data.video.root))
     return config
 
 

@@ -99,6 +99,7 @@ def world(tmp_path, monkeypatch) -> Path:
     for number in range(5):
         write_frames(tmp_path / f"turntables/mug{number}", {"0.png": 50, "1.png": 90})
         write_box(tmp_path / "mugs", "", f"mug{number}", "v1")
+    write_box(tmp_path / "data/ShapeNetCore.v1", config.SYNSETS["car"], "box", "v1")
     (tmp_path / "FILE").write_text("category,azimuth_deg,elevation_deg\ncar,10,5\ncar,200,10\n")
     return tmp_path
 
@@ -123,8 +124,6 @@ def moved(words: list[str], world: Path) -> list[str]:
     for word in words:
         for name in re.findall(r"/data/[\w.+]+", word):
             (world / name[1:]).mkdir(parents=True, exist_ok=True)
-            if name == "/data/ShapeNetCore.v1":
-                write_box(world / name[1:], config.SYNSETS["car"], "m", "v1")
     places = {
         "saved/car": "KEY",
         "my-car": "KEY",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
 import socket
 import urllib.request
 from contextlib import contextmanager
@@ -15,7 +14,9 @@ import pytest
 import torch
 import trimesh
 from helpers.boxes import box_store
+from helpers.browser import Visitor, chromium
 from helpers.estimators import PHOTOS, photograph, untrained
+from helpers.ports import free_port
 from helpers.untrained_models import finished_run
 from PIL import Image
 from safetensors.torch import save_file
@@ -33,8 +34,6 @@ from viewnet.estimator.demo import app  # noqa: E402  (it imports gradio)
 
 BOX = (10, 8, 70, 50)
 TYPED = "10 8 70 50"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-SECOND = 1000
 
 
 @pytest.fixture(scope="module")
@@ -214,10 +213,7 @@ def reached():
 @pytest.fixture(scope="module")
 def address(folder, reached):
     """Of the page that `viewnet demo` serves."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    options = cli.parser().parse_args(["demo", "--model", str(folder / "run"), "--port", str(port)])
+    options = cli.parser().parse_args(["demo", "--model", str(folder / "run"), "--port", str(free_port())])
     served = demo.start(options)
     yield served.local_url
     served.close()
@@ -242,33 +238,17 @@ def test_what_the_page_does_not_send_is_refused_without_a_traceback(forged, addr
 
 @pytest.fixture(scope="module")
 def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="no browser is driven without Playwright")
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium on this machine")
-    with playwright.sync_playwright() as driver:
-        # 3-D without a GPU.
-        arguments = ["--no-sandbox", "--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-        found = driver.chromium.launch(executable_path=CHROMIUM, args=arguments)
+    with chromium("--use-angle=swiftshader", "--enable-unsafe-swiftshader") as found:  # 3-D without a GPU
         yield found
-        found.close()
 
 
-class Visit:
-    """A visitor's page, with its browser's requests and error messages."""
+class Visit(Visitor):
+    READY = "#find"
 
-    def __init__(self, tab, address):
-        self.tab, self.requests, self.problems = tab, [], []
-        tab.set_default_timeout(60 * SECOND)
-        tab.on("request", lambda request: self.requests.append(request.url))
-        tab.on("console", self._noted)
-        tab.on("pageerror", lambda error: self.problems.append(str(error)))
-        tab.goto(address)
-        tab.locator("#find").wait_for()
-
-    def _noted(self, line):
+    def noted(self, line):
         # The 3-D viewer complains where a browser offers WebGPU on a machine that has none, and takes WebGL.
-        if line.type == "error" and "WebGPU" not in line.text:
-            self.problems.append(line.text)
+        if "WebGPU" not in line.text:
+            super().noted(line)
 
     def send(self, file):
         """An image, and wait until the server has taken it and shows it in its own format."""

@@ -138,9 +138,9 @@ def page(name: str) -> Document:
     return found
 
 
-def script(name: str) -> ModuleType:
-    """A Python file of `docs/`, which is no package, as a module."""
-    spec = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / "docs" / f"{name}.py")
+def script(name: str, folder: str = "docs") -> ModuleType:
+    """A Python file of a folder that is no package, as a module."""
+    spec = importlib.util.spec_from_file_location(f"{folder}_{name}", ROOT / folder / f"{name}.py")
     assert spec and spec.loader
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their module up

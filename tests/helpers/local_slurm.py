@@ -6,11 +6,12 @@ import contextlib
 import getpass
 import os
 import shutil
-import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+
+from helpers.ports import free_port
 
 SEARCHED = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", "/usr/local/sbin"])
 CONTROLLER, NODE = (shutil.which(name, path=SEARCHED) for name in ("slurmctld", "slurmd"))
@@ -41,13 +42,6 @@ ReturnToService=2
 NodeName=localhost CPUs={cores} RealMemory=8192 State=UNKNOWN
 PartitionName=all Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 """
-
-
-def free_port() -> int:
-    """A port that nothing listens at."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 @contextlib.contextmanager

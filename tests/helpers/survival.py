@@ -40,8 +40,7 @@ def survives(call: Callable[[], object], names: Iterable[str]) -> Outcome:
     """
     names = list(names)
     result, error = None, None
-    before, soft = _status("VmRSS"), resource.getrlimit(resource.RLIMIT_AS)
-    Path("/proc/self/clear_refs").write_text("5")
+    soft, grown = resource.getrlimit(resource.RLIMIT_AS), growth()
     begun = time.process_time()
     resource.setrlimit(resource.RLIMIT_AS, (_status("VmSize") + ROOM, soft[1]))
     try:
@@ -54,7 +53,7 @@ def survives(call: Callable[[], object], names: Iterable[str]) -> Outcome:
         raise Broken(f"{type(raised).__name__}: {(str(raised).splitlines() or [''])[0][:300]}") from raised
     finally:
         resource.setrlimit(resource.RLIMIT_AS, soft)
-    seconds, peak = time.process_time() - begun, _status("VmHWM") - before
+    seconds, peak = time.process_time() - begun, grown()
     if error is not None:
         _check(str(error), names)
     if peak > PEAK:
@@ -62,6 +61,13 @@ def survives(call: Callable[[], object], names: Iterable[str]) -> Outcome:
     if threading.active_count() > 64:
         raise Broken(f"{threading.active_count()} threads left behind")
     return Outcome(result, error, seconds, peak)
+
+
+def growth() -> Callable[[], int]:
+    """What says how many bytes of memory this process has used, at most, beside those that it uses now."""
+    before = _status("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")  # the peak is counted from here on
+    return lambda: _status("VmHWM") - before
 
 
 def _check(message: str, names: list[str]) -> None:

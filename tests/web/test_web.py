@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import http.server
-import importlib.util
 import json
 import re
 import shutil
@@ -18,6 +17,7 @@ import numpy as np
 import onnxruntime
 import pytest
 import torch
+from helpers.browser import Visitor, chromium
 from helpers.documents import script
 from PIL import Image
 
@@ -33,16 +33,11 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 CAR = ROOT / "docs" / "car.jpg"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-SECOND = 1000
 NOTHING = "\u2013"  # a dash, in place of a number
 EXACT = 0.002  # degrees, and points of probability, for images that are decoded and cut alike
 ALIKE = 0.1  # degrees, for JPEG, of which browsers may decode pixels a grey level apart
 
-spec = importlib.util.spec_from_file_location("web_build", ROOT / "web" / "build.py")
-assert spec is not None and spec.loader is not None
-build = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(build)
+build = script("build", "web")
 BOX = tuple(build.EXAMPLE["box"])
 
 
@@ -75,26 +70,12 @@ def address(folder):
 
 @pytest.fixture(scope="module")
 def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="no browser is driven without Playwright")
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium on this machine")
-    with playwright.sync_playwright() as driver:
-        found = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+    with chromium() as found:
         yield found
-        found.close()
 
 
-class Visit:
-    """A visitor's page, with its browser's requests and error messages."""
-
-    def __init__(self, tab, address):
-        self.tab, self.requests, self.problems = tab, [], []
-        tab.set_default_timeout(60 * SECOND)
-        tab.on("request", lambda request: self.requests.append(request.url))
-        tab.on("console", lambda line: self.problems.append(line.text) if line.type == "error" else None)
-        tab.on("pageerror", lambda error: self.problems.append(str(error)))
-        tab.goto(address)
-        tab.locator("body[data-ready]").wait_for()
+class Visit(Visitor):
+    READY = "body[data-ready]"
 
     def settle(self):
         self.tab.locator("#answer[aria-busy=false]").wait_for()

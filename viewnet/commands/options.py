@@ -98,7 +98,7 @@ def configurations(options: Options, seed: int = 0) -> list[RunConfig]:
         setting, wanted = "epochs" if filmed else "views", usual.models * usual.views  # 0 models: all that there are
         if not root or not wanted or options.profile == "smoke" or setting in settings:
             return found
-        share = build.planned(found.data)[2] / wanted
+        share = build.count_views(found.data) / wanted
         value = found.train.epochs if filmed else found.data.views
         return made(**{setting: math.ceil(value / share)}) if 0 < share < 1 else found
 

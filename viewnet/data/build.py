@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from viewnet import cad, paths
-from viewnet.config import CATEGORIES, SYNSETS, DataConfig, PhotoConfig, VideoConfig, known, own_category
+from viewnet.config import DataConfig, PhotoConfig, VideoConfig, known, known_category
 from viewnet.data import clip_store, masks, photo_store
 from viewnet.data.clips import Clip, is_image, is_video, masks_in
 from viewnet.data.crop import Crop
 from viewnet.data.readers import freiburg, objectron, pascal3d
 from viewnet.data.readers.photo_folder import LIST
 from viewnet.data.readers.registry import READERS
-from viewnet.data.readers.shapenet import ModelFile, find_models, holds_models, take
+from viewnet.data.readers.shapenet import ModelFile, category_folder, find_models, take
 from viewnet.data.rendered_store import Rendering, digest, partial_folder, render_views
 from viewnet.data.store import Rejected, ViewStore, filled_once, identity_of, made_once
 from viewnet.data.synthetic.freiburg_standin import SEQUENCES, FreiburgStandIn
@@ -53,22 +53,37 @@ def view_store(
     return render_views([*models, *extra], folder, **settings, **how, described=described)
 
 
-def planned(config: DataConfig) -> tuple[Path | None, int, int]:
-    """The folder of the views of `config`, about how many bytes they take, and how many they are; makes nothing.
+def planned(config: DataConfig) -> tuple[Path | None, int]:
+    """The folder of the views of `config`, and about how many bytes they take; makes nothing.
 
-    None, 0 and 0 where a stand-in for videos, which decides them, is not there yet. Raises ViewnetError as view_store.
+    None and 0 where a stand-in for videos, which decides them, is not there yet. Raises ViewnetError as view_store.
     """
     if config.video is None:
         folder, _, _, models, extra = _asked(config)
         count = (config.models if models is None else len(models)) + len(extra)
-        views, size = count * config.views, config.image_size
-        return folder, 4 * views * size**2, views
+        return folder, 4 * count * config.views * config.image_size**2
     root = Path(config.video.root) if config.video.root else _stand_in_folder(video_stand_in(config.video))
     if not root.exists():
-        return None, 0, 0
+        return None, 0
     folder, clips, *_ = _asked_of_videos(config.video, root)
-    views = sum(len(clip.frames) for clip in clips)
-    return folder, 4 * views * config.video.size**2, views
+    return folder, 4 * sum(len(clip.frames) for clip in clips) * config.video.size**2
+
+
+def count_views(config: DataConfig) -> int:
+    """How many views the folder of models or videos of `config` gives; opens no model. Raises as view_store."""
+    if config.video is not None:
+        return sum(len(clip.frames) for clip in _clips(config.video, Path(str(config.video.root)))[0])
+    models, extra = _models(config)
+    return (len(models or ()) + len(extra)) * config.views
+
+
+def _models(config: DataConfig) -> tuple[list[ModelFile] | None, list[ModelFile]]:
+    """The models of the folder that `config` names, None for built-in ones, and extra ones."""
+    extra = [] if config.extra is None else as_training_models(find_models(config.extra, config.category), config)
+    if config.root is None:
+        return None, extra
+    models = find_models(config.root, config.category, config.splits, config.seed)
+    return take(models, config.models, config.seed), extra
 
 
 def _asked(config: DataConfig) -> tuple[Path, dict[str, Any], dict[str, Any], list[ModelFile] | None, list[ModelFile]]:
@@ -81,15 +96,13 @@ def _asked(config: DataConfig) -> tuple[Path, dict[str, Any], dict[str, Any], li
     names = ("views", "image_size", "supersample", "azimuth_range", "elevation_range", "seed")
     settings = {name: getattr(config, name) for name in names} | {"backend": choose_backend(config.renderer)}
     made_by = Rendering(**settings).describe()
-    extra = [] if config.extra is None else as_training_models(find_models(config.extra, config.category), config)
+    models, extra = _models(config)
     described = {"extra": digest(extra)} if extra else {}
-    models: list[ModelFile] | None = None
-    if config.root is None:
+    if models is None:
         # Known without looking at a file, so that a store is found when its collection has been removed.
         version = {"built-in": cad.VERSIONS[config.category], "count": config.models, "category": config.category}
         folder = _store_folder(config.category, made_by | described | {"models": version})
     else:
-        models = take(find_models(config.root, config.category, config.splits, config.seed), config.models, config.seed)
         described["models"] = digest(models)
         folder = _store_folder(config.category, made_by | described)
     return folder, settings, described, models, extra
@@ -131,7 +144,7 @@ def photo_views(config: PhotoConfig, workers: int | None = None, progress: bool 
     Raises ViewnetError for a root in no layout that can be read, settings that do not apply to it, a split without
     usable photographs, and one photograph in both.
     """
-    _check_category(config)
+    known_category(config.category, own=config.root)
     crop = Crop(config.size, config.margin, config.square)
     made_by: dict[str, Any] = {"category": config.category, "crop": photo_store.describe_crop(crop)}
     data: photo_store.Photographs | None = None
@@ -159,7 +172,7 @@ def shows_videos(root: Path, category: str) -> bool:
 
     Raises ViewnetError for images that are not in folders.
     """
-    if holds_models(root) or any((root / name).is_dir() for name in (SYNSETS.get(category, category), category)):
+    if category_folder(root, category):
         return False
     layouts = (reader for key, reader in READERS.items() if reader.videos and key != "folder")
     places = list(root.iterdir())
@@ -170,11 +183,6 @@ def shows_videos(root: Path, category: str) -> bool:
     if any(map(is_image, places)):
         raise ViewnetError(f"{root}: images side by side: put the frames of each object in a folder of their own")
     return False
-
-
-def _check_category(config: PhotoConfig | VideoConfig) -> None:
-    """ViewnetError for a category that stand-ins do not know, or that cannot be one of people's own data."""
-    _ = own_category(config.category) if config.root else known(config.category, CATEGORIES, "category")
 
 
 def photo_stand_in(config: PhotoConfig) -> StandIn:
@@ -200,7 +208,7 @@ def video_views(config: VideoConfig, workers: int | None = None, progress: bool 
     frames' files, and reads annotations and images' headers. Raises ViewnetError for a root that cannot be read,
     missing weights of a network for masks, and where no clip to train on is left.
     """
-    _check_category(config)
+    known_category(config.category, own=config.root)
     if config.count < 0:
         raise ViewnetError(f"count {config.count}: expected 1 or more frames a clip, or 0 for all")
     root = written(video_stand_in(config), workers, progress) if config.root is None else Path(config.root)

@@ -21,7 +21,7 @@ import pandas as pd
 from PIL import Image
 from scipy import ndimage
 
-from viewnet.config import known, own_category
+from viewnet.config import known, known_category
 from viewnet.data import contents
 from viewnet.data.clips import Clip, Frame, frame_count, read_frames
 from viewnet.data.crop import Crop, bounds, cut, inside, shrunk
@@ -120,7 +120,7 @@ def clip_store(
     if twice := [name for name, count in Counter(clip.id for clip in clips).items() if count > 1]:
         raise ViewnetError(f"clip {twice[0]!r} is there twice: give every clip a name of its own")
     for clip in clips:
-        own_category(clip.category)
+        known_category(clip.category)
         known(clip.split, SPLITS, "split")
     rejected = list(rejected)
     ordered = sorted(clips, key=lambda clip: clip.id)

@@ -98,7 +98,8 @@ class PhotoExperiment(Experiment):
 
     def table(self, runs: Sequence[Run], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
         """The table of these runs and of the untrained predictors; `added` and `remarks` as in Experiment."""
-        return self.table_of(self.entries(runs, self.stores()), added, remarks)
+        stores = self.stores()
+        return self._table(self.entries(runs, stores), stores, added, remarks)
 
     def table_of(self, own: Sequence[Entry], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
         """The table of these entries; see `table`. Raises ViewnetError for those on photographs of another version."""
@@ -106,6 +107,11 @@ class PhotoExperiment(Experiment):
         if other := [e for e in own if e.origin["photographs"] != stores[e.category].identity]:
             what = f"{self.folder / self.name}: {other[0].row} was scored on photographs of another version"
             raise ViewnetError(f"{what}: remove the table's files to make it again")
+        return self._table(own, stores, added, remarks)
+
+    def _table(
+        self, own: Sequence[Entry], stores: dict[str, ViewStore], added: Sequence[Entry], remarks: Sequence[str]
+    ) -> Table:
         lines = [*self.remarks(stores), *remarks]
         rows = (self.renamed_rows, self.unmeasured_rows)
         return Table.of(self.name, own, self.categories, self.note, lines, *rows, added)

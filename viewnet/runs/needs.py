@@ -92,7 +92,7 @@ def views(configs: Sequence[RunConfig]) -> Needs:
     """The view stores of configurations alone. Raises ViewnetError as viewnet.data.build.planned does."""
     found = Needs()
     for data in dict.fromkeys(config.data for config in configs):
-        folder, size, _ = build.planned(data)
+        folder, size = build.planned(data)
         found.stores[data] = {
             "name": data.category,
             "from": _origin(data),

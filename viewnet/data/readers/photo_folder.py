@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from viewnet.config import CATEGORIES, SYNSETS, PhotoConfig, own_category
+from viewnet.config import CATEGORIES, SYNSETS, PhotoConfig, known_category
 from viewnet.data.photo_store import SPLITS, Photograph, Photographs
 from viewnet.data.readers.crop_list import NAMES
 from viewnet.data.readers.reader import Contents, Reader, require_all
@@ -37,7 +37,7 @@ def read(root: Path, category: str) -> list[Photograph]:
 
     Raises ViewnetError for a missing list, column or value, naming the line.
     """
-    own_category(category)
+    known_category(category)
     path = Path(root) / LIST
     table = read_list(path, ("file", *_ANGLES, "split"), (*_ANGLES, *_CORNERS).__contains__)
     corners = [name for name in _CORNERS if name in table.columns]

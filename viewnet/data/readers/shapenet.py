@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from viewnet.config import SYNSETS, nearest, own_category
+from viewnet.config import SYNSETS, known_category, nearest
 from viewnet.data.readers.reader import Contents, Reader, read_text
 from viewnet.errors import ViewnetError
 from viewnet.render.mesh import Mesh, UnusableModel
@@ -66,7 +66,7 @@ def find_models(root: Path | str, category: str, splits: Path | str | None = Non
     Raises ViewnetError for a root that is not a collection, a category without models, and a malformed list, or one
     whose models of some split are all missing.
     """
-    root, synset = Path(root), SYNSETS.get(own_category(category), category)
+    root, synset = Path(root), SYNSETS.get(known_category(category), category)
     models = _scan(root, synset, category)
     if splits is not None:
         listed, source = _read_lists(Path(splits), synset), str(splits)
@@ -136,6 +136,14 @@ def holds_models(folder: Path) -> bool:
     return any(folder.glob("*.obj")) or any(next(folder.glob(f"*/{place}"), None) for place in LAYOUTS.values())
 
 
+def category_folder(root: Path, category: str) -> Path | None:
+    """The folder of a category's models, named by its synset or itself, or all of `root`; None where there are none."""
+    for name in (SYNSETS.get(category, category), category):
+        if (root / name).is_dir():
+            return root / name
+    return root if holds_models(root) else None
+
+
 def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
     """Every model folder of the category, sorted by id; one without its .obj is rejected when it is rendered.
 
@@ -143,8 +151,8 @@ def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
     """
     if not root.is_dir():
         raise ViewnetError(f"{root}: no such folder: give the folder of a ShapeNetCore collection")
-    folder = next((root / name for name in (synset, category) if (root / name).is_dir()), root)
-    if folder == root and not holds_models(root):
+    folder = category_folder(root, category)
+    if folder is None:
         raise _no_collection(root, synset, category)
     names = sorted(entry.name for entry in os.scandir(folder) if entry.is_dir() and entry.name[0] not in "._")
     there = [[key for key, file in LAYOUTS.items() if (folder / name / file).is_file()] for name in names]

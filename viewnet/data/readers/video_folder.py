@@ -13,7 +13,7 @@ Nothing is left out silently: whatever is not used is listed with the reason.
 from collections.abc import Mapping
 from pathlib import Path
 
-from viewnet.config import known, own_category
+from viewnet.config import known, known_category
 from viewnet.data.clips import Clip, Frame, Pick, frame_count, is_video, masks_in, pick_frames
 from viewnet.data.readers.reader import Contents, Reader
 from viewnet.data.store import Rejected, within
@@ -36,7 +36,7 @@ def read(
     Raises ViewnetError for a folder that does not exist, a malformed list, and where no clip can be used.
     """
     root = Path(root)
-    own_category(category)
+    known_category(category)
     if not root.is_dir():
         raise ViewnetError(f"{root}: no such folder: give one of videos, or of folders of frames")
     rejected: list[Rejected] = []
