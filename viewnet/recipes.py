@@ -78,8 +78,11 @@ VARIANTS: dict[str, Changes] = {
     # Each viewpoint that is compared is an image by the HoloGAN decoder: 32 a target in a search.
     "hologan_decoder": merged(NO_SEARCH, {"model": {"decoder": "hologan"}}),
     "no_search": NO_SEARCH,  # what the row above is to be compared with
+    # For the study of photographs: it sees objects over black alone, and may teach another one.
+    "over_black": {"data": {"backgrounds": None}, "train": {"photo": {"views_per_target": 1}}},
+    "larger_input": {"model": {"input_size": 96}},
 }
-"""The trained rows of Tables 1 and 2."""
+"""The trained rows of Tables 1 and 2, and of the study of photographs."""
 
 ABLATIONS: dict[str, Changes] = {
     "whole_views": {"model": {"crop": "square"}, "train": {"augment": True}},
@@ -144,6 +147,8 @@ PEERS: dict[str, Changes] = {
     },
     "spherical_regression": _SUPERVISED,
     "spherical_regression_imagenet": _SUPERVISED,
+    "spherical_regression_frozen": _SUPERVISED,
+    "spherical_regression_larger": merged(_SUPERVISED, VARIANTS["larger_input"]),
     "box_corners": _SUPERVISED,
     "box_corners_imagenet": _SUPERVISED,
     "relative_pose": merged(_SUPERVISED, {"model": {"in_plane": True}}),

@@ -10,12 +10,14 @@ from viewnet.config import known
 from viewnet.experiments.cad import Experiment
 from viewnet.experiments.other_sets import OtherSetsExperiment
 from viewnet.experiments.own_method import OwnMethodExperiment
+from viewnet.experiments.photographs_study import PhotographsStudy
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.experiments.request import DESIGNS, accepted
 from viewnet.experiments.videos import ObjectronExperiment, VideoExperiment
 
 _KINDS: dict[str, type[Experiment]] = {"cad": Experiment, "photos": PhotoExperiment, "videos": VideoExperiment}
 _KINDS |= {"objectron": ObjectronExperiment, "own_method": OwnMethodExperiment, "test_sets": OtherSetsExperiment}
+_KINDS |= {"photographs_study": PhotographsStudy}
 
 
 def experiment(name: str, cell: Mapping[str, Any] | None = None, /, **parameters: Any) -> Any:

@@ -1,16 +1,24 @@
 """A model whose confidences are true on photographs: the selection's logits divided by a fitted temperature."""
 
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from viewnet.data import build
 from viewnet.errors import ViewnetError
 from viewnet.estimator.pretrained import Pretrained
 from viewnet.estimator.viewpoints import Viewpoints
-from viewnet.evaluation.confidence import temperature
+from viewnet.evaluation.confidence import Floats, temperature
+from viewnet.evaluation.evaluate import Aligned
 from viewnet.evaluation.metrics import geodesic_error
 from viewnet.evaluation.predict import predict
+from viewnet.evaluation.predictions import Predictions
 from viewnet.experiments.parameters import folder_named
 from viewnet.experiments.photos import photographs
+
+Answers = tuple[Floats, NDArray[np.bool_]]
+"""Confidences (N,), and whether each viewpoint is within 30 degrees."""
 
 
 def calibrate(model: Pretrained, data_root: str) -> None:
@@ -20,19 +28,32 @@ def calibrate(model: Pretrained, data_root: str) -> None:
     hypothesis, and for photographs that cannot be read or have no calibration split.
     """
     model.require_viewnet("calibrating confidences")
-    rotation, config = model.annotated_from_model, model.config
-    if rotation is None or config.model.heads == 1:
-        why = "no rotation to the annotated frame" if rotation is None else "a single hypothesis, always of 100 %"
+    config = model.config
+    if model.annotated_from_model is None or config.model.heads == 1:
+        none = model.annotated_from_model is None
+        why = "no rotation to the annotated frame" if none else "a single hypothesis, always of 100 %"
         raise ViewnetError(f"calibrating confidences: the model has {why}: calibrate another one")
     root, square = folder_named(data_root, "calibrate"), config.model.crop != "stretched"
     store = build.photo_views(photographs(config.category, root, square, smoke=False))
     if not (store.index["split"] == "val").any():
         raise ViewnetError(f"{data_root}: has no calibration split: mark some photographs val in its list")
-    said = predict(model.network, store, ("val",), config=config)
-    ups = None if said.ups is None else said.ups @ rotation.T
-    viewpoints = Viewpoints.of(said.hypotheses @ rotation.T, said.logits, ups, aligned=True)
+    said = turned(predict(model.network, store, ("val",), config=config), model.annotated_from_model)
+    viewpoints = Viewpoints.of(said.hypotheses, said.logits, said.ups, aligned=True)
     right = geodesic_error(viewpoints.vector, said.truth) < 30
     value = temperature(viewpoints.hypothesis_frames, said.logits, right)
     model.network.viewpoint.divide_logits(value)
     found = {"images": len(right), "right": 100 * float(np.mean(right)), "temperature": round(value, 3)}
     model.about["calibrated"] = found
+
+
+def turned(said: Predictions, rotation: NDArray[np.float64]) -> Predictions:
+    """Predictions in another frame, to which `rotation` (3, 3) takes the one they are in."""
+    ups = None if said.ups is None else said.ups @ rotation.T
+    return replace(said, hypotheses=said.hypotheses @ rotation.T, ups=ups)
+
+
+def answers(aligned: Aligned) -> Answers:
+    """How sure aligned predictions are, and which are right."""
+    said = aligned.predictions
+    sure = Viewpoints.of(said.hypotheses, said.logits, said.ups, aligned=False).confidence  # (N,)
+    return sure, aligned.selected_errors < 30

@@ -32,6 +32,7 @@ TAKES = {
     "test_sets": ("profile", "categories", "seeds", "recipe", "eval_root", "output", "workers"),
     "recipe_ablation": tuple(name for name in _CAD if name != "recipe"),
     **dict.fromkeys(("table3_pascal3d", "table5_dva"), (*_PHOTOS, "rows")),
+    "photographs_study": (*_PHOTOS, "rows"),
     "alignment_study": _PHOTOS,
     "reconstructions": ("profile", "seed", "data_root", "output", "workers", *_TRAINED_ON),
     "table4_freiburg": (*_VIDEOS, "rows", "split_rule", "start", "features"),
@@ -49,7 +50,8 @@ ON_CAD = ("cad", "test_sets")
 class Design:
     """What a notebook shows unless its parameters say otherwise.
 
-    kind    what is trained on and scored on: cad, test_sets, photos, videos, objectron or own_method (a class each)
+    kind    what is trained on and scored on, a class each: cad, test_sets, photos, photographs_study, videos, objectron
+            or own_method
     tables  to which a notebook of own methods adds rows
     fixed   values of parameters that it does not take
     """
@@ -74,7 +76,7 @@ class Design:
 _DESIGNED = ("profile", "recipe", "categories", "category", "variant", "rows")
 """Parameters whose defaults are the notebook's."""
 _TABLE_KINDS = dict.fromkeys(("table3_pascal3d", "table5_dva"), "photos")
-_TABLE_KINDS |= {"test_sets": "test_sets", "table4_freiburg": "videos"}
+_TABLE_KINDS |= {"test_sets": "test_sets", "table4_freiburg": "videos", "photographs_study": "photographs_study"}
 _ABLATION = tuple(variant for variant in LAYOUTS["table2_ablation"].variants if variant in VARIANTS)
 """The trained rows of Table 2."""
 _METHOD_TABLES = ("table1_shapenet", "table3_pascal3d", "table5_dva")
@@ -83,6 +85,7 @@ _METHOD_VARIANTS = tuple(dict.fromkeys(v for table in _METHOD_TABLES for v in LA
 DESIGNS = {
     **{name: Design(t.usual, _TABLE_KINDS.get(name, "cad"), t.categories) for name, t in LAYOUTS.items()},
     "recipe_ablation": Design(LAYOUTS["recipe_ablation"].usual, smoke=2),
+    "photographs_study": Design(LAYOUTS["photographs_study"].usual, "photographs_study", ("car",), smoke=3),
     "objectron": Design(("constant", "viewnet"), "objectron", ("chair",), fixed={"start": SHAPENET}),
     # Supervised rows are in the annotated frame.
     "alignment_study": Design(tuple(v for v in LAYOUTS["table3_pascal3d"].usual if v not in ABSOLUTE), "photos"),

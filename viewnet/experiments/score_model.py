@@ -21,14 +21,14 @@ from viewnet.data.readers.registry import READERS
 from viewnet.errors import ViewnetError
 from viewnet.estimator import pretrained
 from viewnet.estimator.model_card import METRICS, with_interval
-from viewnet.estimator.viewpoints import Viewpoints
 from viewnet.evaluation.alignment import MINIMUM
 from viewnet.evaluation.confidence import calibration_error
-from viewnet.evaluation.evaluate import Aligned, align, calibrating, evaluate
+from viewnet.evaluation.evaluate import align, calibrating, evaluate
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import LEARNED_ALIGNMENTS, Run
 from viewnet.evaluation.support import support
 from viewnet.experiments import photos
+from viewnet.experiments.calibrated import answers, turned
 from viewnet.experiments.parameters import SUBSETS, folder_named
 from viewnet.model import checkpoint
 from viewnet.recipes import PEERS, make_config
@@ -82,9 +82,8 @@ def scores(
     by_kind = {kind: (predictions, kind) for kind in kinds}
     if where_from != "own views" and own_frame and result["metrics"] is not None:
         # What a user of the model gets: no label of the photographs is used.
-        back = np.array(result["metrics"]["procrustes"]["alignment"]["rotation"]).T
-        ups = None if predictions.ups is None else predictions.ups @ back
-        by_kind = {OWN: (replace(predictions, hypotheses=predictions.hypotheses @ back, ups=ups), "none"), **by_kind}
+        rotation = np.array(result["metrics"]["procrustes"]["alignment"]["rotation"])
+        by_kind = {OWN: (turned(predictions, rotation), "none"), **by_kind}
     if where_from == "photographs" and (predictions.ids["split"] == "val").sum() < MINIMUM:
         by_kind = {name: how for name, how in by_kind.items() if how[1] == "none"}
         if not by_kind:
@@ -96,8 +95,11 @@ def scores(
         choose = choice(found, by_kind, calibration)
     about = {"model": where, "name": run.name, "key": result.get("key"), "on": description}
     said, kind = by_kind[choose or next(iter(by_kind))]
-    sure = _confidence(align(said, kind, calibration)) if said.heads > 1 else None
-    return about | {"alignments": found, "choose": choose, "confidence": sure}
+    confidence: dict[str, float] | None = None
+    if said.heads > 1:
+        sure, right = answers(align(said, kind, calibration))
+        confidence = {"mean": 100 * float(sure.mean()), "error": calibration_error(sure, right)}
+    return about | {"alignments": found, "choose": choose, "confidence": confidence}
 
 
 def choice(
@@ -142,12 +144,6 @@ def as_text(scores: dict[str, Any]) -> str:
         if worse := [name for name, value in right.items() if value < right.get(OWN, 0)]:
             lines.append(f"  worse than the model's own rotation: {', '.join(worse)}: calibrate on more images")
     return "\n".join(lines)
-
-
-def _confidence(aligned: Aligned) -> dict[str, float]:
-    test = aligned.predictions
-    sure = Viewpoints.of(test.hypotheses, test.logits, test.ups, aligned=False).confidence  # (N,)
-    return {"mean": 100 * float(sure.mean()), "error": calibration_error(sure, aligned.selected_errors < 30)}
 
 
 def _support(support: dict[str, float | None]) -> tuple[str, str]:

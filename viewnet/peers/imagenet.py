@@ -8,7 +8,6 @@ from viewnet.runtime import torchvision_weights
 from viewnet.runtime.torchvision_weights import IMAGENET_MEAN, IMAGENET_STD
 
 NETWORK = "squeezenet1_1"  # ours: of five megabytes, where the papers have ResNets
-SLOWER = 0.1  # the trunk's learning rate over that of the layers after it [ours]
 
 
 class SqueezeNet(nn.Module):
@@ -37,6 +36,8 @@ class SqueezeNet(nn.Module):
 class ImageNetTrunk(Peer):
     """Put before a method among a class's bases: the method on this trunk."""
 
+    slower = 0.1  # the trunk's learning rate over that of the layers after it [ours]
+
     def trunk(self, outputs: int) -> nn.Module:
         """SqueezeNet's convolutions and a layer of `outputs`."""
         return SqueezeNet(outputs)
@@ -53,5 +54,5 @@ class ImageNetTrunk(Peer):
         groups: dict[bool, list[nn.Parameter]] = {False: [], True: []}
         for name, parameter in self.named_parameters():
             groups[".convolutions." in name].append(parameter)
-        rates = {False: learning_rate, True: SLOWER * learning_rate}
+        rates = {False: learning_rate, True: self.slower * learning_rate}
         return [{"params": groups[pretrained], "lr": rate} for pretrained, rate in rates.items()]

@@ -14,7 +14,11 @@ from viewnet.peers.mvc import MVC
 from viewnet.peers.peer import Peer
 from viewnet.peers.pointcloud import Pointcloud
 from viewnet.peers.relative_pose import RelativePose
-from viewnet.peers.spherical_regression import SphericalRegression, SphericalRegressionImageNet
+from viewnet.peers.spherical_regression import (
+    SphericalRegression,
+    SphericalRegressionFrozen,
+    SphericalRegressionImageNet,
+)
 from viewnet.peers.ssv import SSV
 
 METHODS: dict[str, type[Peer]] = {
@@ -22,6 +26,8 @@ METHODS: dict[str, type[Peer]] = {
     "pointcloud": Pointcloud,
     "spherical_regression": SphericalRegression,
     "spherical_regression_imagenet": SphericalRegressionImageNet,
+    "spherical_regression_frozen": SphericalRegressionFrozen,
+    "spherical_regression_larger": SphericalRegression,
     "box_corners": BoxCorners,
     "box_corners_imagenet": BoxCornersImageNet,
     "relative_pose": RelativePose,

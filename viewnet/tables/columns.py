@@ -32,6 +32,8 @@ METRICS = {
     "acc30": Column("acc@30, %", r"Accuracy (\%) $\uparrow$", "Accuracy within 30°, % (higher is better)", digits=0),
     "median": Column("median, degrees", r"Median error ($^\circ$) $\downarrow$",
         "Median error, degrees (lower is better)", lower_is_better=True),
+    "flips": Column("half turns, %", r"Half turns (\%) $\downarrow$",
+        "Views off by more than 150°, % (lower is better)", lower_is_better=True),
     "dva": Column("DVA, %", r"Discretized viewpoint accuracy (\%) $\uparrow$",
         "Discretized viewpoint accuracy (DVA), % (higher is better)", digits=0),
     "confidence_index": Column("confidence index", "",

@@ -67,8 +67,9 @@ class Layout:
 
     @property
     def reference(self) -> str:
-        """The label of the row that others are compared with: the first one of ViewNet by a rotation."""
-        return next((row.label for row in self.rows if row.variant == "viewnet" and row.alignment is None), "")
+        """The label of the row that others are compared with: ViewNet's, by its usual alignment if it is there."""
+        own = [row.label for row in sorted(self.rows, key=lambda row: bool(row.alignment)) if row.variant == "viewnet"]
+        return own[0] if own else ""
 
     def rows_of(self, variant: str) -> list[Row]:
         """The rows that a variant fills."""
@@ -170,6 +171,21 @@ LAYOUTS = {
             *_SUPERVISED,
         ),
         reported_as={"Liao (withdrawn)": "Liao"}, blocks=True,
+    ),
+    "photographs_study": Layout(
+        "Photographs: what is lost where",
+        (
+            Row("ViewNet", "viewnet", "robust"), Row("ViewNet over black", "over_black", "robust"),
+            Row("Student of ViewNet", "student", "robust"),
+            Row("Student of ViewNets over black", "student_of_black", "robust"),
+            Row("ViewNet, 96 pixels", "larger_input", "robust"),
+            Row("VGG view", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),
+            Row("Viewpoints of CAD views", "spherical_regression", None, _VIEWPOINTS),
+            Row("the same, 96 pixels", "spherical_regression_larger", None, _VIEWPOINTS),
+            Row("the same, SqueezeNet", "spherical_regression_imagenet", None, f"{_VIEWPOINTS}, {IMAGENET}", True),
+            Row("the same, SqueezeNet frozen", "spherical_regression_frozen", None, f"{_VIEWPOINTS}, {IMAGENET}", True),
+        ),
+        categories=("car",), metrics=(*HEADLINE, "flips", "dva"), reported=False, blocks=True,
     ),
     "table4_freiburg": Layout(
         "Trained on Freiburg Cars, evaluated on PASCAL3D+",

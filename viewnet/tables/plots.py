@@ -12,9 +12,11 @@ import torch
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
 
 from viewnet import geometry
 from viewnet.errors import ViewnetError
+from viewnet.evaluation.confidence import BINS, calibration_error
 from viewnet.evaluation.evaluate import align
 from viewnet.evaluation.predictions import Floats
 from viewnet.evaluation.run import Run
@@ -43,6 +45,7 @@ MEASURES = {
     "loss": "training loss\n(sum of its terms)",
 }
 ALIGNMENTS = {"procrustes": "rotation", "robust": "robust rotation", "linear": "linear", "per_angle": "angle by angle"}
+RELIABLE = 10  # photographs of a tenth of confidence, for a share that is drawn
 NOTE = "Description"
 """The name of the text in a PNG file that says of what runs the figure is."""
 
@@ -179,6 +182,29 @@ def collapse_curves(collapse: pd.DataFrame) -> Figure:
             means = rows.groupby("concentration")[["side", column]].mean()
             axes.plot(means["side"], means[column], color=colours[name], label=name, **LINE)
     _label_ends(grid)
+    return figure
+
+
+@matplotlib.rc_context(STYLE)
+def reliability(answers: dict[str, tuple[Floats, NDArray[np.bool_]]]) -> Figure:
+    """Share of right viewpoints over confidence, by its tenths, and how often each is said, for each predictor.
+
+    `answers` are confidences (N,) and which viewpoints are right (N,). Tenths of fewer than RELIABLE are left out.
+    """
+    figure = Figure(figsize=(3.6, 4.6), layout="constrained")
+    shares, counts = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    shares.plot([0, 100], [0, 100], color="0.8", linewidth=0.6, zorder=0)  # as sure as it is right
+    edges = np.linspace(0, 100, BINS + 1)
+    for (name, (sure, right)), colour in zip(answers.items(), itertools.cycle(COLOURS), strict=False):
+        bins = np.minimum((sure * BINS).astype(int), BINS - 1)  # (N,)
+        places = [place for place in range(BINS) if (bins == place).sum() >= RELIABLE]
+        means = [[100 * values[bins == place].mean() for place in places] for values in (sure, right)]
+        label = f"{name}: {calibration_error(sure, right):.1f} points"
+        shares.plot(*means, color=colour, label=label, **LINE)
+        counts.stairs(100 * np.bincount(bins, minlength=BINS) / len(bins), edges, color=colour, linewidth=1)
+    figure.legend(loc="outside lower left", frameon=False, title="expected calibration error", alignment="left")
+    shares.set(xlim=(0, 100), ylim=(0, 100), ylabel="within 30° (%)")
+    counts.set(xlabel="confidence (%)", ylabel="photographs (%)")
     return figure
 
 
