@@ -24,6 +24,8 @@ Generator = Callable[[np.random.Generator], Builder]
 VERSIONS = dict.fromkeys(CATEGORIES, 2) | {"car": 3}
 FOLDERS = {"bicycle": "cycles", "motorbike": "cycles", "diningtable": "furniture", "sofa": "furniture"}
 """Categories that share parts share a folder; any other has one of its own."""
+CARD = Path(__file__).with_name("README.md")
+"""What a collection is, for its readers: a dataset card of the hub."""
 CHUNK = 16
 """Models that a process writes in turn."""
 # Each category's module has the function of the same name.
@@ -54,7 +56,7 @@ def write_collection(
     progress: bool = True,
     executor: Executor | None = None,
 ) -> None:
-    """Write `models` models of each category, and `all.csv` with their splits, in the layout of ShapeNetCore v2.
+    """Write `models` models of each category in the layout of ShapeNetCore v2, `all.csv` with their splits, and a card.
 
     `<root>/<synset>/<model id>/models/model_normalized.obj` and `.mtl`, textures in `<model id>/images/`; `all.csv`
     has the columns id, synsetId, subSynsetId, modelId, split (train, val and test by 0.7, 0.1 and 0.2 of a category's
@@ -84,6 +86,8 @@ def write_collection(
     table = pd.DataFrame(rows, columns=["id", "synsetId", "subSynsetId", "modelId", "split"])
     with replacing(root / "all.csv") as temporary:
         table.to_csv(temporary, index=False, lineterminator="\n")
+    with replacing(root / CARD.name) as temporary:
+        temporary.write_bytes(CARD.read_bytes())
 
 
 def _write_models(jobs: Sequence[tuple[Path, str, int, int]]) -> int:
