@@ -178,3 +178,15 @@ def test_a_finished_run_predicts_images_and_refuses_the_rest(variant, store, tmp
         with pytest.raises(ViewnetError, match=f"{variant} only predicts viewpoints"):
             asked()
     assert not (tmp_path / "saved").exists()
+
+
+def test_a_pretrained_trunk_learns_slowly_or_not_at_all(store, tmp_path):
+    for variant, frozen in (("spherical_regression_imagenet", False), ("spherical_regression_frozen", True)):
+        torch.manual_seed(0)  # the seed of `trained`
+        before = registry.make(variant, config(variant).model).state_dict()
+        after = trained(variant, store, tmp_path / variant)
+        moved = {name: (after[name] - before[name]).abs().max().item() for name in after}
+        trunk = {name: by for name, by in moved.items() if ".convolutions." in name}
+        rest = {name: by for name, by in moved.items() if name not in trunk}
+        assert max(rest.values()) > 5 * max(trunk.values())
+        assert (max(trunk.values()) == 0) == frozen
