@@ -180,6 +180,7 @@ def test_a_finished_run_predicts_images_and_refuses_the_rest(variant, store, tmp
     assert not (tmp_path / "saved").exists()
 
 
+@pytest.mark.usefixtures("possible")
 def test_a_pretrained_trunk_learns_slowly_or_not_at_all(store, tmp_path):
     for variant, frozen in (("spherical_regression_imagenet", False), ("spherical_regression_frozen", True)):
         torch.manual_seed(0)  # the seed of `trained`
