@@ -61,6 +61,8 @@ def test_what_is_missing_is_trained_and_kept_and_nothing_twice(folders):
     assert of_table2["measured"].item() == kept_predictions.remade(
         folders / "tables/smoke-viewnet-car/table2_ablation.json"
     ).cells.query("metric == 'acc30'")["measured"].iloc[0].round(4)
+    (curves,) = (folders / "tables/figures").rglob("*.png")  # of Table 2's logs
+    assert curves.relative_to(folders / "tables/figures").as_posix() == "smoke-viewnet-car/training_curves.png"
     shutil.rmtree(folders / "runs")  # as on another machine
     again = queue(folders)
     assert again.missing == []

@@ -147,7 +147,7 @@ class Replication:
         return [kept()[each] for each in wanted]
 
     def _write_log(self, request: Experiment, run: Run) -> None:
-        """The logs of the table's runs, of several machines perhaps, one below the other."""
+        """The logs of the table's runs, of several machines perhaps, one below the other; of Table 2 as curves, too."""
         path, log = request.folder / f"{request.name}_logs.csv", plots.training_logs([run]).round(4)
         if path.is_file():
             columns = ["row", "recipe", "category", "seed"]
@@ -155,6 +155,9 @@ class Replication:
             others = (before[columns] != log[columns].iloc[0]).any(axis=1)
             log = pd.concat([before[others], log], ignore_index=True)
         write_csv(path, log)
+        if request.name == "table2_ablation":  # whose rows the notebook training_curves shows
+            note = f"{request.note}; of the trainings whose logs are kept"
+            plots.save(plots.training_curves(log), request.figures, "training_curves", note)
 
 
 def _file(request: Experiment) -> Path:

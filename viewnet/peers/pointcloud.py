@@ -173,7 +173,7 @@ def splat(places: Tensor, size: int) -> Tensor:
     Places beyond the cube are left out. The sides of a voxel at the border keep what lies beyond its centre.
     """
     if places.device.type == "cpu" and numba_call.available():
-        from viewnet.model.kernels import splat_numba  # imported late: Numba takes a second to load
+        from viewnet.peers import splat_numba  # imported late: Numba takes a second to load
 
         return splat_numba.splat(places, size)
     inside = ((places >= 0) & (places <= 1)).all(-1)  # (N, P)

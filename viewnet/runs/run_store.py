@@ -58,7 +58,7 @@ PEER_TRAINING = (
     "peers/peer.py",
     *(f"training/{name}.py" for name in ("history", "optimisers", "train_peer")),
     "geometry.py", "data/augment.py", "data/boxes.py", "data/pairs.py", "evaluation/alignment.py", "render/camera.py",
-    *(name for name in TRAINING if name.startswith("model/")), "model/kernels/splat_numba.py",
+    *(name for name in TRAINING if name.startswith("model/")), "peers/splat_numba.py",
     *(f"runtime/{name}.py" for name in ("distributed", "images", "memory", "random", "torchvision_weights")),
 )  # fmt: skip
 """The same of peers; to it come the files of the method itself (viewnet.peers.registry.code_of)."""
