@@ -5,11 +5,14 @@ import json
 import re
 
 import pytest
+import torch
 
 from viewnet import config as settings_of
 from viewnet.config import CATEGORIES, LIMITS, SYNSETS, RunConfig, VideoConfig, settings
 from viewnet.errors import ViewnetError
-from viewnet.recipes import ABLATIONS, FILMED, PROFILES, RECIPES, VARIANTS, make_config
+from viewnet.model.viewnet import ViewNet
+from viewnet.peers import registry
+from viewnet.recipes import ABLATIONS, FILMED, PEERS, PROFILES, RECIPES, VARIANTS, make_config
 
 GROUPS = [each for name, each in vars(settings_of).items() if re.fullmatch("[A-Z].*Config", name)]
 NUMBER = re.compile(r"\b(int|float)\b")
@@ -22,6 +25,15 @@ def test_every_configuration_survives_json(variant, profile, recipe):
     text = json.dumps(config.to_dict())
     assert RunConfig.from_dict(json.loads(text)) == config
     assert hash(RunConfig.from_dict(json.loads(text))) == hash(config)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_the_network_of_every_variant_can_be_built(profile):
+    with torch.device("meta"):
+        for variant in (*VARIANTS, *PEERS):
+            settings = make_config(variant, profile=profile, recipe="matting").model
+            network = registry.make(variant, settings) if variant in PEERS else ViewNet(settings)
+            assert sum(weight.numel() for weight in network.parameters()) > 0
 
 
 def test_no_two_configurations_share_a_key():
