@@ -166,7 +166,7 @@ def _parts(request: Any, submissions: Sequence[Submission]) -> Iterator[list[Pat
                 assert table.complete, f"{table.name}: not every row of ours is measured in every category"
                 yield definitions.write_with(table, folder)
             if name == "photographs_study":
-                yield saved(plots.reliability(request.answers(runs)), "reliability")
+                yield saved(plots.reliability(request.answers(runs)), "reliability", place=folder)
             if name == "test_sets":
                 yield [write_csv(folder / "test_sets_nearest.csv", request.nearness(), index=True)]
 
