@@ -191,7 +191,7 @@ def test_settings_are_checked_before_anything_is_rendered(command, setting, mess
         (["notebook", "architecture"], []),
         (
             ["tables", "--profile", "smoke", "--only", "figure3_azimuth", "training_curves"],
-            ["views: 0 of 3 kept, about 1.8 MB to make", "runs: 0 of 21 kept, about 3.5 MB to make"],
+            ["views: 0 of 2 kept, about 1.2 MB to make", "runs: 0 of 14 kept, about 2.4 MB to make"],
         ),
     ],
 )

@@ -69,7 +69,8 @@ class Design:
         values = {p.field or name: p.of(p.default, name) for name, p in PARAMETERS.items() if name not in _DESIGNED}
         recipe = (PROFILE_RECIPE if self.kind in ON_CAD else PHOTO_RECIPE)[profile]
         variants = self.variants[: self.smoke] if profile == "smoke" else self.variants
-        designed = {"profile": self.profile, "recipes": (recipe,), "categories": self.categories, "variants": variants}
+        categories = self.categories[:2] if profile == "smoke" else self.categories  # where it takes a minute
+        designed = {"profile": self.profile, "recipes": (recipe,), "categories": categories, "variants": variants}
         return values | designed | self.fixed
 
 
