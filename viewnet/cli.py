@@ -25,10 +25,11 @@ NEGATIVE = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$|-inf(inity)?$|-nan$", re
 """A word that is a value and no option; argparse's own expression knows no exponents."""
 EXIT_CODES = """exit codes:
   0    done
-  1    viewnet tables: some notebooks failed, the others are done; otherwise an internal error, with its traceback
+  1    viewnet tables: some notebooks failed; adapt: no help, not written; else an internal error, with its traceback
   2    a mistake in the input, explained in one line
   3    viewnet predict: some images failed, each named in a line of the standard error; the others are answered
   130  interrupted: the same command continues where it stopped
+  141  nobody reads the standard output any more
 
 Results go to the standard output, progress and errors to the standard error. TQDM_DISABLE=1 silences progress.
 viewnet COMMAND --help has examples.
@@ -41,11 +42,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # PyTorch reads it later: large tensors on pages of 2 MiB
     try:
         parallel.threads_asked()  # said before PyTorch is imported, whose OpenMP would warn in words of its own
-        return options.run(options) or 0
+        code = options.run(options) or 0
+        print(end="", flush=True)  # within reach of what follows
+        return code
     except ViewnetError as error:
         _fail_together(f"viewnet: {error}")
         print(f"viewnet: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # whoever reads the output has enough of it, as `head` has
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 141
     except Exception:
         _fail_together(traceback.format_exc())
         raise

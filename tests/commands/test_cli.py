@@ -247,8 +247,19 @@ def test_the_help_names_every_command_and_exit_code(capsys):
     said = capsys.readouterr().out
     for name in COMMANDS:
         assert re.search(rf"\n    {name}\s+\w", said)
-    for code in (0, 1, 2, 3, 130):
+    for code in (0, 1, 2, 3, 130, 141):
         assert f"\n  {code} " in said
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_reader_that_has_enough_ends_a_command_without_a_traceback(unbuffered):
+    read, write = os.pipe()
+    os.close(read)
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+    arguments = [sys.executable, "-m", "viewnet", "completion", "bash"]
+    done = subprocess.run(arguments, stdout=write, stderr=subprocess.PIPE, text=True, env=environment)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, "")
 
 
 @pytest.mark.parametrize("command", COMMANDS)

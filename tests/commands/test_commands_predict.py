@@ -101,11 +101,11 @@ def test_images_that_fail_are_named_and_the_others_answered(images, tmp_path, ca
 
 def test_predict_takes_folders_and_patterns(images, tmp_path, capsys):
     folder = tmp_path / "photos [1]"
-    for name in ("c.PNG", "b.png", ".hidden.png", "within/a.png"):
+    for name in ("c.PNG", "b.png", "d.jfif", "e.gif", ".hidden.png", "within/a.png"):
         (folder / name).parent.mkdir(exist_ok=True, parents=True)
         (folder / name).write_bytes((tmp_path / "a.png").read_bytes())
     (folder / "notes.txt").write_text("no image")
-    found = [str(folder / name) for name in ("b.png", "c.PNG")]
+    found = [str(folder / name) for name in ("b.png", "c.PNG", "d.jfif", "e.gif")]
     for word, expected in (
         (str(folder), found),
         (str(tmp_path / "[ab].*"), images),
@@ -282,6 +282,13 @@ def test_turntable_writes_an_animation(images, tmp_path, capsys):
         (["predict", "a", "--boxes", "wrong.csv", "--model", "0123456789ab"], "wrong.csv: line 3: box ['4', '5', '6',"),
         (["predict", "a", "--boxes", "other.csv", "--model", "0123456789ab"], "other.csv: has no box of any of the"),
         (["predict", "a", "-o", "a.txt", "--model", "0123456789ab"], "a.txt: unknown kind of table: name it .csv or"),
+        (["predict", "a", "-o", "empty.csv", "--model", "0123456789ab"], "empty.csv: is a folder: name a file"),
+        (
+            ["predict", "a", "--boxes", "nameless.csv", "--model", "car"],
+            "nameless.csv: line 3: image '': expected a file",
+        ),
+        (["predict", "--boxes", "dash.csv", "--model", "car"], "dash.csv: line 2: image '-': expected a file"),
+        (["turntable", "a.png", "-o", "a.gif", "--model", "other.csv"], "PLACE/other.csv: not a whole checkpoint ("),
         (["predict", "a", "-o", "wrong.csv/a.csv", "--model", "0123456789ab"], "wrong.csv/a.csv: cannot be written"),
         (
             ["predict", "a", "--box", "-inf", "0", "9", "9", "--model", "0123456789ab"],
@@ -306,11 +313,14 @@ def test_turntable_writes_an_animation(images, tmp_path, capsys):
 def test_errors_of_predict_and_turntable(images, arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
+    (tmp_path / "empty.csv").mkdir()
+    (tmp_path / "nameless.csv").write_text("image,x0,y0,x1,y1\na,1,2,3,4\n,1,2,3,4\n")
+    (tmp_path / "dash.csv").write_text("image,x0,y0,x1,y1\n-,1,2,3,4\n")
     (tmp_path / "other.csv").write_text("image,x0,y0,x1,y1\nb,1,2,3,4\n")
     (tmp_path / "wrong.csv").write_text("image,x0,y0,x1,y1\na,1,2,3,4\na,4,5,6,\n")
     assert cli.main(arguments) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"viewnet: {message}")
+    assert said.startswith(f"viewnet: {message}".replace("PLACE", str(tmp_path)))
     assert said.count("\n") == 1
 
 

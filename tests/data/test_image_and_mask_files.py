@@ -378,6 +378,22 @@ def test_what_is_no_regular_file_is_refused(make, tmp_path):
         image_files.read(tmp_path / "a.png")
 
 
+def test_what_the_system_refuses_is_told_in_its_words(tmp_path):
+    (tmp_path / "a.png").symlink_to("a.png")
+    for name, reason in (("a.png", "Too many levels of symbolic links"), ("a" * 300, "File name too long")):
+        with pytest.raises(ViewnetError, match=rf"^image does not decode \({reason}\)$"):
+            image_files.read(tmp_path / name)
+
+
+@pytest.mark.parametrize("side", [10_100, 20_000])
+def test_too_large_an_image_is_refused_in_one_line(side, tmp_path):
+    Image.new("1", (side, side)).save(tmp_path / "a.png")
+    code = "import sys; from pathlib import Path; from viewnet.runtime import image_files\n"
+    code += "try: image_files.read(Path(sys.argv[1]))\nexcept Exception as error: print(error)"
+    done = subprocess.run([sys.executable, "-c", code, tmp_path / "a.png"], capture_output=True, text=True)
+    assert done.stdout.startswith("image has more than 100000000 pixels") and not done.stderr
+
+
 def test_the_first_of_several_frames_is_used_and_this_told_once(tmp_path, caplog):
     frames = [Image.new("L", (WIDE, HIGH), grey) for grey in (50, 200)]
     frames[0].save(tmp_path / "a.gif", save_all=True, append_images=frames[1:])

@@ -6,6 +6,7 @@ import json
 
 import pytest
 from helpers.fake_steps import STEPS
+from helpers.simulated_faults import can_mount, read_only
 
 from viewnet import cli, paths
 from viewnet.errors import ViewnetError
@@ -54,12 +55,21 @@ def test_a_run_that_is_being_made_is_said_to_be_and_not_removed(runs):
     assert (folder / "config.json").is_file()
 
 
+def test_a_stopped_run_is_said_to_be_where_nothing_can_be_written(runs, tmp_path):
+    if not can_mount(tmp_path):
+        pytest.skip("needs the right to mount file systems")
+    with read_only(runs[2].folder.parent):
+        assert list(kept_runs.listed(category="chair")["state"]) == ["stopped"]
+
+
 @pytest.mark.parametrize("damage", ["{", "[]", '{"variant": "viewnet"}', ""])
 def test_a_run_that_cannot_be_read_is_listed_as_damaged(runs, damage):
     (runs[0].folder / "config.json").write_text(damage)
     table = kept_runs.listed().set_index("key")
     assert table["state"][runs[0].key] == "damaged"
     assert table["state"][runs[1].key] == "finished"
+    with pytest.raises(ViewnetError, match=runs[0].key):
+        kept_runs.read(runs[0].folder)
 
 
 def test_keys_may_be_shortened_to_where_they_are_unique(runs):

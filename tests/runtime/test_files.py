@@ -111,6 +111,13 @@ def test_a_full_disk_is_told_whoever_writes_to_it(tmp_path, writer):
             WRITERS[writer](temporary)
 
 
+def test_a_folder_is_not_replaced_by_a_file(tmp_path):
+    (tmp_path / "a").mkdir()
+    with pytest.raises(ViewnetError, match=r"a: cannot be written \(Is a directory\)"):
+        write_text(tmp_path / "a", "one")
+    assert not hidden(tmp_path)
+
+
 def test_other_errors_stay_what_they_are(tmp_path):
     with pytest.raises(FileNotFoundError), replacing(tmp_path / "a") as temporary:
         temporary.write_text("half")

@@ -67,6 +67,8 @@ def run(options: Options) -> int:
         raise ViewnetError("predict: no images: name some, a folder of them, or --boxes with a list")
     if output and output.suffix not in KINDS:
         raise ViewnetError(f"{output}: unknown kind of table: name it {' or '.join(KINDS)}")
+    if output and output.is_dir():
+        raise ViewnetError(f"{output}: is a folder: name a file")
     from viewnet.estimator import ViewpointEstimator, image_names
     from viewnet.runtime.files import scratch
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from viewnet.data.crop import Box
 from viewnet.errors import ViewnetError
 from viewnet.estimator.inputs import box_of
-from viewnet.runtime.image_files import SUFFIXES
+from viewnet.runtime import image_files
 from viewnet.runtime.lists import one_form, read_list
 
+SUFFIXES = (*image_files.SUFFIXES, ".gif", ".jfif")  # of videos and collections a GIF is no single image
 CORNERS = ("x0", "y0", "x1", "y1")
 
 
@@ -45,6 +46,8 @@ def boxed(images: Sequence[str], file: Path) -> tuple[list[str], list[Box], list
     rows: list[tuple[str, Box]] = []
     for line, row in zip(table.index, table.to_dict("records"), strict=True):
         try:
+            if row["image"] in ("", "-"):
+                raise ViewnetError(f"image {row['image']!r}: expected a file")
             rows.append((os.path.normpath(row["image"].replace("\\", "/")), box_of([row[name] for name in CORNERS])))
         except ViewnetError as error:
             raise ViewnetError(f"{file}: line {line}: {error}") from None

@@ -103,10 +103,10 @@ def device(name: str | torch.device | None) -> torch.device:
 
 def _from_run(file: Path) -> Pretrained:
     path = file.parent / "result.json"
-    result = read_json(path) if path.is_file() else {}
+    config, result = checkpoint.config_of(file), read_json(path) if path.is_file() else {}
     if "metrics" not in result:
         raise ViewnetError(f"{file.parent}: the run is not finished: run viewnet train again to resume it")
-    config, metrics = checkpoint.config_of(file), result["metrics"]
+    metrics = result["metrics"]
     alignment = None if metrics is None else metrics["procrustes"]["alignment"]
     if config.variant in ABSOLUTE:
         alignment = {"rotation": np.eye(3).tolist()}
@@ -134,15 +134,10 @@ def _from_folder(folder: Path) -> Pretrained:
     except ViewnetError as error:
         raise ViewnetError(f"{path} is of another version of viewnet ({error}): install that one") from error
     weights, metadata = checkpoint.read(file, "save the model again")
-    network = _network(config, weights, file)
+    network = cast(ViewNet, registry.build(config, weights, file))  # as in _from_run
     if metadata.get("config") != _digest(values):
         raise ViewnetError(f"{folder}: {WEIGHTS} was not saved with this {CONFIG}: save the model again")
     return Pretrained(network, config, _rotation(values["alignment"], path), values["about"])
-
-
-def _network(config: RunConfig, weights: dict[str, torch.Tensor], file: Path) -> ViewNet:
-    """A run's network. A peer predicts viewpoints as ViewNet does; what else ViewNet can it is not asked for."""
-    return cast(ViewNet, registry.build(config, weights, file))
 
 
 def _rotation(alignment: dict[str, Any] | None, path: Path) -> np.ndarray | None:

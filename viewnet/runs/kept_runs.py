@@ -46,8 +46,11 @@ def find(key: str) -> Path:
 
 
 def read(folder: Path) -> Run:
-    """The run in a folder. ViewnetError for a configuration that this version does not read."""
-    return Run(RunConfig.from_dict(read_json(folder / "config.json")), folder)
+    """The run in a folder. ViewnetError, which names it, for a configuration that this version does not read."""
+    try:
+        return Run(RunConfig.from_dict(read_json(folder / "config.json")), folder)
+    except ViewnetError as error:
+        raise ViewnetError(f"run {folder.name}: {error}") from error
 
 
 def differences(runs: Sequence[Run]) -> pd.DataFrame:
@@ -119,8 +122,8 @@ def _held(folder: Path) -> bool:
     try:
         with locked(folder, wait=False):
             return False
-    except ViewnetError:
-        return True
+    except ViewnetError as error:
+        return error.__cause__ is None  # else the lock cannot be written
 
 
 def _commit(result: dict[str, Any]) -> str:

@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 PART = ".part-"  # part of the names of temporary folders: a dot, the target's name, this, and random letters
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_CLOSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
+_CLOSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EISDIR)
 
 
 def _refused(place: Path, error: OSError) -> ViewnetError:

@@ -9,6 +9,7 @@ import importlib
 import io
 import logging
 import re
+import warnings
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -39,6 +40,8 @@ TURNS = {number: Image.Transpose(turn) for number, turn in zip(range(2, 9), (0, 
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_DEPTHS = {"L;2": 2, "L;4": 4, "RGB;16B": 16}  # bits a channel in the file, where Pillow's pixels have 8
 
+warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)  # MOST_PIXELS is the bound here
+
 Source = Path | IO[bytes] | Image.Image
 
 
@@ -65,8 +68,11 @@ def opened(source: Source, what: str = "image", formats: tuple[str, ...] = FORMA
         web = re.match(r"[a-z]{2,}:/", str(source))  # of :// a path keeps one stroke
         advice = ": expected a file, not an address: download it and name the copy" if web else ""
         raise ViewnetError(f"no such {what}{advice}") from None
+    except Image.DecompressionBombError:
+        raise ViewnetError(f"{what} has more than {MOST_PIXELS} pixels") from None
     except Exception as error:  # Pillow's decoders raise many types for damaged files
-        raise ViewnetError(f"{what} does not decode ({type(error).__name__})") from None
+        reason = getattr(error, "strerror", None) or type(error).__name__
+        raise ViewnetError(f"{what} does not decode ({reason})") from None
 
 
 def read(
