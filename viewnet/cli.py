@@ -1,6 +1,7 @@
 """The command `viewnet`."""
 
 import argparse
+import errno
 import importlib
 import importlib.metadata
 import inspect
@@ -49,10 +50,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _fail_together(f"viewnet: {error}")
         print(f"viewnet: {error}", file=sys.stderr)
         return 2
-    except BrokenPipeError:  # whoever reads the output has enough of it, as `head` has
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        return 141
-    except Exception:
+    except Exception as error:
+        # Whoever reads the output has enough of it, as `head` has, or its disk is full; of other files it is named.
+        closed, full = isinstance(error, BrokenPipeError), getattr(error, "errno", 0) == errno.ENOSPC
+        if closed or full:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            if full:
+                print("viewnet: the standard output cannot be written: no space left", file=sys.stderr)
+            return 141 if closed else 2
         _fail_together(traceback.format_exc())
         raise
     except KeyboardInterrupt:

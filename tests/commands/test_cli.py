@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from helpers.fake_steps import STEPS
@@ -260,6 +261,14 @@ def test_a_reader_that_has_enough_ends_a_command_without_a_traceback(unbuffered)
     done = subprocess.run(arguments, stdout=write, stderr=subprocess.PIPE, text=True, env=environment)
     os.close(write)
     assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_an_output_without_room_is_said_in_one_line():
+    with open("/dev/full", "w") as full:
+        arguments = [sys.executable, "-m", "viewnet", "completion", "bash"]
+        done = subprocess.run(arguments, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (2, "viewnet: the standard output cannot be written: no space left\n")
 
 
 @pytest.mark.parametrize("command", COMMANDS)

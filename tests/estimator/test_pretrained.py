@@ -55,7 +55,7 @@ def test_errors_of_loading(run, tmp_path):
     (unfinished / "checkpoint.safetensors").unlink()
     with pytest.raises(ViewnetError, match="nor a finished run"):
         load(unfinished)
-    for where in ("ba9876543210", tmp_path / "nowhere", tmp_path, "cars"):
+    for where in ("ba9876543210", tmp_path / "nowhere", tmp_path, "cars", "a" * 300):
         with pytest.raises(ViewnetError, match=r"no model there"):
             load(where)
     with pytest.raises(ViewnetError, match="device gpu: not available here"):

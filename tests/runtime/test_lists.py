@@ -12,6 +12,7 @@ from PIL import Image
 from viewnet.data.catalogue import check
 from viewnet.data.readers import photo_folder, video_folder
 from viewnet.errors import ViewnetError
+from viewnet.runtime.lists import read_list
 
 PHOTOGRAPH = np.zeros((8, 12, 3), np.uint8)
 PLAIN = ["file,azimuth_deg,elevation_deg,split", "été.jpg,250.5,25.5,val", "b.jpg,10,-5,test"]
@@ -80,6 +81,12 @@ def test_lists_that_are_none_are_refused_by_name(tmp_path):
         photo_folder.read(tmp_path, "car")
     (tmp_path / "viewpoints.csv").write_bytes("\n".join(PLAIN).replace(".jpg", ".png").encode())
     assert check(tmp_path).problems == ["2 left out: no such image"]
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no /dev/zero here")
+def test_a_device_without_an_end_is_refused():
+    with pytest.raises(ViewnetError, match="/dev/zero: is a device: name a file"):
+        read_list(Path("/dev/zero"), ["image"])
 
 
 def test_names_of_clips_have_any_form(tmp_path):

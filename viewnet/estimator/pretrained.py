@@ -69,6 +69,10 @@ def load(where: str | os.PathLike[str], **hub_options: Any) -> Pretrained:
     `hub_options` are those of viewnet.estimator.hub.download. ViewnetError where there is no model of any kind.
     """
     place, name = Path(where).expanduser(), os.fspath(where)
+    try:
+        place.exists()
+    except OSError as error:  # too long a name
+        raise ViewnetError(f"{name:.40}...: no model there ({error.strerror})") from None
     if (place / WEIGHTS).is_file() or ((place / CONFIG).is_file() and not (place / checkpoint.CHECKPOINT).is_file()):
         return _from_folder(place)
     if name in shipped():

@@ -25,6 +25,8 @@ def read_list(path: Path, columns: Sequence[str], numeric: Callable[[str], bool]
     # pandas is slow to import and rendering processes import this module too.
     import pandas as pd
 
+    if path.is_char_device():  # such as /dev/zero, without an end
+        raise ViewnetError(f"{path}: is a device: name a file")
     try:
         content = path.read_bytes()
         marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
