@@ -2,12 +2,12 @@
 
 Ours, not the paper's: answers for training views that an image and its mirror image, and several networks, agree on are
 labels for a network that sees many more images (viewnet.training.distil). No viewpoint label is used. Writes a folder
-as viewnet save does. Teachers answer best if they see views over black: train two or more with backgrounds=null.
+as viewnet save does. Teachers answer best if they see views over black: train two or more of that variant.
 
 Examples:
 
     viewnet distil car better-car                                   the model that comes with viewnet, by itself
-    viewnet train car --recipe photos -s backgrounds=null -s views_per_target=1 --seed 1
+    viewnet train car --recipe photos --variant over_black --seed 1
     viewnet distil car better-car --teachers 0123456789ab ba9876543210
 """
 
