@@ -38,6 +38,7 @@ PROSE = {
     "docs/estimator.md": "estimator",
     "docs/models.md": "models",
     "docs/own_category.md": "own_category",
+    "docs/photographs.md": "photographs",
     "docs/real_data.md": "real_data",
     "docs/your_method.md": "your_method_guide",
     "docs/architecture.md": "architecture_guide",
