@@ -105,6 +105,7 @@ def test_predict_takes_folders_and_patterns(images, tmp_path, capsys):
         (folder / name).parent.mkdir(exist_ok=True, parents=True)
         (folder / name).write_bytes((tmp_path / "a.png").read_bytes())
     (folder / "notes.txt").write_text("no image")
+    (folder / "within" / "round").symlink_to(folder, target_is_directory=True)
     found = [str(folder / name) for name in ("b.png", "c.PNG", "d.jfif", "e.gif")]
     for word, expected in (
         (str(folder), found),

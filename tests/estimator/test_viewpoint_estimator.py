@@ -394,6 +394,7 @@ def test_turntables_that_fill_the_memory_are_refused(given, message, images, mon
         (photograph(), {"boxes": (5, 5, 5, 9)}, r"box .* x0 below x1"),
         (photograph(), {"boxes": [(1, 2, 3)]}, r"box \(1, 2, 3\): expected four numbers"),
         (photograph(), {"boxes": [(1, 2, 3, 4)] * 2}, "boxes: 2 for 1 images"),
+        (photograph(), {"boxes": 3}, "boxes 3: expected x0, y0, x1, y1"),
         ([photograph()] * 2, {"boxes": [None, (200, 0, 210, 5)]}, "image 1: box has no part in the image"),
         (photograph(), {"batch_size": 0}, "batch_size 0: expected"),
         (np.zeros((8, 8, 4), np.uint8), {}, "image 0: mask is empty"),
@@ -406,7 +407,14 @@ def test_errors_of_images_masks_and_boxes(image, given, message):
 
 def test_unreadable_files_are_named(tmp_path):
     (tmp_path / "text.jpg").write_text("no image")
-    for name, message in (("text.jpg", "image does not decode"), ("missing.jpg", "no such image")):
+    Image.fromarray(photograph()).save(tmp_path / "whole.jpg")
+    (tmp_path / "half.jpg").write_bytes((tmp_path / "whole.jpg").read_bytes()[:-300])
+    truncated = r"image does not decode \(image file is truncated"
+    for name, message in (
+        ("text.jpg", "image does not decode"),
+        ("missing.jpg", "no such image"),
+        ("half.jpg", truncated),
+    ):
         with pytest.raises(ViewnetError, match=rf"{name}: {message}"):
             untrained().predict(tmp_path / name)
 

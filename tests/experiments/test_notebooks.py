@@ -216,6 +216,13 @@ def test_other_failures_name_the_copy_to_look_at(root, monkeypatch, error, messa
         notebooks.run("architecture")
 
 
+def test_a_copy_goes_into_a_folder_that_is_there(root, monkeypatch):
+    write(root, "architecture", 'profile: str = "paper"  # sizes')
+    monkeypatch.setattr("papermill.execute_notebook", lambda *given, **options: None)
+    assert notebooks.run("architecture", output=root) == root / "architecture.ipynb"
+    assert notebooks.run("architecture", output=root / "copy.ipynb") == root / "copy.ipynb"
+
+
 def test_refreshing_writes_parameters_and_runs_all_but_the_live_cell(root):
     cells = ['profile: str = "tiny"  # old', "import sys\nprint('1/2', file=sys.stderr)\nprint(profile)", "1 / 0"]
     path = write(root, "architecture", *cells)

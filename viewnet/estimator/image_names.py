@@ -29,6 +29,8 @@ def expanded(words: Sequence[str]) -> list[str]:
             files = [path for path in glob.iglob(pattern, recursive=True) if path.lower().endswith(SUFFIXES)]
             if not files:
                 raise ViewnetError(f"{word}: no images there: expected files that end in {', '.join(SUFFIXES)}")
+            if "**" in word:  # links between folders lead to some of them more than once, without end
+                files = list({os.path.realpath(path): path for path in sorted(files, key=len, reverse=True)}.values())
             found += sorted(files)
         else:
             found.append(word)

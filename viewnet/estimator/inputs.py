@@ -60,7 +60,9 @@ def boxes_of(boxes: Any, count: int) -> list[Box | None]:
     """A box (x0, y0, x1, y1), or None, for each of `count` images. ViewnetError for anything else."""
     if boxes is None:
         return [None] * count
-    listed = [value.tolist() if isinstance(value, ARRAYS) else value for value in list(boxes)]
+    if not hasattr(boxes, "__iter__"):
+        raise ViewnetError(f"boxes {boxes!r}: expected x0, y0, x1, y1 in pixels for each image")
+    listed = [value.tolist() if isinstance(value, ARRAYS) else value for value in boxes]
     if listed and all(isinstance(value, (int, float, np.number)) for value in listed):
         listed = [listed]
     return [None if box is None else box_of(box) for box in _as_many(listed, count, "boxes")]

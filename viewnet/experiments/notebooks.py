@@ -82,7 +82,7 @@ def check(name: str, values: Values) -> Experiment:
 def run(name: str, values: Values = (), output: Path | None = None) -> Path:
     """Execute a notebook; the executed copy's path.
 
-    The copy goes to `output`, else to `<paths.runs()>/notebooks/<name>[-<label of the request>].ipynb`. Raises
+    The copy goes to `output`; in a folder, by default `<paths.runs()>/notebooks`, it is `<name>[-<label>].ipynb`. Raises
     ViewnetError for bad parameters before a kernel starts, for a ViewnetError in the notebook, and where any other
     cell fails.
     """
@@ -91,7 +91,8 @@ def run(name: str, values: Values = (), output: Path | None = None) -> Path:
     read(source := find(name))
     request = check(source.stem, values)
     stem = f"{source.stem}-{request.label}" if request.label else source.stem
-    output = output or paths.runs() / "notebooks" / f"{stem}.ipynb"
+    folder = paths.runs() / "notebooks" if output is None else output
+    output = folder / f"{stem}.ipynb" if output is None or output.is_dir() else output
     if output.resolve() == source.resolve():
         raise ViewnetError(f"{output}: is the notebook itself: choose another output")
     output.parent.mkdir(parents=True, exist_ok=True)

@@ -71,7 +71,8 @@ def opened(source: Source, what: str = "image", formats: tuple[str, ...] = FORMA
     except Image.DecompressionBombError:
         raise ViewnetError(f"{what} has more than {MOST_PIXELS} pixels") from None
     except Exception as error:  # Pillow's decoders raise many types for damaged files
-        reason = getattr(error, "strerror", None) or type(error).__name__
+        said = str(error) if type(error) is OSError else None  # "image file is truncated"; others name Pillow's insides
+        reason = getattr(error, "strerror", None) or said or type(error).__name__
         raise ViewnetError(f"{what} does not decode ({reason})") from None
 
 
