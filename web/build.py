@@ -22,6 +22,7 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 
+from viewnet.config import ALIKE
 from viewnet.data.crop import AROUND
 from viewnet.estimator import ViewpointEstimator, pretrained
 from viewnet.estimator.camera_axes import COLUMNS, MEANINGS, SIGNS
@@ -33,7 +34,7 @@ from viewnet.runtime.image_files import MOST_PIXELS
 
 WEB = Path(__file__).resolve().parent
 ROOT = WEB.parent
-MODELS = ("car", "chair", "aeroplane")
+MODELS = ("car", "chair", *(name for name in pretrained.shipped() if name not in ("car", "chair")))
 EXAMPLE = {"file": "car.jpg", "model": "car", "box": [129, 108, 341, 200]}
 """Of docs/: an image to try, the model for it, and its box in pixels."""
 SCRIPTS = ("page.js", "stage.js", "image.js", "crop.js", "network.js", "viewpoint.js", "compass.js")
@@ -114,6 +115,7 @@ def exported(name: str, folder: Path) -> dict[str, Any]:
         # Contained in the weights already; None where confidences were not made true on photographs.
         "temperature": estimator.about.get("calibrated", {}).get("temperature"),
         "accuracy": accuracy(estimator),
+        "note": ALIKE.get(estimator.config.category),
     }
 
 

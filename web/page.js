@@ -94,7 +94,7 @@ function typedBox() {
 }
 
 function chosenModel() {
-  return about.models[document.querySelector("[name=model]:checked").value];
+  return about.models[element("model").value];
 }
 
 function showAnswer() {
@@ -165,11 +165,12 @@ function fixed(value, digits) {
 }
 
 function showAccuracy() {
-  const name = document.querySelector("[name=model]:checked").value;
+  const name = element("model").selectedOptions[0].text;
   const measured = chosenModel().accuracy.map(
     (each) => `${each.acc30.toFixed(1)} % on ${each.on} (median error ${each.median.toFixed(1)}°)`,
   );
-  element("accuracy").textContent = `Measured of the ${name} model, within 30°: ${measured.join("; ")}.`;
+  const note = chosenModel().note ? ` ${chosenModel().note}.` : "";
+  element("accuracy").textContent = `Measured of the ${name} model, within 30°: ${measured.join("; ")}.${note}`;
 }
 
 function listen() {
@@ -182,11 +183,11 @@ function listen() {
   });
   element("example").addEventListener("click", () => {
     const { file, model, box } = about.example;
-    document.querySelector(`[name=model][value=${model}]`).checked = true;
+    element("model").value = model;
     showAccuracy();
     take(fetchedFile(file), box);
   });
-  element("models").addEventListener("change", () => {
+  element("model").addEventListener("change", () => {
     showAccuracy();
     ask();
   });

@@ -20,7 +20,7 @@ from viewnet.errors import ViewnetError
 ARGUMENTS = (
     argument("name", "for example table2_ablation; all, with --refresh", metavar="NOTEBOOK"),
     argument("-p", "a parameter", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), dest="values"),
-    argument("-o --output", "the executed copy, or a folder for it (default: runs/notebooks)", type=Path, metavar="WHERE"),
+    argument("-o --output", "the executed copy, or its folder (default: runs/notebooks)", type=Path, metavar="WHERE"),
     argument("--parameters", "list the parameters and stop", action="store_true"),
     argument("--refresh", "store what is committed anew in the notebook; trains nothing", action="store_true"),
     THREADS,

@@ -20,10 +20,12 @@ Examples:
 
 import io
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from viewnet.commands.options import BOX, MODEL, THREADS, Options, argument, choose_resources, print_results
+from viewnet.config import ALIKE
 from viewnet.errors import ViewnetError
 
 EDGES = "the object's edges in pixels; once for all images, or once for each"
@@ -53,7 +55,7 @@ ARGUMENTS = (
 
 
 def run(options: Options) -> int:
-    """Print a line for each image, or JSON: {"frame": "annotated" or "own", "images": [...], "failures": [...]}.
+    """Print a line for each image, or JSON: {"frame": "annotated" or "own", "notes", "images", "failures": [...]}.
 
     With --as the JSON has "camera_frame" as well, and its images the numbers that Viewpoints.to_frame names. 3 where
     some images failed, 2 where all did. Raises ViewnetError for --frame without --as, no images, and an output that
@@ -92,21 +94,25 @@ def run(options: Options) -> int:
     if not len(viewpoints):
         return 2
     names = [name for row, name in enumerate(names) if row not in failures]
+    alike = ALIKE.get(estimator.config.category)
+    notes = [*([] if viewpoints.aligned else [OWN]), *([alike] if alike else [])]
     if options.json or output:
-        _give_all(options, viewpoints, names, errors, (frame, form) if form else ())
+        _give_all(options, viewpoints, names, errors, (frame, form) if form else (), notes)
     else:
-        _print(viewpoints, names, options.all, frame, form)
+        _print(viewpoints, names, options.all, frame, form, notes)
     return 3 if errors else 0
 
 
-def _give_all(options: Options, viewpoints: Any, names: list[str], errors: list[tuple[str, str]], how: Any) -> None:
+def _give_all(
+    options: Options, viewpoints: Any, names: list[str], errors: list[tuple[str, str]], how: Any, notes: Sequence[str]
+) -> None:
     """Every hypothesis of each image, as JSON or in the output's file."""
     from viewnet.runtime.files import replacing, write_csv, write_json
 
     table, output = viewpoints.to_frame(*how), options.output
     table.insert(0, "file", names)
     values = {"frame": "annotated" if viewpoints.aligned else "own"} | ({"camera_frame": how[0]} if how else {})
-    values |= {"images": table.to_dict("records")}
+    values |= {"notes": notes, "images": table.to_dict("records")}
     values |= {"failures": [{"file": name, "error": problem} for name, problem in errors]}
     if options.json:
         print_results(options, values)
@@ -118,13 +124,12 @@ def _give_all(options: Options, viewpoints: Any, names: list[str], errors: list[
     else:
         with replacing(output) as temporary:
             table.to_parquet(temporary, index=False)
-    print(output)
-    if not viewpoints.aligned:
-        print(OWN)
+    for line in (output, *notes):
+        print(line)
 
 
-def _print(viewpoints: Any, names: list[str], every: bool, frame: str, form: str | None) -> None:
-    """A line for each image or, with `every`, each hypothesis."""
+def _print(viewpoints: Any, names: list[str], every: bool, frame: str, form: str | None, notes: Sequence[str]) -> None:
+    """A line for each image or, with `every`, each hypothesis; below them the notes."""
     from viewnet.estimator import camera_axes
 
     width, digits = max(map(len, names)), 1 if form == "euler" else 4
@@ -140,5 +145,5 @@ def _print(viewpoints: Any, names: list[str], every: bool, frame: str, form: str
             print(f"{name if each.chosen else '':{width}}  {angles}{rotation}{doubt}")
     if form:
         print(f"rotation: {camera_axes.MEANINGS[frame]}")
-    if not viewpoints.aligned:
-        print(OWN)
+    for note in notes:
+        print(note)

@@ -3,7 +3,7 @@
 import json
 from typing import Any
 
-from viewnet.config import DataConfig, RunConfig
+from viewnet.config import ALIKE, DataConfig, RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.estimator import templating
 
@@ -29,7 +29,7 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
         # JSON is valid YAML, without YAML's ambiguous scalars.
         front={key: json.dumps(value, ensure_ascii=False) for key, value in front.items()},
         **{"config": config, "aligned": aligned, "about": about, "licence": licence, "trained_on": trained_on},
-        **{"scores": scores, "metrics": METRICS, "with_interval": with_interval},
+        **{"scores": scores, "metrics": METRICS, "with_interval": with_interval, "alike": ALIKE.get(data.category)},
     )
 
 

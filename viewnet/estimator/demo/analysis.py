@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from viewnet.config import ALIKE
 from viewnet.estimator import ViewpointEstimator, inputs, preprocess, templating
 from viewnet.estimator.viewpoints import Viewpoint
 from viewnet.geometry import look_at, view_vector
@@ -80,7 +81,8 @@ def model_facts(estimator: ViewpointEstimator) -> str:
     scores = (about.get("metrics") or {}).get("procrustes")
     scored = [("test views of objects not used in training", scores)] if scores else []
     scored += [(other["on"], next(iter(other["alignments"].values()))) for other in about.get("scores") or []]
-    return templating.rendered("model_facts.md", estimator=estimator, config=estimator.config, scored=scored[::-1])
+    known = {"alike": ALIKE.get(estimator.config.category), "scored": scored[::-1]}
+    return templating.rendered("model_facts.md", estimator=estimator, config=estimator.config, **known)
 
 
 def _size(estimator: ViewpointEstimator) -> int | None:
