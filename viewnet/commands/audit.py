@@ -25,7 +25,7 @@ def run(options: Options) -> None:
     """Print the verdicts, and write the numbers where --output says."""
     from viewnet.experiments.reported_constants import audit_file
 
-    audit = audit_file(options.viewpoints)
+    audit = audit_file(options.viewpoints, progress=True)
     files = audit.write(options.output) if options.output else []
     tables = {"constants": records(audit.constants), "confidence": records(audit.confidence)}
     values = {"note": audit.note, "left out": audit.left_out, **tables, "files": [str(path) for path in files]}

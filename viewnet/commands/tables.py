@@ -73,7 +73,7 @@ def _judge(options: Options, folder: Path) -> int:
     """Print the verdicts on the claims. ViewnetError where the folder has none, and as viewnet.tables.claims.judge."""
     from viewnet.tables import claims
 
-    if not (judged := claims.judge(folder)):
+    if not (judged := claims.judge(folder, progress=True)):
         raise ViewnetError(f"{folder / claims.NAME}: no such file: give VIEWNET_TABLES a folder that has it")
     names = ("id", "says", "place", "criterion", "scope")
     values = [
@@ -87,12 +87,14 @@ def _judge(options: Options, folder: Path) -> int:
 
 def _compare(options: Options, folder: Path) -> int:
     """Compute tables again from their predictions; 1 where a number is another. ViewnetError where there are none."""
+    from viewnet.runtime.progress import bar
     from viewnet.tables import kept_predictions
 
     files = [path for path in sorted(folder.rglob("*.json")) if path.with_suffix(".parquet").is_file()]
     if not files:
         raise ViewnetError(f"{folder}: no table with its predictions: make one with viewnet tables")
-    found = {str(path.relative_to(folder)): kept_predictions.differences(path) for path in files}
+    shown = bar(True, iterable=files, desc="tables", unit="table")
+    found = {str(path.relative_to(folder)): kept_predictions.differences(path) for path in shown}
     lines = []
     for name, cells in found.items():
         lines.append(f"{name}: {f'{len(cells)} numbers differ' if len(cells) else 'as its predictions'}")

@@ -21,6 +21,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, metrics
 from viewnet.evaluation.predictions import Floats, true_vectors
 from viewnet.runtime.files import write_csv
+from viewnet.runtime.progress import bar
 from viewnet.tables import reported
 
 STEP = 2.0  # degrees between neighbours of the grid of all constants
@@ -74,14 +75,16 @@ class ConstantAudit:
         return [write_csv(folder / f"{stem}_{name}.csv", frame.round(3)) for name, frame in frames.items()]
 
 
-def audit_file(path: Path | None = None) -> ConstantAudit:
+def audit_file(path: Path | None = None, progress: bool = False) -> ConstantAudit:
     """The audit of a file (viewnet.data.annotated_viewpoints.read); without one, of a stand-in, always the same."""
     if path is None:
         return replace(audit_viewpoints(sample(np.random.default_rng(0))), stand_in=True)
-    return audit_viewpoints(*read(path))
+    return audit_viewpoints(*read(path), progress)
 
 
-def audit_viewpoints(viewpoints: pd.DataFrame, left_out: dict[str, int] | None = None) -> ConstantAudit:
+def audit_viewpoints(
+    viewpoints: pd.DataFrame, left_out: dict[str, int] | None = None, progress: bool = False
+) -> ConstantAudit:
     """All reported cells of the rows Constant, and the confidence index, against a list of annotated viewpoints.
 
     Categories that the list lacks are left out. Table 2's viewpoints are evenly distributed (section 4.2), so an even
@@ -92,7 +95,8 @@ def audit_viewpoints(viewpoints: pd.DataFrame, left_out: dict[str, int] | None =
         raise ViewnetError(f"audit: the list has viewpoints of the splits {splits} only: val is what was tested on")
     even = lattice()  # Table 2's viewpoints, whatever the list holds
     cells = examine("drawn evenly", "", even, {"drawn evenly": even}, ("table2_ablation",))
-    for category in dict.fromkeys(viewpoints["category"]):
+    categories = list(dict.fromkeys(viewpoints["category"]))
+    for category in bar(progress, iterable=categories, desc="audit", unit="category"):
         mine = viewpoints[viewpoints["category"] == category]
         for test_set, rows in test_sets(mine):
             cells += examine(test_set, category, rows, _sources(mine), ("table3_pascal3d", "table5_dva"))

@@ -32,6 +32,7 @@ from viewnet.evaluation.baselines import ON_CALIBRATION, UNTRAINED
 from viewnet.evaluation.evaluate import Aligned
 from viewnet.evaluation.predictions import Floats
 from viewnet.runtime.files import read_csv
+from viewnet.runtime.progress import bar
 from viewnet.tables import kept_predictions
 from viewnet.tables.columns import METRICS, by_key
 from viewnet.tables.image_grids import CAUSES, causes
@@ -148,14 +149,14 @@ def read(folder: Path) -> tuple[Claim, ...]:
     return found
 
 
-def judge(folder: Path, files: Collection[str] | None = None) -> list[Judged]:
+def judge(folder: Path, files: Collection[str] | None = None, progress: bool = False) -> list[Judged]:
     """The claims of a folder with their verdicts; of those that read one of `files` where these are given.
 
     Raises ViewnetError for a rule that names a file, row, category or column that is not there.
     """
     tables: dict[str, Table | pd.DataFrame] = {}
     result = []
-    for claim in read(folder):
+    for claim in bar(progress, iterable=read(folder), desc="claims", unit="claim"):
         if files is None or any(rule.file in files for rule in claim.rules):
             try:
                 found = tuple(finding for rule in claim.rules for finding in _findings(rule, folder, tables))
