@@ -34,11 +34,6 @@ SYNSETS = {
 }
 """PASCAL3D+ category name -> ShapeNet (WordNet) synset id."""
 CATEGORIES = tuple(SYNSETS)
-ALIKE = {
-    "bottle": "Bottles look alike from all sides: their azimuth means little",
-    "diningtable": "Tables look alike from opposite sides: their azimuth is known up to half a turn at best",
-}
-"""Category -> what its symmetry leaves unknown."""
 SHAPENET_CATEGORIES = ("aeroplane", "car", "chair")
 """The three categories of Tables 1 and 2."""
 

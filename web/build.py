@@ -22,13 +22,12 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 
-from viewnet.config import ALIKE
 from viewnet.data.crop import AROUND
 from viewnet.estimator import ViewpointEstimator, pretrained
 from viewnet.estimator.camera_axes import COLUMNS, MEANINGS, SIGNS
 from viewnet.estimator.demo.compass_svg import LEVELS, SECTORS, words
 from viewnet.estimator.preprocess import OPAQUE
-from viewnet.estimator.viewpoints import DOUBT
+from viewnet.estimator.viewpoints import ALIKE, DOUBT
 from viewnet.evaluation.confidence import RIGHT
 from viewnet.runtime.image_files import MOST_PIXELS
 

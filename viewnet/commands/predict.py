@@ -20,12 +20,10 @@ Examples:
 
 import io
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from viewnet.commands.options import BOX, MODEL, THREADS, Options, argument, choose_resources, print_results
-from viewnet.config import ALIKE
 from viewnet.errors import ViewnetError
 
 EDGES = "the object's edges in pixels; once for all images, or once for each"
@@ -62,9 +60,9 @@ def run(options: Options) -> int:
     cannot be written.
     """
     choose_resources(options)
-    form, frame, output = options.form, options.frame or "opencv", options.output
-    if options.frame and not form:
-        raise ViewnetError(f"--frame {frame}: add --as with one of {', '.join(FORMS)}")
+    output = options.output
+    if options.frame and not options.form:
+        raise ViewnetError(f"--frame {options.frame}: add --as with one of {', '.join(FORMS)}")
     if not options.images and not options.boxes:
         raise ViewnetError("predict: no images: name some, a folder of them, or --boxes with a list")
     if output and output.suffix not in KINDS:
@@ -72,6 +70,7 @@ def run(options: Options) -> int:
     if output and output.is_dir():
         raise ViewnetError(f"{output}: is a folder: name a file")
     from viewnet.estimator import ViewpointEstimator, image_names
+    from viewnet.estimator.viewpoints import ALIKE
     from viewnet.runtime.files import scratch
 
     names, boxes, errors = image_names.expanded(options.images), options.box, list[tuple[str, str]]()
@@ -97,23 +96,23 @@ def run(options: Options) -> int:
     alike = ALIKE.get(estimator.config.category)
     notes = [*([] if viewpoints.aligned else [OWN]), *([alike] if alike else [])]
     if options.json or output:
-        _give_all(options, viewpoints, names, errors, (frame, form) if form else (), notes)
+        failed = [{"file": name, "error": problem} for name, problem in errors]
+        about = {"frame": "annotated" if viewpoints.aligned else "own", "notes": notes, "failures": failed}
+        _give_all(options, viewpoints, names, about)
     else:
-        _print(viewpoints, names, options.all, frame, form, notes)
+        _print(options, viewpoints, names)
+        print(*notes, sep="\n", end="\n" * bool(notes))
     return 3 if errors else 0
 
 
-def _give_all(
-    options: Options, viewpoints: Any, names: list[str], errors: list[tuple[str, str]], how: Any, notes: Sequence[str]
-) -> None:
-    """Every hypothesis of each image, as JSON or in the output's file."""
+def _give_all(options: Options, viewpoints: Any, names: list[str], about: dict[str, Any]) -> None:
+    """Every hypothesis of each image, as JSON beside what is said `about` them, or in the output's file."""
     from viewnet.runtime.files import replacing, write_csv, write_json
 
-    table, output = viewpoints.to_frame(*how), options.output
+    frame, output = options.frame or FRAMES[0], options.output
+    table = viewpoints.to_frame(frame, options.form) if options.form else viewpoints.to_frame()
     table.insert(0, "file", names)
-    values = {"frame": "annotated" if viewpoints.aligned else "own"} | ({"camera_frame": how[0]} if how else {})
-    values |= {"notes": notes, "images": table.to_dict("records")}
-    values |= {"failures": [{"file": name, "error": problem} for name, problem in errors]}
+    values = about | ({"camera_frame": frame} if options.form else {}) | {"images": table.to_dict("records")}
     if options.json:
         print_results(options, values)
         return
@@ -124,14 +123,14 @@ def _give_all(
     else:
         with replacing(output) as temporary:
             table.to_parquet(temporary, index=False)
-    for line in (output, *notes):
-        print(line)
+    print(output, *about["notes"], sep="\n")
 
 
-def _print(viewpoints: Any, names: list[str], every: bool, frame: str, form: str | None, notes: Sequence[str]) -> None:
-    """A line for each image or, with `every`, each hypothesis; below them the notes."""
+def _print(options: Options, viewpoints: Any, names: list[str]) -> None:
+    """A line for each image or, with --all, each hypothesis."""
     from viewnet.estimator import camera_axes
 
+    every, form, frame = options.all, options.form, options.frame or FRAMES[0]
     width, digits = max(map(len, names)), 1 if form == "euler" else 4
     headings = "".join(f"{name:>9}" for name in camera_axes.FORMS[form]) if form else ""
     print(f"{'':{width}}  azimuth  elevation  confidence{headings}")
@@ -145,5 +144,3 @@ def _print(viewpoints: Any, names: list[str], every: bool, frame: str, form: str
             print(f"{name if each.chosen else '':{width}}  {angles}{rotation}{doubt}")
     if form:
         print(f"rotation: {camera_axes.MEANINGS[frame]}")
-    for note in notes:
-        print(note)

@@ -3,9 +3,10 @@
 import json
 from typing import Any
 
-from viewnet.config import ALIKE, DataConfig, RunConfig
+from viewnet.config import DataConfig, RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.estimator import templating
+from viewnet.estimator.viewpoints import ALIKE
 
 METRICS = {"acc30": "Acc@30, %", "median": "median error, degrees", "dva": "DVA, %"}
 TAGS = ("viewnet", "viewpoint-estimation", "pose-estimation", "unsupervised")

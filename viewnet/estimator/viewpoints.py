@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]  # an array of double precision
 LINES = 12  # images that a summary lists
 DOUBT = 0.1  # probability of hypotheses behind the object from which on the answer is in doubt
+ALIKE = {
+    "bottle": "Bottles look alike from all sides: their azimuth means little",
+    "diningtable": "Tables look alike from opposite sides: their azimuth is known up to half a turn at best",
+}
+"""Category -> what its symmetry leaves unknown."""
 
 
 class Rotated:

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from viewnet.config import ALIKE
 from viewnet.estimator import ViewpointEstimator, inputs, preprocess, templating
-from viewnet.estimator.viewpoints import Viewpoint
+from viewnet.estimator.viewpoints import ALIKE, Viewpoint
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
 from viewnet.model.reconstruction import Encoded
