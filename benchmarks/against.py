@@ -156,7 +156,7 @@ class Version:
         if core is not None and hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(self.process.pid, {core})
         if (imported := self.ask(settings)) != str(self.checkout):
-            raise SystemExit(f"{checkout}: the package was imported from {imported}: name a checkout's folder")
+            raise SystemExit(f"{checkout}: the package was imported from {imported}")
 
     def ask(self, *message: Any) -> Any:
         """The answer to settings, or to a call of Steps."""
@@ -227,6 +227,8 @@ def main() -> None:
     parser.add_argument("--core", type=int, help="default: the last one allowed")
     parser.add_argument("-o", "--output", type=Path, help="folder for against.csv and against.json")
     given = parser.parse_args()
+    if not (given.old / "viewnet" / "__init__.py").is_file():
+        raise SystemExit(f"{given.old}: no package viewnet in it: name a checkout's folder")
     sys.path.insert(0, str(HERE))
 
     settings: dict[str, Any] = {"variant": given.variant, "profile": given.profile, "recipe": given.recipe}

@@ -31,9 +31,7 @@ def test_a_version_against_itself(tmp_path, monkeypatch):
     assert settings["heads"] == 2
 
 
-@pytest.mark.slow
-def test_a_folder_without_the_package_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setenv("VIEWNET_DATA", str(tmp_path / "data"))
+def test_a_folder_without_the_package_is_refused(tmp_path):
     command = [sys.executable, str(SCRIPT), str(tmp_path), "--profile", "smoke"]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 1

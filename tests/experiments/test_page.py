@@ -281,7 +281,6 @@ def test_every_committed_setting_has_a_title(committed):
 UNCOMMITTED = {
     ("objectron", ""): 4,
     ("recipe_ablation", ""): 4,
-    ("table1_shapenet", ""): 3,
     ("table4_freiburg", ""): 3,
     ("your_method", "tiny"): 24,
 }

@@ -117,8 +117,8 @@ class Study:
 
 def study_alignment(experiment: PhotoExperiment, runs: Sequence[Run]) -> Study:
     """The study of every predictor of Table 3, and a random one, on the photographs of an experiment."""
-    rows = list(predictors(experiment, runs))
-    scores = pd.DataFrame([line for predictor in rows for line in score_rows(predictor)])
+    rows, draws = list(predictors(experiment, runs)), 1 if experiment.smoke else DRAWS
+    scores = pd.DataFrame([line for predictor in rows for line in score_rows(predictor, draws=draws)])
     collapse = pd.DataFrame([line for predictor in rows if not predictor.fitted for line in collapse_rows(predictor)])
     return Study(scores, collapse)
 
