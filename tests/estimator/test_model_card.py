@@ -4,6 +4,7 @@ import huggingface_hub
 from helpers.estimators import untrained
 
 from viewnet.estimator import ViewpointEstimator
+from viewnet.estimator.demo.analysis import model_facts
 
 load = ViewpointEstimator.from_pretrained
 
@@ -22,3 +23,11 @@ def test_the_card_is_what_the_hub_reads(run, tmp_path):
     assert huggingface_hub.ModelCard.load(tmp_path / "other" / "README.md").data.license == "other"
     estimator.save_pretrained(tmp_path / "other", license="cc-by-4.0")
     assert huggingface_hub.ModelCard.load(tmp_path / "other" / "README.md").data.license == "cc-by-4.0"
+
+
+def test_what_a_symmetry_leaves_unknown_is_said(tmp_path):
+    for category, said in (("bottle", True), ("car", False)):
+        estimator = untrained(category=category)
+        estimator.save_pretrained(tmp_path / category)
+        for text in ((tmp_path / category / "README.md").read_text(), model_facts(estimator)):
+            assert ("look alike from all sides" in text) == said

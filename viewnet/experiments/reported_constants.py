@@ -78,7 +78,7 @@ class ConstantAudit:
 def audit_file(path: Path | None = None, progress: bool = False) -> ConstantAudit:
     """The audit of a file (viewnet.data.annotated_viewpoints.read); without one, of a stand-in, always the same."""
     if path is None:
-        return replace(audit_viewpoints(sample(np.random.default_rng(0))), stand_in=True)
+        return replace(audit_viewpoints(sample(np.random.default_rng(0)), progress=progress), stand_in=True)
     return audit_viewpoints(*read(path), progress)
 
 
