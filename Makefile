@@ -66,10 +66,10 @@ replication: setup ## every training behind the tables, kept in paper_tables/; s
 	$(VENV)/bin/viewnet replicate
 
 test: style ## style, types, all tests and every notebook; what else lint checks is among the tests
-	$(RUN) pytest --nbval -n auto --maxprocesses 2 --dist loadfile
+	$(RUN) pytest --nbval -n auto --maxprocesses 2 --dist loadfile --no-loadscope-reorder
 
 test-fast: setup ## the tests that take seconds, without notebooks
-	OMP_NUM_THREADS=1 $(RUN) pytest tests -m "not slow" -q -n auto --maxprocesses 4 --dist loadfile
+	OMP_NUM_THREADS=1 $(RUN) pytest tests -m "not slow" -q -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 style: setup ## style and types
 	$(RUN) ruff check

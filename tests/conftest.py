@@ -14,6 +14,13 @@ from hypothesis import settings
 settings.register_profile("viewnet", deadline=None, derandomize=True, max_examples=50, print_blob=True)
 settings.load_profile("viewnet")
 
+FIRST = ("notebooks/", "tests/web/", "tests/cad/", "tests/bench/")
+"""What takes minutes a file: begun first, as two processes otherwise end with one of them waiting for the other."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: not item.nodeid.startswith(FIRST))
+
 
 @pytest.fixture
 def one_thread():

@@ -39,6 +39,9 @@ viewnet COMMAND --help has examples.
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code (see EXIT_CODES)."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by the caller: the next file opened would get what is written there
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
     options = parser().parse_args(arguments)
     os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # PyTorch reads it later: large tensors on pages of 2 MiB
     try:
@@ -81,7 +84,9 @@ class _Parser(argparse.ArgumentParser):
                 raise argparse.ArgumentError(None, str(error)) from None
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"viewnet: {message} (see {self.prog} --help)\n")
+        word = message.partition(": ")[2]
+        file = f": a file of this name is written ./{word}" if word[:1] == "-" and os.path.exists(word) else ""
+        self.exit(2, f"viewnet: {message}{file} (see {self.prog} --help)\n")
 
 
 def parser() -> argparse.ArgumentParser:

@@ -4,6 +4,7 @@ import importlib.metadata
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -269,6 +270,24 @@ def test_an_output_without_room_is_said_in_one_line():
         arguments = [sys.executable, "-m", "viewnet", "completion", "bash"]
         done = subprocess.run(arguments, stdout=full, stderr=subprocess.PIPE, text=True)
     assert (done.returncode, done.stderr) == (2, "viewnet: the standard output cannot be written: no space left\n")
+
+
+def test_a_closed_standard_error_changes_nothing():
+    python = f"{shlex.quote(sys.executable)} -m viewnet"
+    commands = (f"{python} completion bash", f"{python} completion bash 2>&-")
+    with_it, without = (subprocess.run(each, shell=True, capture_output=True, text=True) for each in commands)
+    assert (without.returncode, without.stdout) == (0, with_it.stdout)
+    refused = subprocess.run(f"{python} predict nowhere.jpg --model car 2>&-", shell=True, capture_output=True)
+    assert (refused.returncode, refused.stdout) == (2, b"")
+
+
+def test_a_file_that_reads_as_an_option_is_named_as_it_should_be(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("-front.jpg").touch()
+    for word, advised in (("-front.jpg", True), ("-rear.jpg", False)):
+        with pytest.raises(SystemExit):
+            cli.main(["predict", "--model", "car", "a.jpg", word])
+        assert (f"is written ./{word}" in capsys.readouterr().err) is advised
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -13,6 +13,8 @@ from helpers.fake_steps import STEPS, calls
 from helpers.photo_data import fake_photographs, keep_apart, make_photos
 
 from viewnet.errors import ViewnetError
+from viewnet.experiments import experiment
+from viewnet.experiments.alignment_study import study_alignment
 from viewnet.experiments.replication import QUEUE, Replication
 from viewnet.model.checkpoint import ROBUST
 from viewnet.recipes import VARIANTS
@@ -144,6 +146,29 @@ def test_runs_scored_on_photographs_are_kept_and_nothing_twice(on_photographs):
     again.train(workers=1, progress=False, steps=STEPS)
     assert len(calls(on_photographs)) == 2
     assert [path.with_suffix(".parquet").read_bytes() for path in paths] == first
+
+
+@pytest.mark.slow
+def test_the_study_of_alignments_takes_what_table_3_has_kept(on_photographs):
+    queue(on_photographs, ON_PHOTOGRAPHS).train(workers=1, progress=False, steps=STEPS)
+    (on_photographs / "tables/smoke-constant-viewnet-car").rename(on_photographs / "tables/smoke-car")
+    parameters = {"categories": "car", "profile": "smoke", "output": str(on_photographs / "tables")}
+    request = experiment("alignment_study", **parameters)
+    assert {entry.seed for entry in request.kept} == {0, 1}
+    assert (
+        {config.variant for config in request.missing}
+        == {"ssv", "viewnet_cycle"}
+        == {c.variant for c in request.needs().runs}
+    )
+    assert request.note.endswith("up to 2 seeds")
+    found = study_alignment(request, [])
+    assert found.collapse.groupby("predictor")["seed"].nunique()["ViewNet"] == 2
+    more = experiment("alignment_study", seeds=3, **parameters)
+    assert [config.seed for config in more.missing if config.variant == "viewnet"] == [2]
+    shutil.rmtree(on_photographs / "photos/car")
+    make_photos(on_photographs / "photos/car", seed=99)
+    with pytest.raises(ViewnetError, match="photographs of another version"):
+        study_alignment(request, [])
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from viewnet.config import known
+from viewnet.experiments.alignment_study import AlignmentStudy
 from viewnet.experiments.cad import Experiment
 from viewnet.experiments.other_sets import OtherSetsExperiment
 from viewnet.experiments.own_method import OwnMethodExperiment
@@ -17,7 +18,7 @@ from viewnet.experiments.videos import ObjectronExperiment, VideoExperiment
 
 _KINDS: dict[str, type[Experiment]] = {"cad": Experiment, "photos": PhotoExperiment, "videos": VideoExperiment}
 _KINDS |= {"objectron": ObjectronExperiment, "own_method": OwnMethodExperiment, "test_sets": OtherSetsExperiment}
-_KINDS |= {"photographs_study": PhotographsStudy}
+_KINDS |= {"photographs_study": PhotographsStudy, "alignment_study": AlignmentStudy}
 
 
 def experiment(name: str, cell: Mapping[str, Any] | None = None, /, **parameters: Any) -> Any:

@@ -7,13 +7,15 @@ adds and the spread that it leaves are measured here, on all photographs and on 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from viewnet.config import RunConfig
+from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, metrics
 from viewnet.evaluation.alignment import Linear
@@ -21,9 +23,13 @@ from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.photos import PhotoExperiment
+from viewnet.runs.needs import Needs, needs
+from viewnet.runs.run_store import ensure
 from viewnet.runtime.files import write_csv
+from viewnet.tables import kept_predictions
 from viewnet.tables.columns import HEADLINE
 from viewnet.tables.layouts import LAYOUTS
+from viewnet.tables.table import Entry
 
 TABLE = "table3_pascal3d"  # whose rows are studied
 KINDS = ("procrustes", "robust", "linear", "per_angle")  # rigid ones first
@@ -113,6 +119,46 @@ class Study:
         """`alignment_study_scores.csv` and `alignment_study_collapse.csv`."""
         frames = {"scores": self.scores, "collapse": self.collapse}
         return [write_csv(folder / f"alignment_study_{name}.csv", f.round(4)) for name, f in frames.items()]
+
+
+class AlignmentStudy(PhotoExperiment):
+    """The study's experiment: predictions that Table 3 has kept, of every seed, are taken in the place of runs."""
+
+    @cached_property
+    def kept(self) -> list[Entry]:
+        """The entries of trained predictors that are kept beside Table 3 of the same parameters."""
+        path = self.folder / f"{TABLE}.json"
+        found = kept_predictions.read(path).entries if path.with_suffix(".parquet").is_file() else ()
+        mine = {(config.variant, config.recipe, config.category) for config in self.configs}
+        about = ("variant", "recipe", "category")
+        return [entry for entry in found if tuple(entry.origin.get(name) for name in about) in mine]
+
+    @property
+    def missing(self) -> list[RunConfig]:
+        """The runs that are not kept."""
+        kept = {entry.origin["settings"] for entry in self.kept}
+        return [config for config in self.configs if config.settings_key() not in kept]
+
+    def run(self, progress: bool = True) -> list[Run]:
+        """The runs that are not kept; missing ones are trained first."""
+        return ensure(self.missing, self.workers, progress)
+
+    def needs(self) -> Needs:
+        """Which views and runs `run` would make."""
+        return needs(self.missing)
+
+    def trained_entries(
+        self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None
+    ) -> list[Entry]:
+        """What is kept, and runs. Raises ViewnetError where what is kept is of photographs of another version."""
+        self.check_photographs(self.kept, stores)
+        return [*self.kept, *super().trained_entries(runs, stores, name)]
+
+    @property
+    def settings(self) -> str:
+        """Profile, recipe and the most seeds of a predictor, in words."""
+        seeds = len({*self.seeds, *(entry.seed for entry in self.kept)})
+        return f"profile {self.profile}, recipe {self.recipe}, up to {seeds} seed{'s' if seeds > 1 else ''}"
 
 
 def study_alignment(experiment: PhotoExperiment, runs: Sequence[Run]) -> Study:

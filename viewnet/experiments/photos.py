@@ -104,10 +104,14 @@ class PhotoExperiment(Experiment):
     def table_of(self, own: Sequence[Entry], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
         """The table of these entries; see `table`. Raises ViewnetError for those on photographs of another version."""
         stores = self.stores()
+        self.check_photographs(own, stores)
+        return self._table(own, stores, added, remarks)
+
+    def check_photographs(self, own: Sequence[Entry], stores: dict[str, ViewStore]) -> None:
+        """Raise ViewnetError for entries on photographs of another version."""
         if other := [e for e in own if e.origin["photographs"] != stores[e.category].identity]:
             what = f"{self.folder / self.name}: {other[0].row} was scored on photographs of another version"
             raise ViewnetError(f"{what}: remove the table's files to make it again")
-        return self._table(own, stores, added, remarks)
 
     def _table(
         self, own: Sequence[Entry], stores: dict[str, ViewStore], added: Sequence[Entry], remarks: Sequence[str]

@@ -50,8 +50,8 @@ ON_CAD = ("cad", "test_sets")
 class Design:
     """What a notebook shows unless its parameters say otherwise.
 
-    kind    what is trained on and scored on, a class each: cad, test_sets, photos, photographs_study, videos, objectron
-            or own_method
+    kind    what is trained on and scored on, a class each: cad, test_sets, photos, photographs_study, alignment_study,
+            videos, objectron or own_method
     tables  to which a notebook of own methods adds rows
     fixed   values of parameters that it does not take
     """
@@ -89,7 +89,9 @@ DESIGNS = {
     "photographs_study": Design(LAYOUTS["photographs_study"].usual, "photographs_study", ("car",), smoke=3),
     "objectron": Design(("constant", "viewnet"), "objectron", ("chair",), fixed={"start": SHAPENET}),
     # Supervised rows are in the annotated frame.
-    "alignment_study": Design(tuple(v for v in LAYOUTS["table3_pascal3d"].usual if v not in ABSOLUTE), "photos"),
+    "alignment_study": Design(
+        tuple(variant for variant in LAYOUTS["table3_pascal3d"].usual if variant not in ABSOLUTE), "alignment_study"
+    ),
     "figure3_azimuth": Design(("viewnet",)),
     "training_curves": Design(_ABLATION),
     # The supplement's figure is of the last four.

@@ -5,7 +5,7 @@ makes what is missing and writes its tables and figures into the request's folde
 """
 
 import base64
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -122,9 +122,13 @@ def _parts(request: Any, submissions: Sequence[Submission]) -> Iterator[list[Pat
     """The files of one table or figure after another."""
     folder, runs = request.folder, request.run() if request.variants else []
 
-    def saved(figure: Figure, name: str, shown: Sequence[Run] = runs, place: Path = request.figures) -> list[Path]:
-        """A figure, with a note of its runs in it."""
-        commits = ", ".join(sorted({(run.result["git"]["commit"] or "unknown")[:7] for run in shown}))
+    origins = [run.result for run in runs]
+
+    def saved(
+        figure: Figure, name: str, shown: Sequence[Mapping[str, Any]] = origins, place: Path = request.figures
+    ) -> list[Path]:
+        """A figure, with a note of the origins of its runs in it."""
+        commits = ", ".join(sorted({(about["git"]["commit"] or "unknown")[:7] for about in shown}))
         return plots.save(figure, place, name, f"{request.note}; commit {commits}")
 
     match request.name:
@@ -134,6 +138,7 @@ def _parts(request: Any, submissions: Sequence[Submission]) -> Iterator[list[Pat
             yield audit_file(request.viewpoints).write(folder)
         case "alignment_study":
             study = study_alignment(request, runs)
+            origins += [entry.origin for entry in request.kept]
             yield study.write(folder)
             yield saved(plots.calibration_curves(study.scores), "alignment_calibration", place=folder)
             yield saved(plots.collapse_curves(study.collapse), "alignment_collapse", place=folder)
@@ -142,16 +147,16 @@ def _parts(request: Any, submissions: Sequence[Submission]) -> Iterator[list[Pat
             yield saved(image_grids.candidate_figure(runs), "figure3_candidates", place=folder)
         case "failures":
             for run in runs:
-                yield saved(image_grids.failures(run), f"failures_{run.config.category}", [run])
+                yield saved(image_grids.failures(run), f"failures_{run.config.category}", [run.result])
         case "learned_volumes":
             for run in runs:
-                yield saved(image_grids.volumes([run]), f"volumes_{run.config.category}", [run])
+                yield saved(image_grids.volumes([run]), f"volumes_{run.config.category}", [run.result])
                 yield _first_object(run, request.figures)
         case "novel_views":
             yield novel_view_scores.write(novel_view_scores.cells(runs), folder, request.note)
             for category in request.categories:
                 mine = [run for run in runs if run.config.category == category]
-                yield saved(image_grids.around(mine), f"novel_views_{category}", mine)
+                yield saved(image_grids.around(mine), f"novel_views_{category}", [run.result for run in mine])
         case "reconstructions":
             stores = request.stores()
             drawn = image_grids.reconstructions(runs, lambda run: stores[run.config.category], count=6)
