@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers.boxes import PERSPECTIVE, SYMMETRIC, box_mesh, box_store, box_volume
 from helpers.photo_data import make_photos
-from helpers.untrained_models import turned, untrained_renderer, untrained_run
+from helpers.untrained_models import finished_run, turned, untrained_renderer
 from skimage.metrics import structural_similarity
 
 from viewnet.data.store import write_store
@@ -125,10 +125,17 @@ def test_every_network_can_look_at_what_it_draws(store, variant, settings):
 
 def test_cells_are_those_of_a_table(store, tmp_path):
     runs = [
-        untrained_run(tmp_path / f"{v}{s}", v, s)
+        finished_run(tmp_path / f"{v}{s}", store, v, seed=s)
         for v, s in (("segmentation_target", 0), ("viewnet", 0), ("viewnet", 1))
     ]
-    result = novel_view_scores.cells(runs, lambda run: store, draws=20)
+    (mask, judge, _), folder = runs, tmp_path / "tables"
+    novel_view_scores.keep(novel_view_scores.copied(judge, lambda run: store), folder)
+    for run in (mask, judge, *runs):  # again in the place of what was kept before
+        path = novel_view_scores.keep(novel_view_scores.scores(run, judge, lambda run: store), folder)
+    kept = novel_view_scores.read(folder)
+    assert len(kept) == 4 * 12 and kept["run"].value_counts().max() == 12
+    assert kept["judged"].notna().sum() == 3 * 12
+    result = novel_view_scores.cells(kept, draws=20)
     assert list(dict.fromkeys(result["row"])) == [novel_view_scores.COPY, "ViewNet", "Segmentation Target"]
     assert list(result.loc[result["row"] == "ViewNet", "metric"]) == list(NOVEL_VIEWS)
     mine = result.set_index(["row", "metric"])
@@ -139,7 +146,7 @@ def test_cells_are_those_of_a_table(store, tmp_path):
     assert (psnr["images"], psnr["objects"]) == (12, 4)
     assert np.isnan(mine.loc["Segmentation Target", "psnr"]["measured"])
     assert np.isnan(mine.loc[novel_view_scores.COPY, "consistency_median"]["measured"])
-    files = novel_view_scores.write(result, tmp_path / "tables", "one & two")
+    files = novel_view_scores.write(result, folder, "one & two")
     assert [file.name for file in files] == ["novel_views.tex", "novel_views.csv"]
     tex = files[0].read_text()
     assert tex.count("&") == 7 * 4 + 1 and "one \\& two" in tex and tex.count("\\midrule") == 1
@@ -147,8 +154,13 @@ def test_cells_are_those_of_a_table(store, tmp_path):
     assert line.split(" & ")[1] == "--" and line.split(" & ")[3] != "--"
     saved = pd.read_csv(files[1], keep_default_na=False, na_values=[""])
     assert saved["measured"].to_numpy() == pytest.approx(result["measured"].round(4).to_numpy(), nan_ok=True)
-    with pytest.raises(ViewnetError, match="same seed"):
-        novel_view_scores.cells([*runs, runs[1]], lambda run: store)
+    novel_view_scores.write(novel_view_scores.cells(kept), folder)
+    assert not len(novel_view_scores.differences(path))
+    kept.assign(iou=kept["iou"] / 2).to_parquet(path)
+    assert set(novel_view_scores.differences(path)["metric"]) == {"iou"}
+    kept.drop(columns="judged").to_parquet(path)
+    with pytest.raises(ViewnetError, match=r"novel_views\.parquet: not the scores of novel views"):
+        novel_view_scores.read(folder)
 
 
 def test_photographs_and_single_views_are_refused(tmp_path):

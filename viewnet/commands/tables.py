@@ -88,13 +88,16 @@ def _judge(options: Options, folder: Path) -> int:
 def _compare(options: Options, folder: Path) -> int:
     """Compute tables again from their predictions; 1 where a number is another. ViewnetError where there are none."""
     from viewnet.runtime.progress import bar
-    from viewnet.tables import kept_predictions
+    from viewnet.tables import kept_predictions, novel_view_scores
 
     files = [path for path in sorted(folder.rglob("*.json")) if path.with_suffix(".parquet").is_file()]
+    files += sorted(folder.rglob(novel_view_scores.KEPT))
     if not files:
         raise ViewnetError(f"{folder}: no table with its predictions: make one with viewnet tables")
-    shown = bar(True, iterable=files, desc="tables", unit="table")
-    found = {str(path.relative_to(folder)): kept_predictions.differences(path) for path in shown}
+    found = {}
+    for path in bar(True, iterable=files, desc="tables", unit="table"):
+        kept = novel_view_scores if path.name == novel_view_scores.KEPT else kept_predictions
+        found[str(path.relative_to(folder))] = kept.differences(path)
     lines = []
     for name, cells in found.items():
         lines.append(f"{name}: {f'{len(cells)} numbers differ' if len(cells) else 'as its predictions'}")

@@ -9,6 +9,7 @@ from typing import Any
 from viewnet.config import known
 from viewnet.experiments.alignment_study import AlignmentStudy
 from viewnet.experiments.cad import Experiment
+from viewnet.experiments.novel_views import NovelViews
 from viewnet.experiments.other_sets import OtherSetsExperiment
 from viewnet.experiments.own_method import OwnMethodExperiment
 from viewnet.experiments.photographs_study import PhotographsStudy
@@ -18,7 +19,7 @@ from viewnet.experiments.videos import ObjectronExperiment, VideoExperiment
 
 _KINDS: dict[str, type[Experiment]] = {"cad": Experiment, "photos": PhotoExperiment, "videos": VideoExperiment}
 _KINDS |= {"objectron": ObjectronExperiment, "own_method": OwnMethodExperiment, "test_sets": OtherSetsExperiment}
-_KINDS |= {"photographs_study": PhotographsStudy, "alignment_study": AlignmentStudy}
+_KINDS |= {"photographs_study": PhotographsStudy, "alignment_study": AlignmentStudy, "novel_views": NovelViews}
 
 
 def experiment(name: str, cell: Mapping[str, Any] | None = None, /, **parameters: Any) -> Any:

@@ -22,6 +22,7 @@ from viewnet.evaluation.alignment import Linear
 from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
+from viewnet.experiments.cad import up_to
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.runs.needs import Needs, needs
 from viewnet.runs.run_store import ensure
@@ -155,10 +156,9 @@ class AlignmentStudy(PhotoExperiment):
         return [*self.kept, *super().trained_entries(runs, stores, name)]
 
     @property
-    def settings(self) -> str:
-        """Profile, recipe and the most seeds of a predictor, in words."""
-        seeds = len({*self.seeds, *(entry.seed for entry in self.kept)})
-        return f"profile {self.profile}, recipe {self.recipe}, up to {seeds} seed{'s' if seeds > 1 else ''}"
+    def seeds_in_words(self) -> str:
+        """The most seeds of a predictor."""
+        return up_to({*self.seeds, *(entry.seed for entry in self.kept)})
 
 
 def study_alignment(experiment: PhotoExperiment, runs: Sequence[Run]) -> Study:

@@ -1,6 +1,6 @@
 """Experiments on CAD models: trained on rendered views of some, scored on views of others (Tables 1 and 2)."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import product
 from typing import Any
 
@@ -67,9 +67,13 @@ class Experiment(Request):
     @property
     def settings(self) -> str:
         """Profile, recipes and number of seeds, in words."""
-        seeds = "1 seed" if len(self.seeds) == 1 else f"mean of {len(self.seeds)} seeds"
         recipes = f"recipe{'s' if len(self.recipes) > 1 else ''} {' and '.join(self.recipes)}"
-        return f"profile {self.profile}, {recipes}, {seeds}"
+        return f"profile {self.profile}, {recipes}, {self.seeds_in_words}"
+
+    @property
+    def seeds_in_words(self) -> str:
+        """The number of seeds."""
+        return "1 seed" if len(self.seeds) == 1 else f"mean of {len(self.seeds)} seeds"
 
     def run(self, progress: bool = True) -> list[Run]:
         """Every run of the experiment; missing ones are trained first (viewnet.runs.run_store.ensure)."""
@@ -139,3 +143,8 @@ class Experiment(Request):
                 raise ViewnetError(f"{self.eval_root}: model {min(both)} is in the collection trained on as well")
             views["test"] = (other, np.arange(len(other)))
         return views
+
+
+def up_to(seeds: Collection[int]) -> str:
+    """The number of seeds where some rows have fewer, in words."""
+    return "1 seed" if len(seeds) == 1 else f"mean of up to {len(seeds)} seeds"

@@ -28,7 +28,7 @@ TAKES = {
     **dict.fromkeys(("table1_shapenet", "table2_ablation"), (*_CAD, "rows", "eval_root")),
     **dict.fromkeys(("figure3_azimuth", "failures", "learned_volumes"), _FIGURE),
     "training_curves": (*_CAD, "variant"),
-    "novel_views": _FIGURE[:-1],
+    "novel_views": _CAD,
     "test_sets": ("profile", "categories", "seeds", "recipe", "eval_root", "output", "workers"),
     "recipe_ablation": tuple(name for name in _CAD if name != "recipe"),
     **dict.fromkeys(("table3_pascal3d", "table5_dva"), (*_PHOTOS, "rows")),
@@ -42,7 +42,7 @@ TAKES = {
 }
 """Notebook -> the parameters that it takes; in the order to run them, where the first of those that share runs trains
 them and the others take no time."""
-ON_CAD = ("cad", "test_sets")
+ON_CAD = ("cad", "novel_views", "test_sets")
 """The kinds that are scored on CAD models."""
 
 
@@ -50,8 +50,8 @@ ON_CAD = ("cad", "test_sets")
 class Design:
     """What a notebook shows unless its parameters say otherwise.
 
-    kind    what is trained on and scored on, a class each: cad, test_sets, photos, photographs_study, alignment_study,
-            videos, objectron or own_method
+    kind    what is trained on and scored on, a class each: cad, novel_views, test_sets, photos, photographs_study,
+            alignment_study, videos, objectron or own_method
     tables  to which a notebook of own methods adds rows
     fixed   values of parameters that it does not take
     """
@@ -96,7 +96,8 @@ DESIGNS = {
     "training_curves": Design(_ABLATION),
     # The supplement's figure is of the last four.
     "novel_views": Design(
-        ("viewnet", "viewnet_cycle", "segmentation_target", "no_shape_prior", "encoder_decoder", "hologan_decoder")
+        ("viewnet", "viewnet_cycle", "segmentation_target", "no_shape_prior", "encoder_decoder", "hologan_decoder"),
+        "novel_views",
     ),
     "learned_volumes": Design(("viewnet",)),
     "failures": Design(("viewnet",)),

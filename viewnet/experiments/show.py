@@ -22,6 +22,7 @@ from viewnet.experiments.page import page
 from viewnet.experiments.page.images import captions
 from viewnet.experiments.reported_constants import audit_file
 from viewnet.recipes import make_config
+from viewnet.runtime import provenance
 from viewnet.runtime.files import write_csv
 from viewnet.runtime.image_files import opened
 from viewnet.tables import claims, definitions, image_grids, kept_predictions, novel_view_scores, plots, run_renderer
@@ -128,7 +129,7 @@ def _parts(request: Any, submissions: Sequence[Submission]) -> Iterator[list[Pat
         figure: Figure, name: str, shown: Sequence[Mapping[str, Any]] = origins, place: Path = request.figures
     ) -> list[Path]:
         """A figure, with a note of the origins of its runs in it."""
-        commits = ", ".join(sorted({(about["git"]["commit"] or "unknown")[:7] for about in shown}))
+        commits = ", ".join(sorted({provenance.in_words(about["git"]) for about in shown}))
         return plots.save(figure, place, name, f"{request.note}; commit {commits}")
 
     match request.name:
@@ -153,10 +154,10 @@ def _parts(request: Any, submissions: Sequence[Submission]) -> Iterator[list[Pat
                 yield saved(image_grids.volumes([run]), f"volumes_{run.config.category}", [run.result])
                 yield _first_object(run, request.figures)
         case "novel_views":
-            yield novel_view_scores.write(novel_view_scores.cells(runs), folder, request.note)
+            yield novel_view_scores.write(novel_view_scores.cells(request.kept), folder, request.note)
             for category in request.categories:
-                mine = [run for run in runs if run.config.category == category]
-                yield saved(image_grids.around(mine), f"novel_views_{category}", [run.result for run in mine])
+                if mine := [run for run in runs if run.config.category == category]:
+                    yield saved(image_grids.around(mine), f"novel_views_{category}", [run.result for run in mine])
         case "reconstructions":
             stores = request.stores()
             drawn = image_grids.reconstructions(runs, lambda run: stores[run.config.category], count=6)

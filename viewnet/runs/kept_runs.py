@@ -13,6 +13,7 @@ from viewnet import paths
 from viewnet.config import RunConfig, nearest, settings
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.run import Run
+from viewnet.runtime import provenance
 from viewnet.runtime.files import locked, read_json
 
 FINISHED, TRAINING, STOPPED, DAMAGED = "finished", "in training", "stopped", "damaged"
@@ -128,8 +129,7 @@ def _held(folder: Path) -> bool:
 
 def _commit(result: dict[str, Any]) -> str:
     """The commit by which a run was trained, in 7 digits; with a mark where the code was changed since."""
-    git = (result.get("training") or result).get("git") or {}
-    return f"{(git.get('commit') or 'unknown')[:7]}{' (changed)' if git.get('dirty') else ''}"
+    return provenance.in_words((result.get("training") or result).get("git") or {})
 
 
 def _bytes(folder: Path) -> int:

@@ -11,7 +11,7 @@ import os
 import platform
 import re
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +67,15 @@ def commit() -> dict[str, Any]:
         if multiprocessing.parent_process() is None:
             warn_once(f"results do not name the commit that made them: {known['unknown']}: {remedy}")
     return known
+
+
+def in_words(git: Mapping[str, Any]) -> str:
+    """A commit as `commit` has it, in 7 digits; with a mark where the code was changed since.
+
+    >>> in_words({"commit": "0123456789abcdef", "dirty": True}), in_words({"commit": None})
+    ('0123456 (changed)', 'unknown')
+    """
+    return f"{(git.get('commit') or 'unknown')[:7]}{' (changed)' if git.get('dirty') else ''}"
 
 
 def _git(*arguments: str) -> str:

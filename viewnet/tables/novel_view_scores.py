@@ -9,6 +9,11 @@ Consistency: the error of a viewpoint network on objects rendered from random vi
 share a private code with its decoder, so the category's ViewNet judges too, aligned on the other half of the objects.
 
 The HoloGAN decoder has no mask: no IoU. A network trained on masks alone learns no colours: neither PSNR nor SSIM.
+
+The scores of every run are kept, so that seeds can be added where its network is gone:
+
+novel_views.parquet    a row for each run and test view: RUN, model_id, view, SCORES
+novel_views.csv        what they come to, a line for each row, category and metric; novel_views.tex as a table
 """
 
 from collections.abc import Sequence
@@ -23,16 +28,23 @@ from torch import Tensor
 
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import alignment, metrics
-from viewnet.evaluation.predictions import Floats, true_vectors
+from viewnet.evaluation.predictions import Floats, read_parquet, true_vectors
 from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
-from viewnet.runtime.files import write_csv, write_text
+from viewnet.runtime import provenance
+from viewnet.runtime.files import read_csv, replacing, write_csv, write_text
 from viewnet.runtime.images import tight_crop
 from viewnet.tables import columns, latex
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, renderers
 
 COPY = "Appearance view"  # the row of the appearance view itself, in the place of a rendered view
+KEPT = "novel_views.parquet"
+VIEW = ("model_id", "view")
+RUN = ("variant", "category", "seed", "run", "settings", "commit")
+"""What says whose scores they are: all but category and seed empty of COPY."""
+SCORES = {**dict.fromkeys(columns.FIDELITY, 4), "consistency": 2, "judged": 2}
+"""The scores of a view, and the digits that are kept: PSNR, SSIM and IoU, and errors of viewpoints in degrees."""
 HIGHEST = 100.0  # dB: the PSNR of equal images
 DRAWS = 1000  # of the bootstrap, as for the other tables
 
@@ -116,34 +128,80 @@ def consistency(renderer: RunRenderer, judge: RunRenderer | None = None) -> Floa
     return errors
 
 
-def cells(runs: Sequence[Run], stores: Stores = own_views, draws: int = DRAWS) -> pd.DataFrame:
+def scores(run: Run, judge: Run | None = None, stores: Stores = own_views) -> pd.DataFrame:
+    """Of each test view of a run RUN, model_id, view and SCORES, where "consistency" is by the run's own network.
+
+    ViewnetError for a run that is no row, and as `fidelity` does.
+    """
+    config = run.config
+    if config.variant not in LABELS:
+        raise ViewnetError(f"novel views: {run.name} is no row: choose one of {', '.join(LABELS)}")
+    (renderer,) = renderers([run], stores)
+    judges = [] if judge is None else renderers([judge], stores)
+    commit = provenance.in_words(run.result.get("git") or {})
+    about = (config.variant, config.category, config.seed, run.key, config.settings_key(), commit)
+    errors = {"consistency": consistency(renderer), "judged": consistency(renderer, judges[0]) if judges else np.nan}
+    return fidelity(renderer).assign(**dict(zip(RUN, about, strict=True)), **errors)[[*RUN, *VIEW, *SCORES]]
+
+
+def copied(run: Run, stores: Stores = own_views) -> pd.DataFrame:
+    """The same of COPY, of a run's views and size."""
+    about = dict.fromkeys(RUN, "") | {"category": run.config.category, "seed": 0}
+    (renderer,) = renderers([run], stores)
+    return fidelity(renderer, copy=True).assign(**about, consistency=np.nan, judged=np.nan)[[*RUN, *VIEW, *SCORES]]
+
+
+def read(folder: Path) -> pd.DataFrame:
+    """The scores that are kept in a folder, none where there is no file. ViewnetError naming one that is damaged."""
+    if not (path := folder / KEPT).is_file():
+        return pd.DataFrame(columns=[*RUN, *VIEW, *SCORES])
+    found = read_parquet(path)
+    if list(found.columns) != [*RUN, *VIEW, *SCORES]:
+        raise ViewnetError(f"{path}: not the scores of novel views: remove it and make them again")
+    return found
+
+
+def keep(found: pd.DataFrame, folder: Path) -> Path:
+    """Add scores to those kept in a folder, in the place of those of the same variant, category and seed."""
+    before, which = read(folder), ["variant", "category", "seed"]
+    replaced = pd.MultiIndex.from_frame(before[which]).isin(pd.MultiIndex.from_frame(found[which]))
+    whole = pd.concat([before[~replaced], found], ignore_index=True) if len(before) else found
+    rank = {variant: place for place, variant in enumerate(("", *LABELS))}
+    whole = whole.assign(rank=whole["variant"].map(rank)).sort_values(["category", "rank", "seed"], kind="stable")
+    whole = whole.drop(columns="rank").round(SCORES).astype(dict.fromkeys(SCORES, "float32") | {"seed": "int64"})
+    how = {"use_byte_stream_split": list(SCORES), "use_dictionary": [*RUN, *VIEW]}
+    with replacing(path := folder / KEPT) as temporary:
+        whole.to_parquet(temporary, index=False, compression="zstd", compression_level=19, **how)
+    return path
+
+
+def cells(kept: pd.DataFrame, draws: int = DRAWS) -> pd.DataFrame:
     """A line for each row, category and metric: the columns of viewnet.tables.table.Table.cells but printed and bold.
 
-    Intervals have `draws` resamplings. The first row of a category is COPY, of its first run's views and size. The
-    judge is the category's run of ViewNet, of its first seed; without one nothing is judged. Raises ViewnetError for
-    two runs of one variant, category and seed, and as `fidelity` does.
+    `kept` is `scores` of runs and `copied`, one below the other. Intervals have `draws` resamplings.
     """
-    if len({(run.config.variant, run.config.category, run.config.seed) for run in runs}) < len(runs):
-        raise ViewnetError("novel views: two runs of one variant and category have the same seed: choose one")
-    for run in runs:
-        if run.config.variant not in LABELS:
-            raise ViewnetError(f"novel views: {run.name} is no row: choose one of {', '.join(LABELS)}")
     lines: list[dict[str, object]] = []
-    for category in dict.fromkeys(run.config.category for run in runs):
-        here = [run for run in runs if run.config.category == category]
-        groups = {variant: [run for run in here if run.config.variant == variant] for variant in LABELS}
-        mine = {variant: renderers(group, stores) for variant, group in groups.items() if group}
-        judge = mine["viewnet"][0] if "viewnet" in mine else None  # one judge, so that rows compare
-        copied = fidelity(next(iter(mine.values()))[0], copy=True)
-        lines += _lines({"row": COPY, "variant": "", "category": category}, "", [copied], {}, draws)
-        for variant, seeds in mine.items():
-            errors = {"consistency": [consistency(renderer) for renderer in seeds]}
-            if judge is not None:
-                errors["judged"] = [consistency(renderer, judge) for renderer in seeds]
-            keys = " ".join(run.key for run in groups[variant])
-            about = {"row": LABELS[variant], "variant": variant, "category": category}
-            lines += _lines(about, keys, [fidelity(renderer) for renderer in seeds], errors, draws)
+    for (category, variant), rows in kept.groupby(["category", "variant"], sort=False):
+        seeds = [seed for _, seed in rows.groupby("seed")]
+        errors = {kind: [seed[kind].to_numpy(np.float64) for seed in seeds] for kind in ("consistency", "judged")}
+        known = {kind: values for kind, values in errors.items() if not np.isnan(values[0]).any()}
+        about = {"row": LABELS.get(variant, COPY), "variant": variant, "category": category}
+        lines += _lines(about, " ".join(filter(None, rows["run"].unique())), seeds, known, draws)
     return pd.DataFrame(lines)
+
+
+def differences(path: Path) -> pd.DataFrame:
+    """The cells beside the scores that are kept in the file `path` which these do not reproduce.
+
+    Columns row, category, metric, what ("measured", "low" ...), printed, and remade.
+    """
+    keys, numbers = ["row", "category", "metric"], ["measured", "sd", "low", "high"]
+    printed, again = (
+        frame.melt(keys, numbers, "what", name)
+        for frame, name in ((read_csv(path.with_suffix(".csv")), "printed"), (cells(read(path.parent)), "remade"))
+    )
+    both = printed.merge(again, how="outer", on=[*keys, "what"])
+    return both[~np.isclose(both["printed"].astype(float), both["remade"].astype(float), atol=5e-4, equal_nan=True)]
 
 
 def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
@@ -157,10 +215,10 @@ def _lines(
     about: dict[str, str], keys: str, scored: Sequence[pd.DataFrame], errors: dict[str, list[Floats]], draws: int
 ) -> list[dict[str, object]]:
     """Every metric of a row: `scored` is `fidelity` of each seed, `errors` its `consistency` by kind of network."""
-    objects = [scores["model_id"].to_numpy() for scores in scored]
+    objects = [seed["model_id"].to_numpy() for seed in scored]
     values: dict[str, tuple[list[float], tuple[float, float] | None]] = {}
     for metric in columns.FIDELITY:
-        each = [scores[metric].to_numpy() for scores in scored]
+        each = [seed[metric].to_numpy(np.float64) for seed in scored]
         values[metric] = [float(e.mean()) for e in each], metrics.mean_interval(each, objects, draws)
     for kind, seeds in errors.items():
         bounds = metrics.bootstrap_intervals(seeds, objects, np.random.default_rng(0), draws)
