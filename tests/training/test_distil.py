@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import pytest
 import torch
@@ -52,9 +53,13 @@ def test_the_mirror_is_found_without_labels():
     store, model = dials(300), reader()
     views = distilling.model_views(store, "train", 32, CONFIG.model)
     said = ask_about(model, CONFIG, views, None, torch.Generator().manual_seed(0))
-    # In the true frame y changes its sign: in one turned by TURN about the vertical, azimuth a becomes 2 TURN - a.
+    assert_mirrors(said.mirror)
+
+
+def assert_mirrors(mirror: torch.Tensor) -> None:
+    """In the true frame y changes its sign: in one turned by TURN about the vertical, azimuth a becomes 2 TURN - a."""
     azimuth = torch.tensor([0.0, 70.0, 200.0])
-    mirrored = azimuth_elevation(view_vector(azimuth, torch.full((3,), 10.0)) @ said.mirror.T)[0]
+    mirrored = azimuth_elevation(view_vector(azimuth, torch.full((3,), 10.0)) @ mirror.T)[0]
     assert torch.allclose(torch.cos(torch.deg2rad(mirrored - (2 * TURN - azimuth))), torch.ones(3), atol=1e-3)
 
 
@@ -91,6 +96,17 @@ def test_teachers_answer_in_frames_of_their_own_and_the_model_keeps_its(monkeypa
     errors = vector_angle(viewpoint, view_vector(truth, torch.full_like(truth, 10)))
     assert (errors[chosen] < 5).all()  # none of the doubtful ones
     assert (errors > 150).float().mean() == pytest.approx(0.25, abs=0.01)
+
+
+def test_what_mirroring_does_is_learned_from_the_teachers(monkeypatch):
+    store, model, learned = dials(300), reader(), []
+    monkeypatch.setattr(distilling, "learn", lambda *what: learned.append(what[3]))
+    monkeypatch.setattr(distilling, "KEPT", (0.7,))
+    reads, calls = model.viewpoint.forward, itertools.count()
+    # It takes no notice: asked about an image and its mirror image in turns, it gives the same answer.
+    model.viewpoint.forward = lambda images: reads(images.flip(-1) if next(calls) % 2 else images)
+    distil(model, CONFIG, store, [(reader(), CONFIG)], progress=False)
+    assert_mirrors(learned[0])
 
 
 def test_what_cannot_be_distilled_is_refused_and_a_failure_leaves_the_model_as_it_was(monkeypatch):

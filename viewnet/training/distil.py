@@ -81,12 +81,13 @@ def distil(
     backgrounds = augment.load(config.data, size, device)
     before = model.viewpoint
     generator = torch.Generator().manual_seed(seed)
-    own = said = ask_about(model, config, views, backgrounds, generator)
+    said = ask_about(model, config, views, backgrounds, generator)
     if teachers:
-        viewpoint, _ = vote(own)
+        viewpoint, _ = vote(said)
         asked = [_in_frame_of(viewpoint, _asked_anew(*each, store, backgrounds, generator)) for each in teachers]
         joined = [torch.cat([getattr(each, name) for each in asked], 1) for name in ("vectors", "weights")]
-        said = Hypotheses(joined[0], joined[1] / len(asked), own.mirror)
+        # The model may be too often wrong to tell what mirroring does.
+        said = Hypotheses(joined[0], joined[1] / len(asked), asked[0].mirror)
     try:
         for number, kept in enumerate(KEPT):
             viewpoint, confidence = vote(said)
