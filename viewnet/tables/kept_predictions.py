@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from viewnet.errors import ViewnetError
@@ -67,13 +68,16 @@ def differences(path: Path) -> pd.DataFrame:
 
     Columns row, category, metric, what ("measured", "low" ...), printed in the file, and remade. Errors as `remade`.
     """
+    return differing(pd.DataFrame(read_json(path)["cells"]), remade(path).cells, TOLERANCE)
+
+
+def differing(printed: pd.DataFrame, again: pd.DataFrame, tolerance: float) -> pd.DataFrame:
+    """The NUMBERS of `printed` cells that are others in those made `again`, as `differences` has them."""
     keys = ["row", "category", "metric"]
-    again = remade(path).cells
-    printed = pd.DataFrame(read_json(path)["cells"])[[*keys, *NUMBERS]].melt(keys, NUMBERS, "what", "printed")
-    both = printed.merge(again.melt(keys, NUMBERS, "what", "remade"), how="left", on=[*keys, "what"])
-    both = both.astype({"printed": float, "remade": float})
-    was, now = both["printed"], both["remade"]
-    return both[(was.isna() != now.isna()) | ((was - now).abs() > TOLERANCE)]
+    sides = {"printed": printed, "remade": again}
+    was, now = (cells[[*keys, *NUMBERS]].melt(keys, NUMBERS, "what", name) for name, cells in sides.items())
+    both = was.merge(now, how="left", on=[*keys, "what"]).astype({"printed": float, "remade": float})
+    return both[~np.isclose(both["printed"], both["remade"], rtol=0, atol=tolerance, equal_nan=True)]
 
 
 def _runs(path: Path) -> dict[str, Predictions]:

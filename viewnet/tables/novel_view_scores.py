@@ -35,6 +35,7 @@ from viewnet.runtime import provenance
 from viewnet.runtime.files import read_csv, replacing, write_csv, write_text
 from viewnet.runtime.images import tight_crop
 from viewnet.tables import columns, latex
+from viewnet.tables.kept_predictions import differing
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import BATCH, RunRenderer, Stores, own_views, renderers
 
@@ -191,17 +192,8 @@ def cells(kept: pd.DataFrame, draws: int = DRAWS) -> pd.DataFrame:
 
 
 def differences(path: Path) -> pd.DataFrame:
-    """The cells beside the scores that are kept in the file `path` which these do not reproduce.
-
-    Columns row, category, metric, what ("measured", "low" ...), printed, and remade.
-    """
-    keys, numbers = ["row", "category", "metric"], ["measured", "sd", "low", "high"]
-    printed, again = (
-        frame.melt(keys, numbers, "what", name)
-        for frame, name in ((read_csv(path.with_suffix(".csv")), "printed"), (cells(read(path.parent)), "remade"))
-    )
-    both = printed.merge(again, how="outer", on=[*keys, "what"])
-    return both[~np.isclose(both["printed"].astype(float), both["remade"].astype(float), atol=5e-4, equal_nan=True)]
+    """The cells beside the file `path` of scores that these do not reproduce: see kept_predictions.differing."""
+    return differing(read_csv(path.with_suffix(".csv")), cells(read(path.parent)), 5e-4)
 
 
 def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
