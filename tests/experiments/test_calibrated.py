@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.estimators import photograph, untrained
+from helpers.photo_data import make_photos
 from PIL import Image
 
 from viewnet.cli import main
@@ -61,6 +62,22 @@ def test_confidences_fit_what_is_right_of_the_calibration_split_and_viewpoints_s
         "| confidence | calibrated on 12 photographs with known viewpoints"
         in (tmp_path / "photos-model" / "README.md").read_text()
     )
+
+
+def test_a_stand_in_for_photographs_will_do(tmp_path, monkeypatch):
+    asked = []
+
+    def photo_views(config):
+        asked.append(config)
+        return make_photos(tmp_path / "made", 40, size=32)
+
+    monkeypatch.setattr("viewnet.data.build.photo_views", photo_views)
+    model().save_pretrained("model")
+    assert main(["save", "model", "calibrated", "--calibrate", "stand-in"]) == 0
+    assert (asked[0].root, asked[0].category) == (None, "car")
+    about = ViewpointEstimator.from_pretrained("calibrated").about["calibrated"]
+    assert (about["images"], about["stand_in"]) == (20, True)
+    assert "calibrated on 20 images of a stand-in for photographs" in (tmp_path / "calibrated/README.md").read_text()
 
 
 def test_what_cannot_be_calibrated_is_refused(tmp_path):

@@ -10,6 +10,7 @@ Examples:
     viewnet evaluate 0123456789ab --data-root /data/cars --json > scores.json
     viewnet save 0123456789ab saved/car --scores scores.json        adds these scores to the card
     viewnet save car saved/car --calibrate /data/cars
+    viewnet save 0123456789ab saved/car --calibrate stand-in        where there are no such photographs
 """
 
 from pathlib import Path
@@ -18,7 +19,7 @@ from viewnet.commands.options import Options, argument
 
 LICENCE = "of the weights, in the hub's words (default: mit if trained on built-in models, else other)"
 SCORES = "output of viewnet evaluate --json on this model, for the card"
-CALIBRATE = "make confidences true on photographs with a list of viewpoints, by those marked val"
+CALIBRATE = "make confidences true on photographs with a list of viewpoints, by those marked val; or on: stand-in"
 ARGUMENTS = (
     argument("model", "a finished run's key or folder, or another saved model's", metavar="WHERE"),
     argument("folder", "where to write it", type=Path, metavar="FOLDER"),

@@ -21,8 +21,12 @@ Answers = tuple[Floats, NDArray[np.bool_]]
 """Confidences (N,), and whether each viewpoint is within 30 degrees."""
 
 
+STAND_IN = "stand-in"
+"""In the place of a folder: the project's stand-in for photographs."""
+
+
 def calibrate(model: Pretrained, data_root: str) -> None:
-    """Fit a temperature to what `model` has right of the calibration split of photographs.
+    """Fit a temperature to what `model` has right of the calibration split of photographs, or of STAND_IN.
 
     Nothing but its confidences changes. Raises ViewnetError for a model without a rotation of its own, for a single
     hypothesis, and for photographs that cannot be read or have no calibration split.
@@ -33,7 +37,8 @@ def calibrate(model: Pretrained, data_root: str) -> None:
         none = model.annotated_from_model is None
         why = "no rotation to the annotated frame" if none else "a single hypothesis, always of 100 %"
         raise ViewnetError(f"calibrating confidences: the model has {why}: calibrate another one")
-    root, square = folder_named(data_root, "calibrate"), config.model.crop != "stretched"
+    root = None if data_root == STAND_IN else folder_named(data_root, "calibrate")
+    square = config.model.crop != "stretched"
     store = build.photo_views(photographs(config.category, root, square, smoke=False))
     if not (store.index["split"] == "val").any():
         raise ViewnetError(f"{data_root}: has no calibration split: mark some photographs val in its list")
@@ -43,7 +48,7 @@ def calibrate(model: Pretrained, data_root: str) -> None:
     value = temperature(viewpoints.hypothesis_frames, said.logits, right)
     model.network.viewpoint.divide_logits(value)
     found = {"images": len(right), "right": 100 * float(np.mean(right)), "temperature": round(value, 3)}
-    model.about["calibrated"] = found
+    model.about["calibrated"] = found | {"stand_in": root is None}
 
 
 def turned(said: Predictions, rotation: NDArray[np.float64]) -> Predictions:
