@@ -120,12 +120,14 @@ def box_views(folder: Path) -> ViewStore:
 
 
 def moved(words: list[str], world: Path) -> list[str]:
-    """The same with what lies in /data in the test's folder, and made; saved/car and a run's folder there as well."""
+    """The same with what lies in /data in the test's folder, and made; saved models and a run's folder there, too."""
     for word in words:
         for name in re.findall(r"/data/[\w.+]+", word):
             (world / name[1:]).mkdir(parents=True, exist_ok=True)
     places = {
         "saved/car": "KEY",
+        "saved/motorbike": "KEY",
+        "calibrated/motorbike": "KEY",
         "my-car": "KEY",
         "my-mug": "KEY",
         "*.png": "car.png",
