@@ -55,6 +55,7 @@ def build(folder: Path, offline: bool = False) -> None:
     runtime = installed(folder.with_name(f"{folder.name}-npm"), offline)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
+    (folder / ABOUT).touch()  # so that what a failure leaves may be emptied
     for name in PAGE:
         shutil.copy(WEB / name, folder)
     shutil.copy(ROOT / "docs" / str(EXAMPLE["file"]), folder)

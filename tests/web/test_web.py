@@ -23,6 +23,7 @@ from PIL import Image
 
 from viewnet import cli
 from viewnet.data.crop import Crop, cut
+from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator
 from viewnet.estimator.camera_axes import MEANINGS
 from viewnet.estimator.inputs import read_image
@@ -396,6 +397,16 @@ def test_what_is_no_page_is_not_emptied(tmp_path):
     with pytest.raises(SystemExit, match="holds something else"):
         build.build(tmp_path)
     assert (tmp_path / "kept").is_file()
+
+
+def test_what_a_failure_leaves_is_emptied_the_next_time(tmp_path, monkeypatch):
+    for name in (build.RUNTIME, build.WASM):
+        (tmp_path / name).touch()
+    monkeypatch.setattr(build, "installed", lambda *where: tmp_path)
+    monkeypatch.setattr(build, "MODELS", ("car", "nowhere"))
+    for _ in range(2):
+        with pytest.raises(ViewnetError, match="nowhere: no model there"):
+            build.build(tmp_path / "page")
 
 
 def test_without_npm_one_sentence_says_so(tmp_path, monkeypatch):
