@@ -73,12 +73,12 @@ def both(config: RunConfig, seed: int, occupied: float = 0.0) -> list[tuple[dict
     ]
 
 
-def same(config: RunConfig, occupied: float = 0.0, tolerance: float = 1e-5) -> bool:
-    """Whether losses agree to the tolerance, of every seed, and gradients to 1e-3, of all seeds but one.
+def same(config: RunConfig, occupied: float = 0.0, tolerance: float = 1e-5, jumps: int = 0) -> bool:
+    """Whether losses agree to the tolerance and gradients to 1e-3, of every seed.
 
     But for those of viewpoints and of the focal length, which must agree in most: a point of a ray that lies on the
     border of two voxels, to rounding, may count for either. A third of the seeds have such a point. The other gradients
-    may jump too: on a processor without AVX-512 those of one seed do, but not with a bias that is moved by 3e-5.
+    may jump in so many seeds (`jumps`).
     """
     losses, volumes, cameras = [], [], []
     for seed in SEEDS:
@@ -89,7 +89,7 @@ def same(config: RunConfig, occupied: float = 0.0, tolerance: float = 1e-5) -> b
         off = {name: float((gradient - its[name]).norm() / gradient.norm()) for name, gradient in mine.items()}
         volumes.append(max(value for name, value in off.items() if name.startswith(("f_a.", "f_d."))))
         cameras.append(max(value for name, value in off.items() if not name.startswith(("f_a.", "f_d."))))
-    return max(losses) < tolerance and sorted(volumes)[-2] < 1e-3 and statistics.median(cameras) < 1e-3
+    return max(losses) < tolerance and sorted(volumes)[-1 - jumps] < 1e-3 and statistics.median(cameras) < 1e-3
 
 
 @pytest.mark.parametrize("variant", ["viewnet", "viewnet_cycle"])
@@ -103,7 +103,8 @@ def test_the_package_has_the_loss_and_the_gradients_of_the_reference(variant, lo
 @pytest.mark.parametrize(("variant", "tolerance"), [("viewnet", 1e-5), ("viewnet_cycle", 1e-4)])
 def test_so_has_its_compiled_renderer_where_no_voxel_is_empty(variant, tolerance):
     # It ends a ray when 1e-5 of the light is left, and normalising four novel views makes more of that.
-    assert same(paper(variant, **PIXELS), 1.0, tolerance)
+    # On a processor without AVX-512 all gradients of one seed jump, but not with a bias that is moved by 3e-5.
+    assert same(paper(variant, **PIXELS), 1.0, tolerance, jumps=1)
 
 
 def planted(name: str, change) -> pytest.param:

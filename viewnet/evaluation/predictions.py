@@ -146,6 +146,15 @@ class Predictions:
             raise ViewnetError(f"{path}: {error}") from error
 
 
+def write_compact(frame: pd.DataFrame, path: Path) -> None:
+    """A parquet file as small as may be, of numbers in float32 and other columns with few values."""
+    numbers = list(frame.columns[frame.dtypes == "float32"])
+    # Bytes of numbers apart by their place, exponents together: a file of three fifths of the size.
+    how = {"use_byte_stream_split": numbers, "use_dictionary": [c for c in frame if c not in numbers]}
+    with replacing(path) as temporary:
+        frame.to_parquet(temporary, index=False, compression="zstd", compression_level=19, **how)
+
+
 def read_parquet(path: Path) -> pd.DataFrame:
     """A parquet file. ViewnetError, naming it, where it is missing or damaged."""
     try:

@@ -137,7 +137,7 @@ class AlignmentStudy(PhotoExperiment):
     @property
     def missing(self) -> list[RunConfig]:
         """The runs that are not kept."""
-        kept = {entry.origin["settings"] for entry in self.kept}
+        kept = {entry.origin.get("settings") for entry in self.kept}
         return [config for config in self.configs if config.settings_key() not in kept]
 
     def run(self, progress: bool = True) -> list[Run]:

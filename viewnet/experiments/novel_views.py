@@ -49,9 +49,8 @@ class NovelViews(Experiment):
             novel_view_scores.keep(novel_view_scores.scores(run, judges[run.config.category]), self.folder)
 
         ensure(self.missing, self.workers, progress, finished=keep)
-        first = self._first_seed()
-        absent = {config.category for config, about in needs(first).runs.items() if not about["kept"]}
-        return ensure([config for config in first if config.category not in absent], self.workers, progress)
+        absent = {config.category for config, about in needs(self._first_seed()).runs.items() if not about["kept"]}
+        return ensure([c for c in self._first_seed() if c.category not in absent], self.workers, progress)
 
     def _first_seed(self) -> list[RunConfig]:
         return [config for config in self.configs if config.seed == self.seeds[0]]

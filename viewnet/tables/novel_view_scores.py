@@ -28,11 +28,11 @@ from torch import Tensor
 
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import alignment, metrics
-from viewnet.evaluation.predictions import Floats, read_parquet, true_vectors
+from viewnet.evaluation.predictions import Floats, read_parquet, true_vectors, write_compact
 from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
 from viewnet.runtime import provenance
-from viewnet.runtime.files import read_csv, replacing, write_csv, write_text
+from viewnet.runtime.files import read_csv, write_csv, write_text
 from viewnet.runtime.images import tight_crop
 from viewnet.tables import columns, latex
 from viewnet.tables.kept_predictions import differing
@@ -156,8 +156,7 @@ def read(folder: Path) -> pd.DataFrame:
     """The scores that are kept in a folder, none where there is no file. ViewnetError naming one that is damaged."""
     if not (path := folder / KEPT).is_file():
         return pd.DataFrame(columns=[*RUN, *VIEW, *SCORES])
-    found = read_parquet(path)
-    if list(found.columns) != [*RUN, *VIEW, *SCORES]:
+    if list((found := read_parquet(path)).columns) != [*RUN, *VIEW, *SCORES]:
         raise ViewnetError(f"{path}: not the scores of novel views: remove it and make them again")
     return found
 
@@ -170,9 +169,7 @@ def keep(found: pd.DataFrame, folder: Path) -> Path:
     rank = {variant: place for place, variant in enumerate(("", *LABELS))}
     whole = whole.assign(rank=whole["variant"].map(rank)).sort_values(["category", "rank", "seed"], kind="stable")
     whole = whole.drop(columns="rank").round(SCORES).astype(dict.fromkeys(SCORES, "float32") | {"seed": "int64"})
-    how = {"use_byte_stream_split": list(SCORES), "use_dictionary": [*RUN, *VIEW]}
-    with replacing(path := folder / KEPT) as temporary:
-        whole.to_parquet(temporary, index=False, compression="zstd", compression_level=19, **how)
+    write_compact(whole, path := folder / KEPT)
     return path
 
 

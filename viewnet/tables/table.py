@@ -16,10 +16,10 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.alignment import Procrustes
 from viewnet.evaluation.evaluate import Aligned, align
-from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.predictions import Predictions, write_compact
 from viewnet.evaluation.run import ROBUST_PREDICTIONS, Run
 from viewnet.recipes import VARIANTS
-from viewnet.runtime.files import replacing, write_csv, write_json, write_text
+from viewnet.runtime.files import write_csv, write_json, write_text
 from viewnet.tables import columns, latex, reported
 from viewnet.tables.columns import DASH, HEADLINE, METRICS, text
 from viewnet.tables.layouts import LAYOUTS, Layout
@@ -316,12 +316,7 @@ class Table:
         plain = cells.assign(runs=cells["runs"].str.split()).astype(object).where(cells.notna(), None)
         entries = {"cells": plain.to_dict("records"), "runs": self.provenance}
         write_json(path := folder / f"{self.name}.json", about | entries)
-        predictions = self._predictions()
-        numbers = list(predictions.columns[predictions.dtypes == "float32"])
-        # Bytes of numbers apart by their place, exponents together: a file of three fifths of the size.
-        how = {"use_byte_stream_split": numbers, "use_dictionary": [c for c in predictions if c not in numbers]}
-        with replacing(parquet := folder / f"{self.name}.parquet") as temporary:
-            predictions.to_parquet(temporary, index=False, compression="zstd", compression_level=19, **how)
+        write_compact(self._predictions(), parquet := folder / f"{self.name}.parquet")
         return [tex, csv, path, parquet]
 
     def _predictions(self) -> pd.DataFrame:

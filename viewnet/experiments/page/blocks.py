@@ -11,6 +11,7 @@ from markupsafe import Markup
 from viewnet.errors import ViewnetError
 from viewnet.experiments.alignment_study import Study
 from viewnet.experiments.reported_constants import ConstantAudit
+from viewnet.runtime import provenance
 from viewnet.runtime.files import read_csv, read_json
 from viewnet.tables import benchmark, reported
 from viewnet.tables.architecture import COLUMNS, Architecture
@@ -85,7 +86,7 @@ def origin(run: Mapping[str, Any]) -> dict[str, str]:
     return {
         "what": " ".join(str(run[name]) for name in ("variant", "category") if name in run),
         **{name: str(run.get(name, "")) for name in ("seed", "profile", "recipe")},
-        "commit": (git.get("commit") or "")[:7] + (" (changed)" if git.get("dirty") else ""),
+        "commit": provenance.in_words(git) if git.get("commit") else "",
         "date": (training.get("finished") or "")[:10],  # the day, of an ISO time
         "minutes": f"{training['seconds'] / 60:.1f}" if "seconds" in training else "",
         "machine": hardware.get("gpu") or hardware.get("processor") or "",
