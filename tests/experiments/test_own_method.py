@@ -33,6 +33,7 @@ from viewnet.experiments.own_method import (
 from viewnet.experiments.request import accepted
 from viewnet.runs.other_views import on_photographs
 from viewnet.runs.run_store import ensure
+from viewnet.tables import definitions
 from viewnet.tables.columns import DASH
 from viewnet.tables.table import Entry, Table, named
 
@@ -413,6 +414,23 @@ class TestTheNotebook:
         for name, table in tables.items():
             assert table.name == name and table.complete
             assert "Mine" in table.rows and table.rows[-1] == "Grabner (trained here)"
+
+    @pytest.mark.slow
+    def test_runs_that_its_tables_have_kept_are_not_trained_again(self, photographs, drawn, trained, monkeypatch):
+        request = experiment("your_method", categories="car")
+        mine = [Submission("Mine", Says(straight))]
+        trained_now = request.score(finished(request), mine)
+        for table in request.tables.values():
+            definitions.write_with(table.table(finished(table)), table.folder)
+        again = experiment("your_method", categories="car")
+        monkeypatch.setenv("VIEWNET_RUNS", str(trained / "empty"))
+        assert again.to_run == [] == again.run()
+        assert not again.needs().runs
+        for name, table in again.score([], mine).items():
+            assert table.rows == trained_now[name].rows
+            numbers = ["measured", "low", "high"]
+            assert np.allclose(table.cells[numbers], trained_now[name].cells[numbers], atol=5e-3, equal_nan=True)
+        assert len(experiment("your_method", categories="car", seeds=2).to_run) == len(request.configs)
 
     def test_its_tables_go_where_no_other_does(self, tmp_path):
         options = [{}, {"profile": "tiny"}, {"categories": "car"}, {"calibration": 8}, {"backgrounds": str(tmp_path)},

@@ -156,7 +156,7 @@ def test_the_study_of_alignments_takes_what_table_3_has_kept(on_photographs):
     request = experiment("alignment_study", **parameters)
     assert {entry.seed for entry in request.kept} == {0, 1}
     assert (
-        {config.variant for config in request.missing}
+        {config.variant for config in request.to_run}
         == {"ssv", "viewnet_cycle"}
         == {c.variant for c in request.needs().runs}
     )
@@ -164,7 +164,7 @@ def test_the_study_of_alignments_takes_what_table_3_has_kept(on_photographs):
     found = study_alignment(request, [])
     assert found.collapse.groupby("predictor")["seed"].nunique()["ViewNet"] == 2
     more = experiment("alignment_study", seeds=3, **parameters)
-    assert [config.seed for config in more.missing if config.variant == "viewnet"] == [2]
+    assert [config.seed for config in more.to_run if config.variant == "viewnet"] == [2]
     shutil.rmtree(on_photographs / "photos/car")
     make_photos(on_photographs / "photos/car", seed=99)
     with pytest.raises(ViewnetError, match="photographs of another version"):

@@ -24,8 +24,6 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.experiments.cad import up_to
 from viewnet.experiments.photos import PhotoExperiment
-from viewnet.runs.needs import Needs, needs
-from viewnet.runs.run_store import ensure
 from viewnet.runtime.files import write_csv
 from viewnet.tables import kept_predictions
 from viewnet.tables.columns import HEADLINE
@@ -135,18 +133,10 @@ class AlignmentStudy(PhotoExperiment):
         return [entry for entry in found if tuple(entry.origin.get(name) for name in about) in mine]
 
     @property
-    def missing(self) -> list[RunConfig]:
+    def to_run(self) -> list[RunConfig]:
         """The runs that are not kept."""
         kept = {entry.origin.get("settings") for entry in self.kept}
         return [config for config in self.configs if config.settings_key() not in kept]
-
-    def run(self, progress: bool = True) -> list[Run]:
-        """The runs that are not kept; missing ones are trained first."""
-        return ensure(self.missing, self.workers, progress)
-
-    def needs(self) -> Needs:
-        """Which views and runs `run` would make."""
-        return needs(self.missing)
 
     def trained_entries(
         self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None

@@ -19,6 +19,7 @@ from viewnet.recipes import make_config, repeats_viewnet
 from viewnet.runs.needs import Needs, needs
 from viewnet.runs.other_views import transferred
 from viewnet.runs.run_store import ensure, untrained
+from viewnet.tables import kept_predictions
 from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Entry, Table, by_robust_weights, entries
 
@@ -75,13 +76,18 @@ class Experiment(Request):
         """The number of seeds."""
         return "1 seed" if len(self.seeds) == 1 else f"mean of {len(self.seeds)} seeds"
 
+    @property
+    def to_run(self) -> list[RunConfig]:
+        """The runs whose networks or predictions are needed: those without results that are kept beside a table."""
+        return self.configs
+
     def run(self, progress: bool = True) -> list[Run]:
-        """Every run of the experiment; missing ones are trained first (viewnet.runs.run_store.ensure)."""
-        return ensure(self.configs, self.workers, progress)
+        """The runs of `to_run`; missing ones are trained first (viewnet.runs.run_store.ensure)."""
+        return ensure(self.to_run, self.workers, progress)
 
     def needs(self) -> Needs:
         """Which views and runs of the experiment's trainings are kept, and which `run` would make."""
-        return needs(self.configs)
+        return needs(self.to_run)
 
     def table(self, runs: Sequence[Run], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
         """The table of these runs, scored on all models of `eval_root` or, without one, on their own test views.
@@ -105,6 +111,13 @@ class Experiment(Request):
     def entries_of(self, run: Run) -> list[Entry]:
         """What a finished run adds to the table, without `eval_root`."""
         return [*entries(self.name, [run]), *by_robust_weights(self.name, [run])]
+
+    def kept_entries(self) -> list[Entry]:
+        """The entries of its runs that are kept beside its table. Raises ViewnetError for damaged files."""
+        path = self.folder / f"{self.name}.json"
+        found = kept_predictions.read(path).entries if path.with_suffix(".parquet").is_file() else ()
+        mine = {config.settings_key() for config in self.configs}
+        return [entry for entry in found if entry.origin.get("settings") in mine]
 
     @property
     def untrained_rows(self) -> list[str]:

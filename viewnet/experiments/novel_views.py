@@ -5,7 +5,7 @@ import pandas as pd
 from viewnet.config import RunConfig
 from viewnet.evaluation.run import Run
 from viewnet.experiments.cad import Experiment, up_to
-from viewnet.runs.needs import Needs, needs
+from viewnet.runs.needs import needs
 from viewnet.runs.run_store import ensure
 from viewnet.tables import novel_view_scores
 
@@ -35,9 +35,10 @@ class NovelViews(Experiment):
         """The most seeds of a row."""
         return up_to({*self.seeds, *self.kept["seed"]})
 
-    def needs(self) -> Needs:
-        """Which views and runs `run` would make."""
-        return needs(list(dict.fromkeys([*self.judges, *self.missing])))
+    @property
+    def to_run(self) -> list[RunConfig]:
+        """The judges, and the runs that are missing."""
+        return list(dict.fromkeys([*self.judges, *self.missing]))
 
     def run(self, progress: bool = True) -> list[Run]:
         """Train and score what is missing, one run after another; those to draw: see the class."""

@@ -125,7 +125,10 @@ class HeldOut:
 
 
 class OwnMethodExperiment(Experiment):
-    """The tables that methods are added to. CAD models to train on, and to score Table 1 on, are in `cad_root`."""
+    """The tables that methods are added to, trained runs as far as those have kept them.
+
+    CAD models to train on, and to score Table 1 on, are in `cad_root`.
+    """
 
     @functools.cached_property
     def tables(self) -> dict[str, Experiment]:
@@ -146,6 +149,18 @@ class OwnMethodExperiment(Experiment):
         """The runs of all tables, each once."""
         return list(dict.fromkeys(config for table in self.tables.values() for config in table.configs))
 
+    @functools.cached_property
+    def kept(self) -> dict[str, list[Entry]]:
+        """Table -> the entries of its runs that are kept beside it."""
+        return {name: table.kept_entries() for name, table in self.tables.items()}
+
+    @property
+    def to_run(self) -> list[RunConfig]:
+        """The runs that a table needs and has not kept."""
+        kept = {name: {entry.origin["settings"] for entry in entries} for name, entries in self.kept.items()}
+        parts = self.tables.items()
+        return list(dict.fromkeys(c for name, t in parts for c in t.configs if c.settings_key() not in kept[name]))
+
     @property
     def folder(self) -> Path:
         """Where the tables go: apart from the paper's."""
@@ -154,7 +169,7 @@ class OwnMethodExperiment(Experiment):
     def score(self, runs: Sequence[Run], submissions: Sequence[Submission]) -> dict[str, Table]:
         """Every table with a row for each method. Raises ViewnetError as `entries` does."""
         return {
-            name: with_methods(table, [run for run in runs if run.config in table.configs], submissions)
+            name: with_methods(table, [r for r in runs if r.config in table.configs], submissions, self.kept[name])
             for name, table in self.tables.items()
         }
 
@@ -172,9 +187,20 @@ def held_out(table: Experiment, category: str) -> HeldOut:
     return HeldOut(pd.concat(ids, ignore_index=True)[list(ID_COLUMNS)], stores)
 
 
-def with_methods(table: Experiment, runs: Sequence[Run], submissions: Sequence[Submission]) -> Table:
-    """The table of these runs with a row for each method below. Raises ViewnetError as `entries` does."""
-    return table.table(runs, entries(table, submissions), [submission.remark for submission in submissions])
+def with_methods(
+    table: Experiment, runs: Sequence[Run], submissions: Sequence[Submission], kept: Sequence[Entry] = ()
+) -> Table:
+    """The table of these runs with a row for each method below; `kept` are entries of its other runs.
+
+    Raises ViewnetError as `entries` does.
+    """
+    added, remarks = entries(table, submissions), [submission.remark for submission in submissions]
+    if not kept:
+        return table.table(runs, added, remarks)
+    known_runs = {entry.origin["settings"] for entry in kept}
+    others = [run for run in runs if run.config.settings_key() not in known_runs]
+    own = [*table.untrained(), *kept, *(entry for run in others for entry in table.entries_of(run))]
+    return table.table_of(own, added, remarks)
 
 
 def entries(table: Experiment, submissions: Sequence[Submission]) -> list[Entry]:
