@@ -112,21 +112,25 @@ class Robust(Procrustes):
         It starts from the least-squares rotation and from rotations about the vertical, twelve each, since predictions
         in two groups have several local minima; the least sum wins. Errors as in `fit_rotation`.
         """
-        best = first = fit_rotation(predicted, truth)
-        least = np.inf
-        turned, rows = cls.turned(truth), np.arange(len(truth))  # (order, N, 3), (N,)
-        for turn in map(_about_vertical, np.radians(np.arange(0, 360, 30))):
-            for rotation in (turn @ first, turn):
-                for _ in range(WEISZFELD_ROUNDS):
-                    distances = np.linalg.norm(predicted @ rotation.T - turned, axis=2)  # (order, N)
-                    nearest = turned[distances.argmin(axis=0), rows]  # (N, 3)
-                    # Bounded, or an exact fit would outweigh all others.
-                    weights = 1 / np.maximum(distances.min(axis=0), 0.01)  # (N,)
-                    rotation = _rotation((nearest * weights[:, None]).T @ predicted, weights.sum())  # (3, 3)
-                distances = np.linalg.norm(predicted @ rotation.T - turned, axis=2)  # (order, N)
-                if (total := float(distances.min(axis=0).sum())) < least:
-                    best, least = rotation, total
-        return cls._of(best, predicted, truth)
+        first, turned = fit_rotation(predicted, truth), cls.turned(truth)  # (3, 3), (order, N, 3)
+        turns = [_about_vertical(angle) for angle in np.radians(np.arange(0, 360, 30))]
+        rotations = np.stack([start for turn in turns for start in (turn @ first, turn)])  # (K, 3, 3)
+        # Of all t p^T, as |R p - t|^2 = |p|^2 + |t|^2 - 2 <R, t p^T>: products of matrices, however many rotations.
+        products = (turned[..., None] * predicted[:, None]).reshape(-1, 9)  # (order N, 9)
+        squares = np.square(turned).sum(axis=2) + np.square(predicted).sum(axis=1)  # (order, N)
+
+        def distances(rotations: Floats) -> Floats:  # (K, order, N)
+            alike = (rotations.reshape(-1, 9) @ products.T).reshape(-1, *squares.shape)
+            return np.sqrt(np.maximum(squares - 2 * alike, 0))
+
+        for _ in range(WEISZFELD_ROUNDS):
+            away = distances(rotations)
+            nearest = np.arange(cls.order)[:, None] == away.argmin(axis=1)[:, None]  # (K, order, N)
+            weights = (nearest / np.maximum(away, 0.01)).reshape(len(away), -1)  # or an exact fit would outweigh all
+            rotations = _rotations((weights @ products).reshape(-1, 3, 3), weights.sum(axis=1))
+        sums = distances(rotations).min(axis=1).sum(axis=1)  # (K,)
+        best = int(np.argmax(sums <= sums.min() * (1 + 1e-9)))  # the first of those that symmetry makes equal
+        return cls._of(rotations[best], predicted, truth)
 
     @classmethod
     def turned(cls, truth: Floats) -> Floats:
@@ -261,12 +265,19 @@ def _check(predicted: Floats, truth: Floats) -> None:
 
 def _rotation(correlation: Floats, count: float) -> Floats:
     """The rotation (3, 3) of the largest trace with sums (3, 3) of t p^T over `count` images; see `fit_rotation`."""
-    u, s, vt = np.linalg.svd(correlation)
-    if s[0] < 1e-9 * count:
+    return _rotations(correlation[None], np.array([count]))[0]
+
+
+def _rotations(correlations: Floats, counts: Floats) -> Floats:
+    """`_rotation` of several (K, 3, 3), over (K,) images: (K, 3, 3)."""
+    u, s, vt = np.linalg.svd(correlations)  # (K, 3, 3), (K, 3), (K, 3, 3)
+    if (s[:, 0] < 1e-9 * counts).any():
         raise ViewnetError("alignment: the calibration images determine no rotation: use more of them")
-    if s[1] < COLLAPSED * s[0]:
-        return _smallest_rotation(vt[0], u[:, 0])  # each of arbitrary sign, both together of the correlation's
-    return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]  # no reflections
+    rotations = u @ vt
+    for one in np.flatnonzero(s[:, 1] < COLLAPSED * s[:, 0]):  # arbitrary signs, both together the correlation's
+        rotations[one] = _smallest_rotation(vt[one, 0], u[one, :, 0])
+    return np.asarray(rotations)
 
 
 def _about_vertical(angle: float) -> Floats:
