@@ -126,8 +126,7 @@ class AlignmentStudy(PhotoExperiment):
     @cached_property
     def kept(self) -> list[Entry]:
         """The entries of trained predictors that are kept beside Table 3 of the same parameters."""
-        path = self.folder / f"{TABLE}.json"
-        found = kept_predictions.read(path).entries if path.with_suffix(".parquet").is_file() else ()
+        found = kept_predictions.entries(self.folder / f"{TABLE}.json")
         mine = {(config.variant, config.recipe, config.category) for config in self.configs}
         about = ("variant", "recipe", "category")
         return [entry for entry in found if tuple(entry.origin.get(name) for name in about) in mine]

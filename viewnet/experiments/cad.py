@@ -114,8 +114,7 @@ class Experiment(Request):
 
     def kept_entries(self) -> list[Entry]:
         """The entries of its runs that are kept beside its table. Raises ViewnetError for damaged files."""
-        path = self.folder / f"{self.name}.json"
-        found = kept_predictions.read(path).entries if path.with_suffix(".parquet").is_file() else ()
+        found = kept_predictions.entries(self.folder / f"{self.name}.json")
         mine = {config.settings_key() for config in self.configs}
         return [entry for entry in found if entry.origin.get("settings") in mine]
 

@@ -125,10 +125,7 @@ class HeldOut:
 
 
 class OwnMethodExperiment(Experiment):
-    """The tables that methods are added to, trained runs as far as those have kept them.
-
-    CAD models to train on, and to score Table 1 on, are in `cad_root`.
-    """
+    """The tables that methods are added to. CAD models to train on, and to score Table 1 on, are in `cad_root`."""
 
     @functools.cached_property
     def tables(self) -> dict[str, Experiment]:

@@ -62,9 +62,7 @@ class Replication:
         """
         queue = cls([experiment(name, **(parameters | own)) for name, own in parts])
         for request in queue.requests:
-            path = _file(request)
-            if path.with_suffix(".parquet").is_file():
-                queue._add(request, kept_predictions.read(path).entries)
+            queue._add(request, kept_predictions.entries(_file(request)))
         return queue
 
     def _add(self, request: Experiment, entries: Sequence[Entry]) -> None:

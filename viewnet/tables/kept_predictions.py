@@ -52,6 +52,11 @@ def read(path: Path) -> Table:
         raise ViewnetError(f"{path}: not a table with its predictions ({error}): make it again") from error
 
 
+def entries(path: Path) -> tuple[Entry, ...]:
+    """The entries of the table at `path`; none where no predictions are kept beside it. Errors as `read`."""
+    return read(path).entries if path.with_suffix(".parquet").is_file() else ()
+
+
 def remade(path: Path) -> Table:
     """As `read`, its cells measured again from the predictions, or ViewnetError where these are not kept."""
     if not path.with_suffix(".parquet").is_file():
