@@ -29,8 +29,8 @@ from viewnet.tables.layouts import LAYOUTS
 from viewnet.tables.table import Table
 
 __all__ = [
-    "HEADINGS", "ROOT", "TABLES", "claims_by_verdict", "claims_explained", "definitions", "frame", "markdown",
-    "methods", "pd", "printed_recipe", "recipes_compared", "remade", "score", "scores", "tables_1_and_2", "trainings",
+    "HEADINGS", "ROOT", "TABLES", "claims_by_verdict", "claims_explained", "definitions", "frame", "kept",
+    "markdown", "methods", "pd", "printed_recipe", "recipes_compared", "score", "scores", "tables_1_and_2", "trainings",
     "value", "what_is_lost",
 ]  # fmt: skip
 
@@ -51,9 +51,9 @@ def frame(file: str, **where: object) -> pd.DataFrame:
 
 
 @functools.cache
-def remade(file: str) -> Table:
-    """The table of a JSON file in `paper_tables/`, from the predictions beside it."""
-    return kept_predictions.remade(TABLES / file)
+def kept(file: str) -> Table:
+    """The table of a JSON file in `paper_tables/`, with the predictions beside it."""
+    return kept_predictions.read(TABLES / file)
 
 
 def value(file: str, column: str = "measured", **where: object) -> float:
@@ -149,7 +149,7 @@ def recipes_compared(files: Mapping[str, Sequence[str]], row: str = "ViewNet") -
         replace(entry, origin=entry.origin | {"recipe": recipe})
         for recipe, names in files.items()
         for name in names
-        for entry in remade(name).entries
+        for entry in kept(name).entries
         if entry.row == row
     ]
     return Table.of("table2_ablation", entries)
@@ -210,7 +210,7 @@ def judged() -> list[claims.Judged]:
 
 def printed_recipe() -> str:
     """What the paper's own recipe has on cars, by the released code's error and truly."""
-    cars = definitions.of_seeds(remade("tiny-paper-viewnet/table2_ablation.json")).query("category == 'car'")
+    cars = definitions.of_seeds(kept("tiny-paper-viewnet/table2_ablation.json")).query("category == 'car'")
     folded, true = (", ".join(f"{x:.0f}" for x in cars[f"{name}_acc30"]) for name in ("folded", "geodesic"))
     return f"""The paper's own recipe, after a million images, has {folded} % of cars right where opposite sides count
 as one (reported: 89), and {true} % truly, from three seeds ([why](docs/recipes.md#the-recipe-paper))."""

@@ -87,10 +87,10 @@ def test_bootstrap_resamples_objects_not_images():
     # Ten objects of fifty views that are all right or all wrong: as uncertain as ten coin tosses, not as five hundred.
     objects = np.repeat([f"m{i}" for i in range(10)], 50)
     errors = np.repeat([5.0, 90.0] * 5, 50)
-    low, high = metrics.bootstrap_intervals([errors], [objects], np.random.default_rng(0))["acc30"]
+    low, high = metrics.bootstrap_intervals([errors], [objects])["acc30"]
     assert (low, high) == (pytest.approx(20, abs=5), pytest.approx(80, abs=5))
     images = np.array([f"m{i}" for i in range(500)])
-    low, high = metrics.bootstrap_intervals([errors], [images], np.random.default_rng(0))["acc30"]
+    low, high = metrics.bootstrap_intervals([errors], [images])["acc30"]
     assert (low, high) == (pytest.approx(45.6, abs=1.5), pytest.approx(54.4, abs=1.5))
 
 
@@ -99,9 +99,9 @@ def test_bootstrap_of_several_runs_takes_the_same_objects_in_each():
     objects = np.array([f"m{i}" for i in range(40)])
     one = np.where(np.arange(40) % 2, 5.0, 90.0)
     runs = [one, 95 - one] * 20
-    low, high = metrics.bootstrap_intervals(runs, [objects] * 40, np.random.default_rng(0))["acc30"]
+    low, high = metrics.bootstrap_intervals(runs, [objects] * 40)["acc30"]
     assert 45 < low < 50 < high < 55
-    alone = metrics.bootstrap_intervals([one], [objects], np.random.default_rng(0))["acc30"]
+    alone = metrics.bootstrap_intervals([one], [objects])["acc30"]
     assert alone[0] < 40 < 60 < alone[1]
 
 
@@ -109,24 +109,24 @@ def test_bootstrap_resamples_runs():
     # Each run is all right or all wrong, whatever the objects: four coin tosses, which may all show one side.
     objects = [np.array([f"m{i}" for i in range(40)])] * 4
     errors = [np.full(40, error) for error in (5.0, 5.0, 90.0, 90.0)]
-    assert metrics.bootstrap_intervals(errors, objects, np.random.default_rng(0))["acc30"] == (0, 100)
+    assert metrics.bootstrap_intervals(errors, objects)["acc30"] == (0, 100)
     assert metrics.mean_interval([100.0 * (e < 30) for e in errors], objects) == (0, 100)
 
 
-def test_bootstrap_is_a_function_of_its_generator_and_not_of_the_row_order():
+def test_bootstrap_is_a_function_of_its_seed_and_not_of_the_row_order():
     rng = np.random.default_rng(0)
     errors, objects = rng.uniform(0, 180, 60), np.repeat([f"m{i}" for i in range(20)], 3)
     args = [errors], [objects]
-    one = metrics.bootstrap_intervals(*args, np.random.default_rng(1))
-    assert one == metrics.bootstrap_intervals(*args, np.random.default_rng(1))
-    assert one != metrics.bootstrap_intervals(*args, np.random.default_rng(2))
+    one = metrics.bootstrap_intervals(*args, seed=1)
+    assert one == metrics.bootstrap_intervals(*args, seed=1)
+    assert one != metrics.bootstrap_intervals(*args, seed=2)
     order = rng.permutation(60)
-    assert one == metrics.bootstrap_intervals([errors[order]], [objects[order]], np.random.default_rng(1))
+    assert one == metrics.bootstrap_intervals([errors[order]], [objects[order]], seed=1)
     assert one["acc30"][0] <= metrics.accuracy(errors, 30) <= one["acc30"][1]
 
 
 def test_a_single_object_has_no_interval():
-    none = metrics.bootstrap_intervals([np.ones(5)], [np.array(["m"] * 5)], np.random.default_rng(0))
+    none = metrics.bootstrap_intervals([np.ones(5)], [np.array(["m"] * 5)])
     assert none == {"acc30": None, "median": None}
 
 
@@ -141,26 +141,22 @@ def test_intervals_of_dva_are_those_of_resampled_objects():
         rows = np.concatenate([np.flatnonzero(objects == f"m{i:02}") for i in taken])
         draws.append(metrics.dva(errors[rows], azimuths[rows]))
     found = metrics.bootstrap_intervals(
-        [errors], [objects], np.random.default_rng(3), 50, statistics=("acc30", "dva"), azimuths=[azimuths]
+        [errors], [objects], 50, statistics=("acc30", "dva"), azimuths=[azimuths], seed=3
     )
     assert found["dva"] == pytest.approx(tuple(np.percentile(draws, [2.5, 97.5])))
-    assert found["acc30"] == metrics.bootstrap_intervals([errors], [objects], np.random.default_rng(3), 50)["acc30"]
+    assert found["acc30"] == metrics.bootstrap_intervals([errors], [objects], 50, seed=3)["acc30"]
 
 
 def test_bins_that_a_draw_leaves_empty_do_not_count_as_wrong():
     # One object in a bin of its own: half of the draws or so leave it out, and all that is left is right.
     azimuths, objects = np.array([15.0] * 9 + [195.0]), np.array([f"m{i}" for i in range(10)])
-    found = metrics.bootstrap_intervals(
-        [np.ones(10)], [objects], np.random.default_rng(0), statistics=("dva",), azimuths=[azimuths]
-    )
+    found = metrics.bootstrap_intervals([np.ones(10)], [objects], statistics=("dva",), azimuths=[azimuths])
     assert found["dva"] == (100, 100)
 
 
 def test_dva_intervals_need_azimuths():
     with pytest.raises(ViewnetError, match="dva of 1 runs needs"):
-        metrics.bootstrap_intervals(
-            [np.ones(4)], [np.array(list("abcd"))], np.random.default_rng(0), statistics=("dva",)
-        )
+        metrics.bootstrap_intervals([np.ones(4)], [np.array(list("abcd"))], statistics=("dva",))
 
 
 def test_the_interval_of_a_mean_is_that_of_an_accuracy():
@@ -169,7 +165,7 @@ def test_the_interval_of_a_mean_is_that_of_an_accuracy():
     hits = [(rng.random(60) < 0.5).astype(float) * 100 for _ in range(2)]
     errors = [np.where(hit > 0, 0.0, 90.0) for hit in hits]  # acc30 is then the mean of the hits
     low, high = metrics.mean_interval(hits, objects, 4000)
-    wanted = metrics.bootstrap_intervals(errors, objects, np.random.default_rng(0), 4000)["acc30"]
+    wanted = metrics.bootstrap_intervals(errors, objects, 4000)["acc30"]
     assert np.allclose([low, high], wanted, atol=1.0)
     assert metrics.mean_interval([hits[0][:3]], [objects[0][:3]]) is None
     assert metrics.mean_interval([np.full(60, np.nan)], objects[:1]) is None

@@ -96,9 +96,9 @@ def evaluate(
     """
     aligned = align(predictions, alignment, calibration, seed)
     test, errors = aligned.predictions, aligned.selected_errors
-    rng, azimuths = np.random.default_rng(seed), test.ids["azimuth"].to_numpy()
+    azimuths = test.ids["azimuth"].to_numpy()
     statistics = ("acc30", "median", "dva")
-    intervals = metrics.bootstrap_intervals([errors], [test.objects], rng, draws, statistics, azimuths=[azimuths])
+    intervals = metrics.bootstrap_intervals([errors], [test.objects], draws, statistics, [azimuths], seed)
     best = aligned.errors.argmin(axis=1)  # (N,)
     level = metrics.geodesic_error(aligned.selected, test.truth)  # (N,), without in-plane rotation
     audit = {"vector": metrics.vector_error(aligned.selected, test.truth)}

@@ -3,8 +3,8 @@
 The error is the geodesic angle between camera frames. Other definitions are for the audit of reported numbers only.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -140,10 +140,10 @@ def summary(errors: Floats, azimuths: Floats) -> dict[str, float]:
 def bootstrap_intervals(
     errors: Sequence[Floats],
     objects: Sequence[NDArray[Any]],
-    rng: np.random.Generator,
     draws: int = 1000,
     statistics: Sequence[str] = ("acc30", "median"),
     azimuths: Sequence[Floats] = (),
+    seed: int = 0,
 ) -> dict[str, tuple[float, float] | None]:
     """95 % percentile intervals of statistics by resampling runs (seeds) and objects.
 
@@ -157,8 +157,7 @@ def bootstrap_intervals(
     names, owners = _owners(objects)
     if len(names) < 2 or not statistics:
         return dict.fromkeys(statistics)
-    drawn = list(_resamples(len(names), len(errors), rng, draws))
-    times, shares = (np.stack(part) for part in zip(*drawn, strict=True))  # (draws, K), (draws, R)
+    times, shares, _ = _resamples(len(names), len(errors), draws, seed)  # (draws, K), (draws, R)
     values: dict[str, list[Floats]] = {name: [] for name in statistics}  # for each run (draws,)
     for run, (error, owner) in enumerate(zip(errors, owners, strict=True)):
         bins = azimuth_bins(azimuths[run]) if "dva" in statistics else None
@@ -208,12 +207,9 @@ def mean_interval(
     names, owners = _owners(objects)
     if len(names) < 2 or any(np.isnan(v).any() for v in values):
         return None
-    rng = np.random.default_rng(0)
-    drawn = _resamples(len(names), len(values), rng, draws)
-    times, shares = (np.stack(part).astype(np.float64) for part in zip(*drawn, strict=True))  # (draws, K), (draws, R)
+    times, shares, others = _resamples(len(names), len(values), draws, 0, len(minus))  # (draws, K), R and R' beside it
     means = _means(values, owners[: len(values)], times, shares)  # (draws,)
     if minus:
-        others = np.stack([share for _, share in _resamples(1, len(minus), rng, draws)])  # (draws, R')
         means -= _means(minus, owners[len(values) :], times, others)
     low, high = np.percentile(means, [2.5, 97.5])  # of 95 %
     return float(low), float(high)
@@ -231,14 +227,29 @@ def _means(values: Sequence[Floats], owners: Sequence[NDArray[np.intp]], times: 
     return np.sum(shares.T * means, axis=0)  # (draws,)
 
 
+@lru_cache(maxsize=16)  # rows of one table have the same objects
 def _resamples(
-    objects: int, runs: int, rng: np.random.Generator, draws: int
-) -> Iterator[tuple[NDArray[np.intp], Floats]]:
-    """For each draw how often each object is drawn, with replacement, (objects,), and the share of each run (runs,)."""
-    for _ in range(draws):
-        times = np.bincount(rng.integers(objects, size=objects), minlength=objects)
-        taken = rng.integers(runs, size=runs) if runs > 1 else np.zeros(1, dtype=np.intp)
-        yield times, np.bincount(taken, minlength=runs) / runs
+    objects: int, runs: int, draws: int, seed: int, others: int = 0
+) -> tuple[NDArray[np.intp], Floats, Floats]:
+    """How often each draw takes each object, with replacement, (draws, objects), and the shares of runs (draws, runs).
+
+    Then those of the runs of another row, (draws, others).
+    """
+    rng = np.random.default_rng(seed)
+    times, (shares, other_shares) = np.empty((draws, objects), np.intp), (np.empty((draws, n)) for n in (runs, others))
+    for of_objects, of_runs in zip(times, shares, strict=True):
+        of_objects[:] = np.bincount(rng.integers(objects, size=objects), minlength=objects)
+        of_runs[:] = _shares(runs, rng)
+    for of_runs in other_shares if others else ():
+        of_runs[:] = _shares(others, rng)
+    for array in (times, shares, other_shares):
+        array.flags.writeable = False  # it is kept
+    return times, shares, other_shares
+
+
+def _shares(runs: int, rng: np.random.Generator) -> Floats:
+    """The share of each of so many runs (runs,) in a draw of as many, with replacement."""
+    return np.bincount(rng.integers(runs, size=runs), minlength=runs) / runs
 
 
 def _owners(objects: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], list[NDArray[np.intp]]]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,7 @@ class Predictions:
         """(N, 3) view vectors of the selected hypotheses, in the predictor's own frame."""
         return self.hypotheses[np.arange(len(self)), self.choice]
 
-    @property
+    @cached_property
     def truth(self) -> Floats:
         """(N, 3) true view vectors."""
         return true_vectors(self.ids)
@@ -201,7 +202,8 @@ def _checked_ids(ids: pd.DataFrame) -> pd.DataFrame:
     for name in ID_COLUMNS:
         # A number in place of text is an id that has lost its leading zeros.
         kind = "text" if name in ("model_id", "category", "split") else "numbers"
-        if not (is_text(ids[name]).all() if kind == "text" else pd.api.types.is_numeric_dtype(ids[name])):
+        found = pd.api.types.infer_dtype(ids[name].astype(object), skipna=False)
+        if not (found == "string" if kind == "text" else pd.api.types.is_numeric_dtype(ids[name])):
             raise ViewnetError(f"predictions: column {name!r} holds values that are not {kind}")
     views = ids["view"].to_numpy(dtype=np.float64)
     if not (np.abs(views) < 2**53).all() or (views % 1).any():  # doubles hold every whole number below

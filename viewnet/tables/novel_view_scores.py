@@ -210,7 +210,7 @@ def _lines(
         each = [seed[metric].to_numpy(np.float64) for seed in scored]
         values[metric] = [float(e.mean()) for e in each], metrics.mean_interval(each, objects, draws)
     for kind, seeds in errors.items():
-        bounds = metrics.bootstrap_intervals(seeds, objects, np.random.default_rng(0), draws)
+        bounds = metrics.bootstrap_intervals(seeds, objects, draws)
         for statistic in columns.HEADLINE:
             values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in seeds], bounds[statistic]
     parts = {m: columns.measured(*values.get(m, ([np.nan], None)), objects) for m in columns.NOVEL_VIEWS}

@@ -344,8 +344,7 @@ def _measure(seeds: Sequence[Entry], row_metrics: Sequence[str]) -> dict[str, di
     objects = [one.predictions.objects for one in aligned]
     azimuths = [one.predictions.ids["azimuth"].to_numpy() for one in aligned]
     statistics = [metric for metric in row_metrics if metric != "confidence_index"]
-    rng = np.random.default_rng(0)
-    intervals = metrics.bootstrap_intervals(errors, objects, rng, DRAWS, statistics=statistics, azimuths=azimuths)
+    intervals = metrics.bootstrap_intervals(errors, objects, DRAWS, statistics, azimuths)
     values = list(map(metrics.summary, errors, azimuths))  # metric -> value, for each seed
     degenerate = sum(isinstance(one.alignment, Procrustes) and one.alignment.degenerate for one in aligned)
     return {
