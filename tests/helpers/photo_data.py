@@ -11,12 +11,16 @@ import pytest
 from PIL import Image
 
 from viewnet.config import CATEGORIES, PhotoConfig
+from viewnet.data import augment
 from viewnet.data.store import ViewStore, write_store
 from viewnet.evaluation import features
 
 
 def keep_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Put runs, data, tables and weights of a test into `tmp_path`, whatever the environment; small features."""
+    """Put runs, data, tables and weights of a test into `tmp_path`, whatever the environment; small features.
+
+    And few backgrounds, as a thousand take ten seconds to draw.
+    """
     monkeypatch.delenv("VIEWNET_PROFILE", raising=False)
     for name in ("VIEWNET_VGG16_WEIGHTS", "VIEWNET_SQUEEZENET_WEIGHTS"):
         monkeypatch.delenv(name, raising=False)
@@ -24,6 +28,7 @@ def keep_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         monkeypatch.setenv(f"VIEWNET_{name}", str(tmp_path / name.lower()))
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
     monkeypatch.setattr(features, "SIZE", 32)
+    monkeypatch.setattr(augment, "COUNT", 20)
     return tmp_path
 
 
