@@ -278,7 +278,7 @@ def test_every_committed_setting_has_a_title(committed):
     assert named == set(page.RULES["titles"])
 
 
-UNCOMMITTED = {("objectron", ""): 4}
+UNCOMMITTED: dict[tuple[str, str], int] = {}
 """Runs of code that was not committed, to be made again: none may be added."""
 
 
