@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from types import MethodType
 
 import numpy as np
@@ -13,6 +14,8 @@ from skimage.metrics import structural_similarity
 
 from viewnet.data.store import write_store
 from viewnet.errors import ViewnetError
+from viewnet.evaluation import metrics
+from viewnet.geometry import view_vector
 from viewnet.model.viewnet import Hypotheses
 from viewnet.render import render_mesh
 from viewnet.tables import novel_view_scores
@@ -92,6 +95,24 @@ def test_what_a_variant_does_not_draw_is_not_scored(store):
     assert masks["iou"].notna().all()
 
 
+def test_the_hypothesis_that_reconstructs_best_need_not_be_the_closest(one_shape):
+    """Of the truth, and the same seen from a quarter turn away: a volume that is turned so too prefers the other."""
+    found = {}
+    for turned_by in (0, 90):
+        renderer = knowing(untrained_renderer(one_shape, turned(0), render_size=32), turned_by)
+        predictions = renderer.aligned.predictions
+        azimuths = predictions.ids[["azimuth"]].to_numpy() + np.array([90, 0])  # (N, 2)
+        elevations = np.repeat(predictions.ids[["elevation"]].to_numpy(), 2, axis=1)
+        vectors = view_vector(torch.from_numpy(azimuths), torch.from_numpy(elevations)).numpy()
+        errors = metrics.geodesic_error(vectors, np.repeat(predictions.truth[:, None], 2, axis=1))
+        seen = replace(predictions, hypotheses=vectors, logits=np.zeros(vectors.shape[:2]))
+        renderer = replace(renderer, aligned=replace(renderer.aligned, predictions=seen, errors=errors))
+        found[turned_by] = novel_view_scores.of_hypotheses(renderer)
+    assert (found[0]["closest"] < 1).all() and (found[90]["closest"] < 1).all()
+    assert (found[0]["reconstructing"] < 1).mean() > 0.8
+    assert (found[90]["reconstructing"] > 60).mean() > 0.8
+
+
 @pytest.mark.parametrize(("reads", "median"), [(True, 0.0), (False, 90.0)])
 def test_consistency_is_how_well_the_drawing_tells_its_viewpoint(store, reads, median):
     renderer = untrained_renderer(store)
@@ -149,7 +170,7 @@ def test_cells_are_those_of_a_table(store, tmp_path):
     files = novel_view_scores.write(result, folder, "one & two")
     assert [file.name for file in files] == ["novel_views.tex", "novel_views.csv"]
     tex = files[0].read_text()
-    assert tex.count("&") == 7 * 4 + 1 and "one \\& two" in tex and tex.count("\\midrule") == 1
+    assert tex.count("&") == 9 * 4 + 1 and "one \\& two" in tex and tex.count("\\midrule") == 1
     line = next(line for line in tex.splitlines() if line.startswith("Segmentation Target"))
     assert line.split(" & ")[1] == "--" and line.split(" & ")[3] != "--"
     saved = pd.read_csv(files[1], keep_default_na=False, na_values=[""])

@@ -207,7 +207,8 @@ def mean_interval(
     names, owners = _owners(objects)
     if len(names) < 2 or any(np.isnan(v).any() for v in values):
         return None
-    times, shares, others = _resamples(len(names), len(values), draws, 0, len(minus))  # (draws, K), R and R' beside it
+    drawn, shares, others = _resamples(len(names), len(values), draws, 0, len(minus))  # (draws, K), (draws, R or R')
+    times = drawn.astype(np.float64)
     means = _means(values, owners[: len(values)], times, shares)  # (draws,)
     if minus:
         means -= _means(minus, owners[len(values) :], times, others)

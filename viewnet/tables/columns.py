@@ -11,7 +11,10 @@ HEADLINE = ("acc30", "median")
 """The two metrics of the paper's tables."""
 FIDELITY = ("psnr", "ssim", "iou")
 """The metrics of rendered novel views against the test views."""
-NOVEL_VIEWS = (*FIDELITY, "consistency_acc30", "consistency_median", "judged_acc30", "judged_median")
+NOVEL_VIEWS = (
+    *FIDELITY, "consistency_acc30", "consistency_median", "judged_acc30", "judged_median",
+    "reconstructing_acc30", "misled",
+)  # fmt: skip
 """The metrics of novel views, from left to right (viewnet.tables.novel_view_scores)."""
 DASH = "--"
 """Stands where nothing was reported or measured."""
@@ -49,6 +52,10 @@ METRICS = {
         "Rendered views whose viewpoint ViewNet's network predicts within 30°, %"),
     "judged_median": Column("judged inconsistency, median degrees", r"judged med ($^\circ$) $\downarrow$",
         "Error of ViewNet's network on rendered views, median degrees", lower_is_better=True),
+    "reconstructing_acc30": Column("best reconstructing hypothesis within 30, %", r"best rec.\ acc (\%) $\uparrow$",
+        "Views whose hypothesis that reconstructs them best is within 30°, %"),
+    "misled": Column("misled by reconstruction, %", r"misled (\%) $\downarrow$",
+        "Views that another hypothesis than the closest reconstructs best, %", lower_is_better=True),
 }  # fmt: skip
 """Metric -> its column."""
 

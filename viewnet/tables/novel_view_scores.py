@@ -8,6 +8,8 @@ half. Empty space counts as right, so the scores are to be compared with the row
 Consistency: the error of a viewpoint network on objects rendered from random viewpoints. The model's own network may
 share a private code with its decoder, so the category's ViewNet judges too, aligned on the other half of the objects.
 
+Hypotheses: the one that reconstructs a view best, from the next view's appearance, and the one closest to the truth.
+
 The HoloGAN decoder has no mask: no IoU. A network trained on masks alone learns no colours: neither PSNR nor SSIM.
 
 The scores of every run are kept, so that seeds can be added where its network is gone:
@@ -31,6 +33,7 @@ from viewnet.evaluation import alignment, metrics
 from viewnet.evaluation.predictions import Floats, read_parquet, true_vectors, write_compact
 from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
+from viewnet.model.reconstruction import compare as compare_heads
 from viewnet.runtime import provenance
 from viewnet.runtime.files import read_csv, write_csv, write_text
 from viewnet.runtime.images import tight_crop
@@ -44,8 +47,10 @@ KEPT = "novel_views.parquet"
 VIEW = ("model_id", "view")
 RUN = ("variant", "category", "seed", "run", "settings", "commit")
 """What says whose scores they are: all but category and seed empty of COPY."""
-SCORES = {**dict.fromkeys(columns.FIDELITY, 4), "consistency": 2, "judged": 2}
+SCORES = {**dict.fromkeys(columns.FIDELITY, 4), "consistency": 2, "judged": 2, "reconstructing": 2, "closest": 2}
 """The scores of a view, and the digits that are kept: PSNR, SSIM and IoU, and errors of viewpoints in degrees."""
+ERRORS = ("consistency", "judged", "reconstructing")
+"""The errors whose accuracy and median are metrics."""
 HIGHEST = 100.0  # dB: the PSNR of equal images
 DRAWS = 1000  # of the bootstrap, as for the other tables
 
@@ -89,6 +94,24 @@ def compare(rendered: Tensor, target: Tensor) -> pd.DataFrame:
         # Two empty masks are equal.
         lines.append({"psnr": psnr, "ssim": float(ssim), "iou": (mask & true_mask).sum() / union if union else 1.0})
     return pd.DataFrame(lines, columns=list(columns.FIDELITY))
+
+
+@torch.no_grad()
+def of_hypotheses(renderer: RunRenderer) -> dict[str, Floats]:
+    """Errors (N,), degrees, of each test view's hypothesis that reconstructs it best, and of the one that is closest.
+
+    Reconstructed from the object's next view, and compared as heads are in training (equation 2).
+    """
+    predictions, own = renderer.aligned.predictions, []
+    vectors = torch.tensor(predictions.hypotheses).float()  # (N, M, 3)
+    ups = None if predictions.ups is None else torch.tensor(predictions.ups).float()  # (N, M, 3)
+    for rows in map(Tensor.tolist, torch.arange(len(renderer)).split(BATCH)):
+        candidates, up = vectors[rows][:, :, None], None if ups is None else ups[rows]  # (B, M, 1, 3), (B, M, 3)
+        objects, target = renderer.encode(renderer.next_views(rows)), renderer.images(rows)
+        own.append(compare_heads(renderer.network, objects, candidates, up, target, renderer.config.train)[1])
+    best = torch.cat(own).argmin(1).numpy()  # (N,)
+    errors = renderer.aligned.errors
+    return {"reconstructing": errors[np.arange(len(errors)), best], "closest": errors.min(axis=1)}
 
 
 @torch.no_grad()
@@ -142,6 +165,7 @@ def scores(run: Run, judge: Run | None = None, stores: Stores = own_views) -> pd
     commit = provenance.in_words(run.result.get("git") or {})
     about = (config.variant, config.category, config.seed, run.key, config.settings_key(), commit)
     errors = {"consistency": consistency(renderer), "judged": consistency(renderer, judges[0]) if judges else np.nan}
+    errors |= of_hypotheses(renderer)
     return fidelity(renderer).assign(**dict(zip(RUN, about, strict=True)), **errors)[[*RUN, *VIEW, *SCORES]]
 
 
@@ -149,7 +173,8 @@ def copied(run: Run, stores: Stores = own_views) -> pd.DataFrame:
     """The same of COPY, of a run's views and size."""
     about = dict.fromkeys(RUN, "") | {"category": run.config.category, "seed": 0}
     (renderer,) = renderers([run], stores)
-    return fidelity(renderer, copy=True).assign(**about, consistency=np.nan, judged=np.nan)[[*RUN, *VIEW, *SCORES]]
+    found = fidelity(renderer, copy=True).assign(**about)
+    return found.reindex(columns=[*RUN, *VIEW, *SCORES])
 
 
 def read(folder: Path) -> pd.DataFrame:
@@ -181,7 +206,7 @@ def cells(kept: pd.DataFrame, draws: int = DRAWS) -> pd.DataFrame:
     lines: list[dict[str, object]] = []
     for (category, variant), rows in kept.groupby(["category", "variant"], sort=False):
         seeds = [seed for _, seed in rows.groupby("seed")]
-        errors = {kind: [seed[kind].to_numpy(np.float64) for seed in seeds] for kind in ("consistency", "judged")}
+        errors = {kind: [seed[kind].to_numpy(np.float64) for seed in seeds] for kind in ERRORS}
         known = {kind: values for kind, values in errors.items() if not np.isnan(values[0]).any()}
         about = {"row": LABELS.get(variant, COPY), "variant": variant, "category": category}
         lines += _lines(about, " ".join(filter(None, rows["run"].unique())), seeds, known, draws)
@@ -213,5 +238,8 @@ def _lines(
         bounds = metrics.bootstrap_intervals(seeds, objects, draws)
         for statistic in columns.HEADLINE:
             values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in seeds], bounds[statistic]
+    misled = [100.0 * (seed["reconstructing"] > seed["closest"]).to_numpy() for seed in scored]
+    if "reconstructing" in errors:
+        values["misled"] = [float(m.mean()) for m in misled], metrics.mean_interval(misled, objects, draws)
     parts = {m: columns.measured(*values.get(m, ([np.nan], None)), objects) for m in columns.NOVEL_VIEWS}
     return [{**about, "metric": metric, **part, "runs": keys} for metric, part in parts.items()]
