@@ -265,9 +265,12 @@ COLLECTED: Changes = {"data": {"models": 0}}
 
 FILMED: dict[str, Changes] = {
     # All frames of the 48 Freiburg cars, 5800 views: with and without cycles side by side in about ten minutes.
-    "tiny": {"train": {"epochs": 14}}
+    "tiny": {"train": {"epochs": 14}},
+    # Few objects, filmed at eye level: a wide code has room for a frame of its own for each of them, and from the front
+    # left and the rear left silhouettes are alike, so that colours must count for more. See docs/recipes.md.
+    "photos": {"model": {"appearance_size": 8}, "train": {"pixel_weight": 1.0, "mask_weight": 0.3}},
 }
-"""What a profile changes only for videos."""
+"""What a profile, or a recipe that does not start from other weights, changes only for videos."""
 
 
 def make_config(
@@ -299,13 +302,15 @@ def make_config(
         recipe = "peer_photos" if "photos" in recipe else "peer"
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
         raise ViewnetError(f"seed {seed!r}: expected a whole number of 0 or more")
+    filmed, started = (overrides.get(name) is not None for name in ("video", "start"))
     changes = [
         {"data": {"category": category, "root": data_root, "splits": splits}, "model": {}, "train": {}},
         (RECIPES | PEER_RECIPES)[recipe],
         PROFILES[profile],
         TOGETHER.get((profile, recipe), {}),
-        FILMED.get(profile, {}) if overrides.get("video") is not None else {},
-        STARTED if overrides.get("start") is not None else {},
+        FILMED.get(profile, {}) if filmed else {},
+        FILMED.get(recipe, {}) if filmed and not started else {},
+        STARTED if started else {},
         (VARIANTS | PEERS)[variant],
         BRIEF if "epochs" in (VARIANTS | PEERS)[variant].get("train", {}) and profile == "smoke" else {},
         COLLECTED if data_root is not None and profile != "smoke" else {},
