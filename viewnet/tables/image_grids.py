@@ -21,8 +21,6 @@ from viewnet.evaluation.evaluate import Aligned
 from viewnet.evaluation.predictions import Floats
 from viewnet.evaluation.run import Run, run_name
 from viewnet.geometry import look_at, view_vector
-from viewnet.model.reconstruction import compare
-from viewnet.runtime.images import resize
 from viewnet.tables import plots
 from viewnet.tables.layouts import LABELS
 from viewnet.tables.run_renderer import RunRenderer, Stores, own_views, renderers
@@ -123,13 +121,9 @@ def candidate_figure(runs: Sequence[Run], stores: Stores = own_views, count: int
 @torch.no_grad()
 def candidates(renderer: RunRenderer, rows: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """Reconstruction errors (N, M) of N test views by M heads, as in training, and the images (N, M, S, S, 3) uint8."""
-    config = renderer.network.config
-    found = renderer.aligned.predictions.take(rows)
-    vectors = torch.tensor(found.hypotheses, dtype=torch.float32, device=renderer.device)  # (N, M, 3)
-    ups = None if found.ups is None else torch.tensor(found.ups, dtype=torch.float32, device=renderer.device)
+    vectors, ups = renderer.heads(rows)  # (N, M, 3)
     objects = renderer.encode(renderer.next_views(rows))  # never from the target itself, as in training
-    target = resize(renderer.images(rows, config.input_size), config.render_size)  # as training makes them
-    errors = compare(renderer.network, objects, vectors[:, :, None], ups, target, renderer.config.train)[1]  # (N, M)
+    errors = renderer.reconstruction_errors(objects, rows)  # (N, M)
     images = renderer.displayed(renderer.render(objects, look_at(vectors, ups).flatten(0, 1)))  # (N M, S, S, 3)
     return errors.cpu().numpy(), images.reshape(*errors.shape, *images.shape[1:])
 

@@ -33,7 +33,6 @@ from viewnet.evaluation import alignment, metrics
 from viewnet.evaluation.predictions import Floats, read_parquet, true_vectors, write_compact
 from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
-from viewnet.model.reconstruction import compare as compare_heads
 from viewnet.runtime import provenance
 from viewnet.runtime.files import read_csv, write_csv, write_text
 from viewnet.runtime.images import tight_crop
@@ -96,20 +95,14 @@ def compare(rendered: Tensor, target: Tensor) -> pd.DataFrame:
     return pd.DataFrame(lines, columns=list(columns.FIDELITY))
 
 
-@torch.no_grad()
 def of_hypotheses(renderer: RunRenderer) -> dict[str, Floats]:
     """Errors (N,), degrees, of each test view's hypothesis that reconstructs it best, and of the one that is closest.
 
     Reconstructed from the object's next view, and compared as heads are in training (equation 2).
     """
-    predictions, own = renderer.aligned.predictions, []
-    vectors = torch.tensor(predictions.hypotheses).float()  # (N, M, 3)
-    ups = None if predictions.ups is None else torch.tensor(predictions.ups).float()  # (N, M, 3)
-    for rows in map(Tensor.tolist, torch.arange(len(renderer)).split(BATCH)):
-        candidates, up = vectors[rows][:, :, None], None if ups is None else ups[rows]  # (B, M, 1, 3), (B, M, 3)
-        objects, target = renderer.encode(renderer.next_views(rows)), renderer.images(rows)
-        own.append(compare_heads(renderer.network, objects, candidates, up, target, renderer.config.train)[1])
-    best = torch.cat(own).argmin(1).numpy()  # (N,)
+    parts = map(Tensor.tolist, torch.arange(len(renderer)).split(BATCH))
+    own = [renderer.reconstruction_errors(renderer.encode(renderer.next_views(rows)), rows) for rows in parts]
+    best = torch.cat(own).argmin(1).cpu().numpy()  # (N,)
     errors = renderer.aligned.errors
     return {"reconstructing": errors[np.arange(len(errors)), best], "closest": errors.min(axis=1)}
 

@@ -21,7 +21,7 @@ from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
 from viewnet.geometry import look_at, view_vector
 from viewnet.model.checkpoint import load_model
-from viewnet.model.reconstruction import Encoded
+from viewnet.model.reconstruction import Encoded, compare
 from viewnet.model.rendering import ObjectRenderer, to_uint8
 from viewnet.model.viewnet import ViewNet
 from viewnet.runtime.files import read_json
@@ -107,6 +107,18 @@ class RunRenderer(ObjectRenderer):
         taken = self.aligned.predictions.take(list(rows))  # those of the tables, not predicted again
         ups = None if taken.ups is None else torch.from_numpy(taken.ups[np.arange(len(taken)), taken.choice])
         return look_at(torch.from_numpy(np.array(taken.selected)), ups).float()
+
+    def heads(self, rows: Sequence[int]) -> tuple[Tensor, Tensor | None]:
+        """View vectors (N, M, 3) of each head for test views, in the own frame; its up vectors, None where level."""
+        found = self.aligned.predictions.take(list(rows))
+        ups = None if found.ups is None else torch.tensor(found.ups).float().to(self.device)
+        return torch.tensor(found.hypotheses).float().to(self.device), ups
+
+    @torch.no_grad()
+    def reconstruction_errors(self, objects: Encoded, rows: Sequence[int]) -> Tensor:
+        """Errors (N, M) of test views reconstructed by each head from `objects`, compared as in training."""
+        vectors, ups = self.heads(rows)
+        return compare(self.network, objects, vectors[:, :, None], ups, self.images(rows), self.config.train)[1]
 
     def reconstruct(self, rows: Sequence[int], size: int | None = None) -> Tensor:
         """Reconstructions (N, 4, S, S) of test views: own appearance, selected viewpoint; cropped like photographs."""
