@@ -168,7 +168,7 @@ def test_unknown_notebooks_are_told(capsys):
 
 def test_parameters_are_listed(capsys):
     assert cli.main(["notebook", "table1_shapenet.ipynb", "--parameters"]) == 0
-    assert 'profile: str = "default"  # smoke, tiny, small or paper' in capsys.readouterr().out
+    assert 'profile: str = "default"  # smoke, tiny, pocket, small, paper' in capsys.readouterr().out
 
 
 def test_a_notebook_is_run_with_its_parameters_and_the_copy_kept_apart(root, capsys):

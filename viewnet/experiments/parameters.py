@@ -169,7 +169,7 @@ def _folder(name: str, help: str) -> Parameter:
 
 # fmt: off
 PARAMETERS: dict[str, Parameter] = {
-    "profile": _one_of("default", PROFILES, "smoke, tiny, small or paper; default: $VIEWNET_PROFILE or the notebook's"),
+    "profile": _one_of("default", PROFILES, "smoke, tiny, pocket, small, paper; else $VIEWNET_PROFILE or its own"),
     "recipe": Parameter("default", _recipes,
                         "how models are trained (viewnet.recipes), one or more: paper,matting; default: the profile's",
                         "{}", "-".join, "recipes"),
