@@ -127,9 +127,8 @@ def ensure(
     ends, so that what is done can be kept while others go on.
 
     Up to `workers` are trained side by side in processes of their own, each with OMP_NUM_THREADS threads, or else its
-    share of the cores (default: as many as there are GPUs, or without any as there are cores for; one at the profile
-    smoke). Runs that another process is training are waited for. A failed run leaves the others to end; then
-    ViewnetError names each and why.
+    share of the cores (default: as many as there are GPUs, or without any as there are cores for). Runs that another
+    process is training are waited for. A failed run leaves the others to end; then ViewnetError names each and why.
 
     With an `executor`, or a cluster in VIEWNET_CLUSTER, views are rendered and runs trained there; its workers must see
     the same files. Under torchrun every process calls this and trains each run with the others; a failure ends all.

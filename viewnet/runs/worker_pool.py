@@ -41,15 +41,13 @@ def run_all(
 ) -> list[str]:
     """Make every job; the messages of those that failed, in the order of the jobs. `finished` is called as each ends.
 
-    Without an executor: with one worker, with one job and at the profile smoke in this process, otherwise in a
-    LocalPool. What dies there has mostly run out of memory and would do so again, so it is left to the next call. On an
-    executor, whose workers come and go, a run whose worker died is begun up to `TRIES` times and resumes from its last
-    state.
+    Without an executor: with one worker, or one job, in this process, otherwise in a LocalPool. What dies there has
+    mostly run out of memory and would do so again, so it is left to the next call. On an executor, whose workers come
+    and go, a run whose worker died is begun up to `TRIES` times and resumes from its last state.
     """
     if executor is not None:
         return _collect(executor, jobs, steps, None, progress, TRIES, finished)
-    brief = all(job.config.profile == "smoke" for job in jobs)  # they end before another process has started
-    workers = min(workers or (1 if brief else torch.cuda.device_count() or parallel.room()), len(jobs))
+    workers = min(workers or torch.cuda.device_count() or parallel.room(), len(jobs))
     if workers <= 1:
         failures = []
         for job in jobs:
