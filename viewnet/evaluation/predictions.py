@@ -180,11 +180,6 @@ def object_names(ids: pd.DataFrame) -> NDArray[np.object_]:
     return (ids["category"] + "/" + ids["model_id"]).to_numpy(dtype=object)
 
 
-def is_text(column: pd.Series) -> NDArray[np.bool_]:
-    """Which values (N,) of a column are text."""
-    return column.map(lambda value: isinstance(value, str)).to_numpy(dtype=bool)
-
-
 def true_vectors(ids: pd.DataFrame) -> Floats:
     """(N, 3) unit view vectors of the columns azimuth and elevation, in degrees."""
     angles = torch.from_numpy(ids[["azimuth", "elevation"]].to_numpy(dtype=np.float64, copy=True))

@@ -26,7 +26,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.predictions import UNIT_TOLERANCE, Floats, Predictions, is_text
+from viewnet.evaluation.predictions import UNIT_TOLERANCE, Floats, Predictions
 from viewnet.runtime.lists import read_list
 
 IMAGE = ["category", "model_id", "view"]
@@ -43,7 +43,7 @@ def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
     if missing := [name for name in (*IMAGE, "h0_x") if name not in frame.columns]:
         raise ViewnetError(f"{path}: column {missing[0]!r} is missing: expected {', '.join(IMAGE)}, h0_x, h0_y, h0_z")
     for name in ("category", "model_id"):
-        if (row := _first(frame, ~is_text(frame[name]))) is not None:
+        if (row := _first(frame, ~_is_text(frame[name]))) is not None:
             raise ViewnetError(f"{path}: row {row}: {name} {frame.at[row, name]} is no text: write ids as text")
     category = ids["category"].iloc[0]
     frame = frame[frame["category"] == category]  # one file may be for several tables
@@ -60,6 +60,11 @@ def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
     _check_units(path, numbers)
     in_order = numbers.iloc[np.argsort(rows)].reset_index(drop=True)
     return Predictions.from_frame(pd.concat([ids.reset_index(drop=True), in_order], axis=1))
+
+
+def _is_text(column: pd.Series) -> NDArray[np.bool_]:
+    """Which values (N,) of a column are text."""
+    return column.map(lambda value: isinstance(value, str)).to_numpy(dtype=bool)
 
 
 def _frame(path: Path) -> pd.DataFrame:

@@ -231,8 +231,8 @@ def _lines(
         bounds = metrics.bootstrap_intervals(seeds, objects, draws)
         for statistic in columns.HEADLINE:
             values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in seeds], bounds[statistic]
-    misled = [100.0 * (seed["reconstructing"] > seed["closest"]).to_numpy() for seed in scored]
     if "reconstructing" in errors:
+        misled = [100.0 * (seed["reconstructing"] > seed["closest"]).to_numpy() for seed in scored]
         values["misled"] = [float(m.mean()) for m in misled], metrics.mean_interval(misled, objects, draws)
     parts = {m: columns.measured(*values.get(m, ([np.nan], None)), objects) for m in columns.NOVEL_VIEWS}
     return [{**about, "metric": metric, **part, "runs": keys} for metric, part in parts.items()]
