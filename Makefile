@@ -49,7 +49,7 @@ $(VENV)/.locked: environment.lock
 	@rm -rf "$(VENV)" && mkdir -p "$(VENV)" && touch -t 200001010000 $@  # ours, also where this is interrupted
 	"$(PYTHON)" -m venv "$(VENV)"
 	@echo "installing what environment.lock lists: several GB to download, PyTorch's CUDA libraries among them"
-	$(RUN) pip install --disable-pip-version-check --quiet --require-hashes -r environment.lock
+	$(RUN) pip install --disable-pip-version-check --quiet --no-compile --require-hashes -r environment.lock
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.locked pyproject.toml
@@ -66,7 +66,7 @@ replication: setup ## every training behind the tables, kept in paper_tables/; s
 	$(VENV)/bin/viewnet replicate
 
 test: style ## style, types, all tests and every notebook; what else lint checks is among the tests
-	$(RUN) pytest --nbval -n auto --maxprocesses 2 --dist loadfile --no-loadscope-reorder
+	OMP_NUM_THREADS=1 $(RUN) pytest --nbval -n auto --maxprocesses 2 --dist loadfile --no-loadscope-reorder
 
 test-fast: setup ## the tests that take seconds, without notebooks
 	OMP_NUM_THREADS=1 $(RUN) pytest tests -m "not slow" -q -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder

@@ -210,6 +210,7 @@ class PhotoAugmentationConfig:
     box_error: float = 0.0  # the crop is off by up to this share of its sides [ours] (R)
     tilt: float = 0.0  # degrees: and tilted by up to so much [ours] (R)
     exposure: float = 0.0  # strength of changes of light, contrast, blur and noise [ours] (R)
+    cut_out: bool = False  # whether the appearance network sees the object alone, cut out by its mask [ours] (V)
 
 
 @dataclass(frozen=True)

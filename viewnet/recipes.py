@@ -80,10 +80,12 @@ VARIANTS: dict[str, Changes] = {
     "no_search": NO_SEARCH,  # what the row above is to be compared with
     # For the study of photographs: it sees objects over black alone, and may teach another one.
     "over_black": {"data": {"backgrounds": None}, "train": {"photo": {"views_per_target": 1}}},
+    # For photographs: backgrounds are behind the viewpoint network's input alone.
+    "cut_out": {"train": {"photo": {"cut_out": True}}},
     # Twice the side of the profile tiny, whose widths these are, and a layer more that halves it.
     "larger_input": {"model": {"input_size": 128, "encoder_channels": (16, 32, 64, 128, 128, 128, 128)}},
 }
-"""The trained rows of Tables 1 and 2, and of the study of photographs."""
+"""The trained rows of Tables 1 to 3, and of the study of photographs."""
 
 ABLATIONS: dict[str, Changes] = {
     "whole_views": {"model": {"crop": "square"}, "train": {"augment": True}},

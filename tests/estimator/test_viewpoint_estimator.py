@@ -306,6 +306,14 @@ def test_volumes_and_meshes_are_those_of_the_run(store, images):
     assert hologan.reconstruct(images[:2]).shape == (2, 16, 16, 3)
 
 
+def test_networks_that_saw_objects_cut_out_still_do(store, images):
+    for cut_out in (False, True):
+        renderer = untrained_renderer(store, recipe="photos", crop="none", cut_out=cut_out)
+        alone = renderer.network.encode(renderer.images([4], 32))[1][0]
+        assert torch.equal(renderer.encode([4]).volume[0], alone) == cut_out
+        assert torch.allclose(estimator_of(renderer).volume(images[4]), alone, atol=1e-3) == cut_out
+
+
 def test_reconstructions_are_those_of_the_run(store, images):
     renderer = untrained_renderer(store)
     found = estimator_of(renderer).reconstruct(images, size=24)

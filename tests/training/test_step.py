@@ -73,3 +73,16 @@ def test_images_of_the_hologan_decoder_do_not_run_away_to_nothing():
     with torch.no_grad():
         rendered = reconstruct(model, appearance, resize(target, 32), target, config.train).rendered
     assert rendered[:, 3].amax((1, 2)).min() > 0.5
+
+
+@pytest.mark.parametrize("cut_out", [False, True])
+def test_backgrounds_are_behind_the_appearance_network_s_input_unless_objects_are_cut_out(model, cut_out, monkeypatch):
+    seen, encode = [], model.encode
+    monkeypatch.setattr(model, "encode", lambda shown: (seen.append(shown), encode(shown))[1])
+    backgrounds = torch.full((2, 3, 64, 64), 255, dtype=torch.uint8)
+    batch = tuple(images(4, seed=seed) for seed in (1, 2, 2))
+    generator = torch.Generator().manual_seed(0)
+    step_loss(model, batch, settings(cut_out=cut_out), None, 0.5, generator, backgrounds)
+    shown, alpha = seen[0][:, :3], batch[0][:, 3:]
+    assert torch.equal(shown, batch[0][:, :3]) == cut_out
+    torch.testing.assert_close(shown, batch[0][:, :3] + (0 if cut_out else 1) * (1 - alpha))

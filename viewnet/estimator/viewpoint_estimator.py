@@ -278,7 +278,8 @@ class ViewpointEstimator(pretrained.Pretrained, rendering.ObjectRenderer):
     def encode(self, prepared: Prepared) -> Encoded:
         """The objects of prepared images, for `render`. ViewnetError for methods without a volume."""
         self.require_viewnet("rendering")
-        return Encoded(*self.network.encode(prepared.appearance, background=prepared.background))
+        background = None if self.config.train.photo.cut_out else prepared.background
+        return Encoded(*self.network.encode(prepared.appearance, background=background))
 
     def _prepared(
         self, images: Images, masks: Any, boxes: Any, batch_size: int = BATCH, *failing: Any

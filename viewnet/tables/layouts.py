@@ -94,7 +94,10 @@ def _aligned(name: str, variant: str = "viewnet") -> tuple[Row, ...]:
     return tuple(Row(name, variant, alignment) for alignment in ("linear", None, "robust"))
 
 
-_ON_PHOTOGRAPHS = (*_aligned("ViewNet"), *_aligned("ViewNet + cycle", "viewnet_cycle"))
+_ON_PHOTOGRAPHS = (
+    *_aligned("ViewNet"), *_aligned("ViewNet + cycle", "viewnet_cycle"),
+    *_aligned("ViewNet, appearance cut out", "cut_out"),  # not in the paper
+)  # fmt: skip
 _VIEWPOINTS, _BOXES = "absolute viewpoints", "absolute viewpoints, boxes"
 _SUPERVISED = (
     Row("Liao (trained here)", "spherical_regression", None, _VIEWPOINTS),

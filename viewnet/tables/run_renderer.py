@@ -87,10 +87,10 @@ class RunRenderer(ObjectRenderer):
 
     @torch.no_grad()
     def encode(self, rows: Sequence[int]) -> Encoded:
-        """The objects in test views; on fixed backgrounds where the run was trained with backgrounds."""
+        """The objects in test views; on fixed backgrounds where the appearance network was trained with these."""
         size = self.network.config.input_size
         background = None
-        if self.backgrounds is not None:
+        if self.backgrounds is not None and not self.config.train.photo.cut_out:
             generator = torch.Generator().manual_seed(0)  # the same object behind the same background each time
             background = augment.windows(self.backgrounds, len(rows), size, generator, self.device)
         return Encoded(*self.network.encode(self.images(rows, size), background=background))

@@ -25,7 +25,7 @@ def step_loss(
 
     `batch` is appearance images (B, 4, S, S), targets (N, 4, S, S) and these as the viewpoint network sees them
     (N, 4, S, S), N a multiple of B. `backgrounds`, images (K, 3, 2S, 2S) uint8, are put behind both networks' inputs,
-    never behind the target.
+    or the viewpoint network's alone (`cut_out`), never behind the target.
     """
     appearance, target, viewpoint_input = batch
     target = resize(target, model.config.render_size)  # (N, 4, S, S), S = render_size
@@ -35,8 +35,10 @@ def step_loss(
         times = config.photo.views_per_target
         viewpoint_input = viewpoint_input.repeat(times, 1, 1, 1)  # (K N, 4, S, S)
         viewpoint_input = augment.photograph(viewpoint_input, backgrounds, config.photo, repeated(generator, times))
-        background = augment.windows(backgrounds, len(appearance), appearance.shape[-1], generator, appearance.device)
-        appearance = augment.over(appearance, background)  # (B, 4, S, S)
+        if not config.photo.cut_out:
+            size, device = appearance.shape[-1], appearance.device
+            background = augment.windows(backgrounds, len(appearance), size, generator, device)
+            appearance = augment.over(appearance, background)  # (B, 4, S, S)
     choose = matting.pose_search(config, progress, generator)  # without a search: the best head, as in the paper
     result = reconstruct(model, appearance, target, viewpoint_input, config, choose)
     return paper.terms(model, result, config, perceptual, generator, backgrounds) | matting.terms(result, config)
