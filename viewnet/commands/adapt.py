@@ -14,20 +14,15 @@ Examples:
 import sys
 from pathlib import Path
 
-from viewnet.commands.options import THREADS, WHERE, Options, argument, choose_resources
+from viewnet.commands.options import BOXES, CAD_ROOT, HALF, MODEL, THREADS, Options, argument, choose_resources
 from viewnet.errors import ViewnetError
 
-LIST = "a CSV of boxes: image, x0, y0, x1, y1; an object a row; without IMAGE those it names, from its folder on"
-MOVED = "where the collection that the model was trained on lies, if it has moved"
 ARGUMENTS = (
     argument("images", "photographs whose object fills them, or --boxes", nargs="*", metavar="IMAGE"),
-    argument("--boxes", LIST, type=Path, metavar="FILE"),
-    argument("--model", WHERE, required=True, metavar="WHERE"),
+    *(BOXES, MODEL[0]),
     argument("-o --output", "where to write it", type=Path, required=True, metavar="FOLDER"),
     argument("--seed", "of augmentation and of which images are held out (default: 0)", type=int, default=0),
-    argument("--half", "weights in 16 bits, at half the size", action="store_true"),
-    argument("--cad-root", MOVED, metavar="FOLDER"),
-    THREADS,
+    *(HALF, CAD_ROOT, THREADS),
 )
 
 

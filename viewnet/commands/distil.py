@@ -13,18 +13,15 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import THREADS, Options, argument, choose_resources
+from viewnet.commands.options import CAD_ROOT, HALF, THREADS, Options, argument, choose_resources
 
 TEACHERS = "runs or saved models of the category whose answers are learned first (default: the model itself)"
-MOVED = "where the collection that the model was trained on lies, if it has moved"
 ARGUMENTS = (
     argument("model", "a finished run's key or folder, or a saved model's folder", metavar="WHERE"),
     argument("folder", "where to write it", type=Path, metavar="FOLDER"),
     argument("--teachers", TEACHERS, nargs="+", default=[], metavar="WHERE"),
     argument("--seed", "of the initial weights and of augmentation (default: 0)", type=int, default=0),
-    argument("--half", "weights in 16 bits, at half the size", action="store_true"),
-    argument("--cad-root", MOVED, metavar="FOLDER"),
-    THREADS,
+    *(HALF, CAD_ROOT, THREADS),
 )
 
 

@@ -11,10 +11,9 @@ Examples:
     viewnet evaluate 0123456789ab --data-root /data/MoreCAD         on all models of another CAD collection
 """
 
-from viewnet.commands.options import JSON, Options, argument, print_results
+from viewnet.commands.options import CAD_ROOT, JSON, Options, argument, print_results
 
 DATA = "other data: PASCAL3D+, ImageNet3D, photographs or crops with a list of viewpoints, or a ShapeNetCore folder"
-MOVED = "where the collection that a model was trained on lies, if it has moved"
 CALIBRATION = "views or photographs that alignments are fitted on (default: all)"
 ARGUMENTS = (
     argument("models", "a finished run's key or folder, or a saved model's folder", nargs="+", metavar="WHERE"),
@@ -24,8 +23,7 @@ ARGUMENTS = (
     ],
     argument("--subset", "of PASCAL3D+: imagenet, pascal, both (default: %(default)s)", default="imagenet"),
     argument("--calibration", CALIBRATION, type=int, metavar="N"),
-    argument("--cad-root", MOVED, metavar="FOLDER"),
-    JSON,
+    *(CAD_ROOT, JSON),
 )
 
 

@@ -26,6 +26,8 @@ def argument(names: str, help: str | None = None, **settings: Any) -> Argument:
 
 JSON = argument("--json", "print the results as JSON", action="store_true")
 BOX = ("X0", "Y0", "X1", "Y1")
+LIST = "a CSV of boxes: image, x0, y0, x1, y1; an object a row; without IMAGE those it names, from its folder on"
+BOXES = argument("--boxes", LIST, type=Path, metavar="FILE")
 WHERE = (
     "the category of a model that comes with viewnet, a finished run's key or folder (viewnet train prints it), "
     "a saved model's folder, or NAME/MODEL of the hub"
@@ -46,6 +48,11 @@ SETTINGS = "\n".join(
     f"{name}={json.dumps(reduce(getitem, at, _TINY))}" for name, at in sorted(settings()) if name not in NAMED
 )
 OWN = "ShapeNetCore, v1 or v2, or a folder of your own: .obj models, videos, or folders of frames, with masks"
+HALF = argument("--half", "weights in 16 bits, at half the size", action="store_true")
+MOVED = "where the collection that the model was trained on lies, if it has moved"
+CAD_ROOT = argument("--cad-root", MOVED, metavar="FOLDER")
+DRY = "make nothing: what is kept, what would be made, how large, how long"
+DRY_RUN = argument("--dry-run", DRY, action="store_true")
 CONFIGURATION = (
     argument("categories", f"{', '.join(CATEGORIES)}; of own data any", nargs="+", metavar="CATEGORY"),
     VARIANT,
@@ -57,11 +64,6 @@ CONFIGURATION = (
     argument("--splits", "lists <synset>_train.txt, _val.txt and _test.txt for it", metavar="FOLDER"),
 )
 """The arguments that `configurations` reads."""
-
-
-DRY_RUN = argument(
-    "--dry-run", "make nothing: what is kept, what would be made, how large, how long", action="store_true"
-)
 
 
 def print_results(options: Options, values: Any, *texts: object) -> None:

@@ -23,11 +23,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from viewnet.commands.options import BOX, MODEL, THREADS, Options, argument, choose_resources, print_results
+from viewnet.commands.options import BOX, BOXES, MODEL, THREADS, Options, argument, choose_resources, print_results
 from viewnet.errors import ViewnetError
 
 EDGES = "the object's edges in pixels; once for all images, or once for each"
-LIST = "a CSV of boxes: image, x0, y0, x1, y1; an object a row; without IMAGE those it names, from its folder on"
 OUTPUT = "write every hypothesis there instead of printing: .csv, .parquet or .json"
 KINDS = (".csv", ".parquet", ".json")
 OWN = "in the network's own frame, whose azimuth 0 and up are arbitrary: the model has no alignment"
@@ -36,10 +35,7 @@ ROTATION = "the rotation between object and camera too: r00 to r22, row by row; 
 ARGUMENTS = (
     argument("images", nargs="*", metavar="IMAGE"),
     argument("--masks", "one for each image, in their order", nargs="+", type=Path, metavar="FILE"),
-    [
-        argument("--box", EDGES, nargs=4, type=float, action="append", metavar=BOX),
-        argument("--boxes", LIST, type=Path, metavar="FILE"),
-    ],
+    [argument("--box", EDGES, nargs=4, type=float, action="append", metavar=BOX), BOXES],
     argument("--all", "every hypothesis, not only the most probable", action="store_true"),
     [
         argument("--json", "every hypothesis, as JSON", action="store_true"),

@@ -15,7 +15,7 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import Options, argument
+from viewnet.commands.options import HALF, Options, argument
 
 LICENCE = "of the weights, in the hub's words (default: mit if trained on built-in models, else other)"
 SCORES = "output of viewnet evaluate --json on this model, for the card"
@@ -23,7 +23,7 @@ CALIBRATE = "make confidences true on photographs with a list of viewpoints, by 
 ARGUMENTS = (
     argument("model", "a finished run's key or folder, or another saved model's", metavar="WHERE"),
     argument("folder", "where to write it", type=Path, metavar="FOLDER"),
-    argument("--half", "weights in 16 bits, at half the size", action="store_true"),
+    HALF,
     argument("--license", LICENCE),
     argument("--scores", SCORES, nargs="+", type=Path, default=[], metavar="FILE"),
     argument("--calibrate", CALIBRATE, metavar="FOLDER"),

@@ -182,6 +182,7 @@ LAYOUTS = {
             Row("Student of ViewNet", "student", "robust"),
             Row("Student of ViewNets over black", "student_of_black", "robust"),
             Row("ViewNet, 128 pixels", "larger_input", "robust"),
+            Row("ViewNet, appearance cut out", "cut_out", "robust"),
             Row("VGG view", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),
             Row("Viewpoints of CAD views", "spherical_regression", None, _VIEWPOINTS),
             Row("the same, 128 pixels", "spherical_regression_larger", None, _VIEWPOINTS),
