@@ -15,7 +15,7 @@ from viewnet.estimator import ViewpointEstimator, pretrained
 from viewnet.estimator.demo import examples
 from viewnet.geometry import look_at, rotation_angle, view_vector
 
-CATEGORIES = ("aeroplane", "car", "chair", "motorbike")
+CATEGORIES = ("aeroplane", "bicycle", "car", "chair", "motorbike")
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
