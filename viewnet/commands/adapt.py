@@ -14,15 +14,16 @@ Examples:
 import sys
 from pathlib import Path
 
-from viewnet.commands.options import BOXES, CAD_ROOT, HALF, MODEL, THREADS, Options, argument, choose_resources
+from viewnet.commands.options import BOXES, MODEL, RETRAINED, Options, argument, choose_resources
 from viewnet.errors import ViewnetError
 
 ARGUMENTS = (
     argument("images", "photographs whose object fills them, or --boxes", nargs="*", metavar="IMAGE"),
-    *(BOXES, MODEL[0]),
+    BOXES,
+    MODEL[0],
     argument("-o --output", "where to write it", type=Path, required=True, metavar="FOLDER"),
     argument("--seed", "of augmentation and of which images are held out (default: 0)", type=int, default=0),
-    *(HALF, CAD_ROOT, THREADS),
+    *RETRAINED,
 )
 
 

@@ -13,7 +13,7 @@ Examples:
 
 from pathlib import Path
 
-from viewnet.commands.options import CAD_ROOT, HALF, THREADS, Options, argument, choose_resources
+from viewnet.commands.options import RETRAINED, Options, argument, choose_resources
 
 TEACHERS = "runs or saved models of the category whose answers are learned first (default: the model itself)"
 ARGUMENTS = (
@@ -21,7 +21,7 @@ ARGUMENTS = (
     argument("folder", "where to write it", type=Path, metavar="FOLDER"),
     argument("--teachers", TEACHERS, nargs="+", default=[], metavar="WHERE"),
     argument("--seed", "of the initial weights and of augmentation (default: 0)", type=int, default=0),
-    *(HALF, CAD_ROOT, THREADS),
+    *RETRAINED,
 )
 
 

@@ -23,7 +23,8 @@ ARGUMENTS = (
     ],
     argument("--subset", "of PASCAL3D+: imagenet, pascal, both (default: %(default)s)", default="imagenet"),
     argument("--calibration", CALIBRATION, type=int, metavar="N"),
-    *(CAD_ROOT, JSON),
+    CAD_ROOT,
+    JSON,
 )
 
 

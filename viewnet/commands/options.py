@@ -51,6 +51,7 @@ OWN = "ShapeNetCore, v1 or v2, or a folder of your own: .obj models, videos, or 
 HALF = argument("--half", "weights in 16 bits, at half the size", action="store_true")
 MOVED = "where the collection that the model was trained on lies, if it has moved"
 CAD_ROOT = argument("--cad-root", MOVED, metavar="FOLDER")
+RETRAINED = (HALF, CAD_ROOT, THREADS)
 DRY = "make nothing: what is kept, what would be made, how large, how long"
 DRY_RUN = argument("--dry-run", DRY, action="store_true")
 CONFIGURATION = (

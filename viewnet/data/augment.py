@@ -50,6 +50,13 @@ def over(images: Tensor, background: Tensor) -> Tensor:
     return torch.cat([composite(images, background), torch.ones_like(images[:, 3:])], 1)
 
 
+def appearance(images: Tensor, backgrounds: Tensor, config: PhotoAugmentationConfig, generator: RandomSource) -> Tensor:
+    """What the appearance network sees of images (N, 4, S, S): a random background behind each, unless `cut_out`."""
+    if config.cut_out:
+        return images
+    return over(images, windows(backgrounds, len(images), images.shape[-1], generator, images.device))
+
+
 def crop_and_rotate(images: Tensor, generator: RandomSource) -> Tensor:
     """Random crops of 80 to 100 % of the area and rotations within 3 degrees of images (N, C, S, S)."""
     count = len(images)

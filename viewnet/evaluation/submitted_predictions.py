@@ -43,7 +43,8 @@ def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
     if missing := [name for name in (*IMAGE, "h0_x") if name not in frame.columns]:
         raise ViewnetError(f"{path}: column {missing[0]!r} is missing: expected {', '.join(IMAGE)}, h0_x, h0_y, h0_z")
     for name in ("category", "model_id"):
-        if (row := _first(frame, ~_is_text(frame[name]))) is not None:
+        others = frame[name].map(lambda value: not isinstance(value, str)).to_numpy(dtype=bool)  # (N,)
+        if (row := _first(frame, others)) is not None:
             raise ViewnetError(f"{path}: row {row}: {name} {frame.at[row, name]} is no text: write ids as text")
     category = ids["category"].iloc[0]
     frame = frame[frame["category"] == category]  # one file may be for several tables
@@ -60,11 +61,6 @@ def read(path: Path | str, ids: pd.DataFrame) -> Predictions:
     _check_units(path, numbers)
     in_order = numbers.iloc[np.argsort(rows)].reset_index(drop=True)
     return Predictions.from_frame(pd.concat([ids.reset_index(drop=True), in_order], axis=1))
-
-
-def _is_text(column: pd.Series) -> NDArray[np.bool_]:
-    """Which values (N,) of a column are text."""
-    return column.map(lambda value: isinstance(value, str)).to_numpy(dtype=bool)
 
 
 def _frame(path: Path) -> pd.DataFrame:

@@ -88,12 +88,11 @@ class RunRenderer(ObjectRenderer):
     @torch.no_grad()
     def encode(self, rows: Sequence[int]) -> Encoded:
         """The objects in test views; on fixed backgrounds where the appearance network was trained with these."""
-        size = self.network.config.input_size
-        background = None
-        if self.backgrounds is not None and not self.config.train.photo.cut_out:
+        images = self.images(rows, self.network.config.input_size)
+        if self.backgrounds is not None:
             generator = torch.Generator().manual_seed(0)  # the same object behind the same background each time
-            background = augment.windows(self.backgrounds, len(rows), size, generator, self.device)
-        return Encoded(*self.network.encode(self.images(rows, size), background=background))
+            images = augment.appearance(images, self.backgrounds, self.config.train.photo, generator)
+        return Encoded(*self.network.encode(images))
 
     def level(self, azimuth: Tensor, elevation: Tensor) -> Tensor:
         """Own camera frames (..., 3, 3), held level, of annotated azimuths (...) and own elevations (...), degrees."""

@@ -35,10 +35,7 @@ def step_loss(
         times = config.photo.views_per_target
         viewpoint_input = viewpoint_input.repeat(times, 1, 1, 1)  # (K N, 4, S, S)
         viewpoint_input = augment.photograph(viewpoint_input, backgrounds, config.photo, repeated(generator, times))
-        if not config.photo.cut_out:
-            size, device = appearance.shape[-1], appearance.device
-            background = augment.windows(backgrounds, len(appearance), size, generator, device)
-            appearance = augment.over(appearance, background)  # (B, 4, S, S)
+        appearance = augment.appearance(appearance, backgrounds, config.photo, generator)  # (B, 4, S, S)
     choose = matting.pose_search(config, progress, generator)  # without a search: the best head, as in the paper
     result = reconstruct(model, appearance, target, viewpoint_input, config, choose)
     return paper.terms(model, result, config, perceptual, generator, backgrounds) | matting.terms(result, config)

@@ -45,8 +45,7 @@ def validate(
         viewpoint_input = views.viewpoint_input(rows[part], size, device)
         if backgrounds is not None:
             viewpoint_input = augment.photograph(viewpoint_input, backgrounds, config.photo, generator)
-            if not config.photo.cut_out:
-                appearance = augment.over(appearance, augment.windows(backgrounds, len(part), size, generator, device))
+            appearance = augment.appearance(appearance, backgrounds, config.photo, generator)
         target = resize(target, small)
         result = reconstruct(model, appearance, target, viewpoint_input, config)
         least, best = result.choice.errors.min(1)  # the best of M, as training chooses
