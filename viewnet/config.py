@@ -84,7 +84,7 @@ class DataConfig:
     elevation_range: tuple[float, float] = (-20.0, 40.0)  # degrees, uniform [4.2] (U)
     seed: int = 0  # of models and viewpoints [ours] (U)
     renderer: Literal["auto", "raycast", "pyrender"] = "auto"  # [ours] (U)
-    # Behind both inputs in training, never behind the target: a folder of images (SUN397) or "drawn" [4.3] (R)
+    # Behind inputs in training (photo.cut_out), never behind the target: a folder (SUN397) or "drawn" [4.3] (R)
     backgrounds: str | None = None
     video: "VideoConfig | None" = None  # views are frames of its clips: only backgrounds count beside [4.4] (U)
 
@@ -210,7 +210,7 @@ class PhotoAugmentationConfig:
     box_error: float = 0.0  # the crop is off by up to this share of its sides [ours] (R)
     tilt: float = 0.0  # degrees: and tilted by up to so much [ours] (R)
     exposure: float = 0.0  # strength of changes of light, contrast, blur and noise [ours] (R)
-    cut_out: bool = False  # whether the appearance network sees the object alone, cut out by its mask [ours] (V)
+    cut_out: bool = False  # whether the appearance network sees the object alone, cut out by its mask [ours] (R, P, V)
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ def test_defaults_train_over_backgrounds_and_make_a_stand_in(folders):
     assert (request.profile, request.recipe, request.label) == ("tiny", "photos", "")
     assert [(c.variant, c.category) for c in request.configs] == [
         (variant, category)
-        for variant in ("ssv", "viewnet", "viewnet_cycle", "cut_out", "spherical_regression", "box_corners")
+        for variant in ("ssv", "viewnet", "viewnet_cycle", "behind_both", "spherical_regression", "box_corners")
         for category in SHAPENET_CATEGORIES
     ]
     assert all(c.data.backgrounds == "drawn" and c.data.root is None for c in request.configs)
@@ -57,7 +57,7 @@ def test_defaults_train_over_backgrounds_and_make_a_stand_in(folders):
         "a stand-in for photographs; trained on built-in models, profile tiny, recipe photos"
     )
     assert experiment("table5_dva").configs == request.configs
-    studied = [config for config in request.configs if config.variant not in (*ABSOLUTE, "cut_out")]
+    studied = [config for config in request.configs if config.variant not in (*ABSOLUTE, "behind_both")]
     assert experiment("alignment_study").configs == studied
     assert experiment("table3_pascal3d", categories="everything").categories == CATEGORIES
     assert experiment("table3_pascal3d", profile="smoke").photo_config("car").count < 100

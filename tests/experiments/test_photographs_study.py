@@ -32,7 +32,7 @@ def test_students_bring_the_networks_that_they_start_and_learn_from():
     assert [c.variant for c in experiment("photographs_study", rows="view_regression").configs] == []
     sizes = {c.variant: c.model.input_size for c in experiment("photographs_study").configs}
     assert sizes == {
-        "viewnet": 64, "over_black": 64, "cut_out": 64, "larger_input": 128, "spherical_regression": 64,
+        "viewnet": 64, "over_black": 64, "behind_both": 64, "larger_input": 128, "spherical_regression": 64,
         "spherical_regression_larger": 128,
     }  # fmt: skip
 

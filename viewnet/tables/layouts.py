@@ -96,7 +96,7 @@ def _aligned(name: str, variant: str = "viewnet") -> tuple[Row, ...]:
 
 _ON_PHOTOGRAPHS = (
     *_aligned("ViewNet"), *_aligned("ViewNet + cycle", "viewnet_cycle"),
-    *_aligned("ViewNet, appearance cut out", "cut_out"),  # not in the paper
+    *_aligned("ViewNet, backgrounds behind both", "behind_both"),  # as in the paper
 )  # fmt: skip
 _VIEWPOINTS, _BOXES = "absolute viewpoints", "absolute viewpoints, boxes"
 _SUPERVISED = (
@@ -182,7 +182,7 @@ LAYOUTS = {
             Row("Student of ViewNet", "student", "robust"),
             Row("Student of ViewNets over black", "student_of_black", "robust"),
             Row("ViewNet, 128 pixels", "larger_input", "robust"),
-            Row("ViewNet, appearance cut out", "cut_out", "robust"),
+            Row("ViewNet, backgrounds behind both", "behind_both", "robust"),
             Row("VGG view", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),
             Row("Viewpoints of CAD views", "spherical_regression", None, _VIEWPOINTS),
             Row("the same, 128 pixels", "spherical_regression_larger", None, _VIEWPOINTS),
