@@ -67,9 +67,6 @@ RECIPES["photos"] = merged(
 NO_SEARCH: Changes = {"train": {"search": {"share": 0.0}, "comparison": {"neighbours": 0.0}}}
 """Heads are compared by their own viewpoints alone, as in the paper."""
 
-BEHIND_BOTH: Changes = {"train": {"photo": {"cut_out": False}}}
-"""Backgrounds stand behind the appearance network's input too."""
-
 VARIANTS: dict[str, Changes] = {
     "viewnet": {},
     "viewnet_cycle": {"train": {"cycle": {"on": True}}},
@@ -85,7 +82,7 @@ VARIANTS: dict[str, Changes] = {
     # For the study of photographs: it sees objects over black alone, and may teach another one.
     "over_black": {"data": {"backgrounds": None}, "train": {"photo": {"views_per_target": 1, "cut_out": False}}},
     # For photographs, as in the paper: what the recipe `photos` has behind the viewpoint network's input alone.
-    "behind_both": BEHIND_BOTH,
+    "behind_both": {"train": {"photo": {"cut_out": False}}},
     # Twice the side of the profile tiny, whose widths these are, and a layer more that halves it.
     "larger_input": {"model": {"input_size": 128, "encoder_channels": (16, 32, 64, 128, 128, 128, 128)}},
 }
@@ -219,18 +216,17 @@ PROFILES: dict[str, Changes] = {
         "train": {"epochs": 2, "batch_size": 16, "patience": 2},
     },
     "tiny": _TINY,
-    # Half a megabyte in half precision: twelve categories are small enough to come with the package.
-    # Their appearance networks are to draw photographs that nobody cut out.
+    # Half a megabyte in half precision: twelve categories are small enough to come with the package. Their appearance
+    # networks are to draw photographs that nobody cut out.
     "pocket": merged(
         _TINY,
-        BEHIND_BOTH,
         {
             "model": {
                 "encoder_channels": (16, 32, 48, 64, 64, 64),
                 "code_size": 32,
                 "generator_channels": (32, 16, 16),
             },
-            "train": {"epochs": 6, "validate_every": 3},
+            "train": {"epochs": 6, "validate_every": 3, "photo": {"cut_out": False}},
         },
     ),
     "small": {
@@ -276,9 +272,10 @@ FILMED: dict[str, Changes] = {
     "tiny": {"train": {"epochs": 14}},
     # Few objects, filmed at eye level: a wide code has room for a frame of its own for each of them, and from the front
     # left and the rear left silhouettes are alike, so that colours must count for more. See docs/recipes.md.
-    "photos": merged(
-        BEHIND_BOTH, {"model": {"appearance_size": 8}, "train": {"pixel_weight": 1.0, "mask_weight": 0.3}}
-    ),
+    "photos": {
+        "model": {"appearance_size": 8},
+        "train": {"pixel_weight": 1.0, "mask_weight": 0.3, "photo": {"cut_out": False}},
+    },
 }
 """What a profile, or a recipe that does not start from other weights, changes only for videos."""
 

@@ -314,6 +314,19 @@ def test_networks_that_saw_objects_cut_out_still_do(store, images):
         assert torch.allclose(estimator_of(renderer).volume(images[4]), alone, atol=1e-3) == cut_out
 
 
+def test_drawing_without_a_mask_is_told_where_objects_were_cut_out_in_training(caplog):
+    image, mask = photograph(40, 30), np.zeros((30, 40), bool)
+    mask[5:25, 8:32] = True
+    for cut_out, backgrounds in ((True, "drawn"), (True, None), (False, "drawn")):
+        estimator = untrained(recipe="photos", cut_out=cut_out, backgrounds=backgrounds)
+        estimator.predict(image)
+        estimator.reconstruct([image, image], masks=[mask, mask])
+        assert "cut out, as in training: give a mask" not in caplog.text
+        estimator.reconstruct([image, image], masks=[mask, None])
+        assert ("cut out, as in training: give a mask" in caplog.text) == (cut_out and backgrounds is not None)
+        caplog.clear()
+
+
 def test_reconstructions_are_those_of_the_run(store, images):
     renderer = untrained_renderer(store)
     found = estimator_of(renderer).reconstruct(images, size=24)

@@ -14,6 +14,7 @@
 (1, 16, 16, 3)
 """
 
+import logging
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -41,6 +42,7 @@ from viewnet.runtime.images import tight_crop
 if TYPE_CHECKING:
     import trimesh
 
+log = logging.getLogger(__name__)
 BATCH = 256
 OneImage = ImageLike | Prepared  # prepared images are those that the demo has cut already
 Images = ImagesLike | Prepared
@@ -279,6 +281,8 @@ class ViewpointEstimator(pretrained.Pretrained, rendering.ObjectRenderer):
         """The objects of prepared images, for `render`. ViewnetError for methods without a volume."""
         self.require_viewnet("rendering")
         background = None if self.config.train.photo.cut_out else prepared.background
+        if background is None and self.config.data.backgrounds and not prepared.masked.all():
+            log.warning("the appearance network knows objects that were cut out, as in training: give a mask")
         return Encoded(*self.network.encode(prepared.appearance, background=background))
 
     def _prepared(
