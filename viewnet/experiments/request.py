@@ -102,7 +102,7 @@ DESIGNS = {
     ),
     "learned_volumes": Design(("viewnet",)),
     "failures": Design(("viewnet",)),
-    "reconstructions": Design(("viewnet", "viewnet_cycle"), "photos"),
+    "reconstructions": Design(("behind_both",), "photos"),  # of photographs that nobody cut out
     # It shows how, in a minute.
     "your_method": Design(_METHOD_VARIANTS, "own_method", profile="smoke", tables=_METHOD_TABLES),
     # Nothing is trained for these, so the default is the paper's size.

@@ -225,8 +225,8 @@ LAYOUTS = {
 }  # fmt: skip
 
 LABELS = {
-    row.variant: row.label
-    for name in ("table1_shapenet", "table2_ablation")
+    row.variant: row.name
+    for name in ("table3_pascal3d", "table1_shapenet", "table2_ablation")
     for row in LAYOUTS[name].rows
     if row.variant is not None
 }
