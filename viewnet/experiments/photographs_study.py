@@ -90,7 +90,8 @@ class PhotographsStudy(PhotoExperiment):
                 found[f"built-in {category}"] = answers(align(turned(said, model.annotated_from_model), "none"))
         for entry in self.trained_entries(runs, stores):
             if entry.seed == self.seeds[0] and entry.predictions.heads > 1:
-                found[f"{entry.category}, {entry.row}"] = answers(entry.aligned())
+                label = entry.row if len(self.categories) == 1 else f"{entry.category}, {entry.row}"
+                found[label] = answers(entry.aligned())
         return found
 
 
