@@ -81,7 +81,7 @@ def test_a_student_starts_from_its_own_seed_and_learns_of_all_seeds_over_black(l
     assert len(lessons) == 4  # what students said is kept with the run that they started from
     assert again.cells.equals(table.cells)
     drawn = request.answers(runs)
-    assert list(drawn) == ["built-in car", *(row.replace(', photos', '') for row in cells.index)]
+    assert list(drawn) == ["built-in car", *(row.replace(", photos", "") for row in cells.index)]
 
 
 def test_confidences_are_drawn_beside_the_share_that_is_right():
