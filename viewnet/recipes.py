@@ -52,7 +52,7 @@ RECIPES: dict[str, Changes] = {
 }
 
 # Section 4.3: training for photographs. Ten views a model, and a background behind both inputs; in ours behind the
-# viewpoint network's alone, since shapes that are read through backgrounds become too blurred to tell front from rear.
+# viewpoint network's alone: see docs/recipes.md for what that changes, and our explanation.
 RECIPES["paper_photos"] = merged(RECIPES["paper"], {"data": {"views": 10, "backgrounds": "drawn"}})
 RECIPES["photos"] = merged(
     RECIPES["matting"],
