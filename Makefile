@@ -17,6 +17,7 @@ BUILD_OPTIONS ?=
 UPGRADE ?=
 
 RUN := $(VENV)/bin/python -m
+PIP := $(RUN) pip install --disable-pip-version-check --quiet
 # An environment is ours where one of the stamps below is in it. Others, and what links lead to, stay as they are.
 OURS := [ ! -L "$(VENV:%/=%)" ] && { [ -e "$(VENV)/.locked" ] || [ -e "$(VENV)/.installed" ]; }
 INSTEAD := or make VENV=other $(or $(MAKECMDGOALS),setup)
@@ -49,12 +50,16 @@ $(VENV)/.locked: environment.lock
 	@rm -rf "$(VENV)" && mkdir -p "$(VENV)" && touch -t 200001010000 $@  # ours, also where this is interrupted
 	"$(PYTHON)" -m venv "$(VENV)"
 	@echo "installing what environment.lock lists: several GB to download, PyTorch's CUDA libraries among them"
-	$(RUN) pip install --disable-pip-version-check --quiet --no-compile --require-hashes -r environment.lock
+	@sed -n '/^uv==/,/^    # via/p' environment.lock >"$(VENV)/uv.txt"
+	$(PIP) --no-compile --require-hashes -r "$(VENV)/uv.txt" \
+	  && "$(VENV)/bin/uv" pip install --system-certs --quiet --python "$(VENV)" --require-hashes -r environment.lock \
+	  || { echo "uv could not, for the reason above: pip installs instead, which takes longer"; \
+	    $(PIP) --no-compile --require-hashes -r environment.lock; }
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.locked pyproject.toml
 	@$(UNLINKED)
-	$(RUN) pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation --editable .
+	$(PIP) --no-deps --no-build-isolation --editable .
 	@touch $@
 
 table2: setup ## Table 2 on built-in data, trained here where it is missing

@@ -15,7 +15,7 @@ STAMPS = (".locked", ".installed")
 PYTHON = """#!/bin/sh
 [ "$1 $2" = "-m venv" ] || exit 0
 [ "$3" != --clear ] || { shift; rm -rf "$3"/* "$3"/.[!.]*; }
-mkdir -p "$3/bin" && cp "$0" "$3/bin/python"
+mkdir -p "$3/bin" && cp "$0" "$3/bin/python" && cp "$0" "$3/bin/uv"
 """
 
 
@@ -110,3 +110,14 @@ def test_a_set_up_that_was_interrupted_is_begun_again(checkout):
     assert make(checkout, "setup").returncode == 2
     python.write_text(PYTHON)
     assert make(checkout, "setup").returncode == 0
+
+
+@pytest.mark.parametrize("pip", [True, False])
+def test_pip_installs_where_uv_cannot(checkout, pip):
+    python = checkout.parent / "python"
+    refuses = '[ "$1" != pip ]' if pip else '[ "$1" != pip ] && [ "$2" != pip ]'  # uv pip, and python -m pip
+    python.write_text(PYTHON.replace("exit 0", f"{{ {refuses}; exit; }}"))
+    result = make(checkout, "setup")
+    assert result.returncode == (0 if pip else 2)
+    assert "pip installs instead" in result.stdout
+    assert (checkout / ".venv" / ".installed").exists() == pip
