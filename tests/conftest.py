@@ -10,6 +10,12 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import pytest
 from hypothesis import settings
 
+if (worker := os.environ.get("PYTEST_XDIST_WORKER")) and hasattr(os, "sched_setaffinity"):
+    # Processes side by side keep to cores of their own: what they start then starts no more processes than it has room.
+    cores = sorted(os.sched_getaffinity(0))
+    own = cores[int(worker.removeprefix("gw")) :: int(os.environ["PYTEST_XDIST_WORKER_COUNT"])]
+    os.sched_setaffinity(0, own or cores)
+
 # Compiled kernels make a first example slow, so there is no deadline; examples are the same every time.
 settings.register_profile("viewnet", deadline=None, derandomize=True, max_examples=50, print_blob=True)
 settings.load_profile("viewnet")

@@ -25,7 +25,6 @@ import numpy as np
 import pandas as pd
 import torch
 import torch.nn.functional as F
-from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
 from viewnet.errors import ViewnetError
@@ -78,6 +77,8 @@ def fidelity(renderer: RunRenderer, copy: bool = False) -> pd.DataFrame:
 
 def compare(rendered: Tensor, target: Tensor) -> pd.DataFrame:
     """psnr, ssim and iou of images (N, 4, S, S), RGB times mask and mask in [0, 1], against as many targets."""
+    from skimage.metrics import peak_signal_noise_ratio, structural_similarity  # slow to import
+
     pairs = zip(*(x.clamp(0, 1).double().cpu().movedim(1, -1).numpy() for x in (rendered, target)), strict=True)
     lines = []
     for one, true in pairs:
