@@ -12,12 +12,13 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from viewnet import reference
 from viewnet.bench.roofline import seconds, synchronise
@@ -157,27 +158,24 @@ def _step(work: Work, by_textbook: bool, device: torch.device) -> Call:
     if work.occupancy == "object":
         # In the place of S, so that the volumes of untrained networks are like those of trained ones.
         model.prior = torch.tanh(2 * (1 - superellipsoid(config.model.volume_size)))
+    net: nn.Module
+    optimisers: list[torch.optim.Optimizer]
     if by_textbook:
-        net = as_reference(model)
+        net, rates = as_reference(model).to(device), settings.optimiser
         net.prior.copy_(model.prior)
-        net.to(device)
-        adam = torch.optim.Adam(net.parameters(), settings.optimiser.learning_rate, settings.optimiser.betas)
-
-        def call() -> None:
-            terms = reference.step_loss(net, batch, settings, None, torch.Generator().manual_seed(0))
-            adam.zero_grad()
-            torch.stack(list(terms.values())).sum().backward()
-            adam.step()
+        optimisers = [torch.optim.Adam(net.parameters(), rates.learning_rate, rates.betas)]
+        losses = partial(reference.step_loss, net, batch, settings, None)
     else:
-        model.to(device)
+        net = model.to(device)
         optimisers = make_optimisers(model, settings)
+        losses = partial(step_loss, model, batch, settings, None, 0.5)
 
-        def call() -> None:
-            terms = step_loss(model, batch, settings, None, 0.5, torch.Generator().manual_seed(0))
-            model.zero_grad(set_to_none=True)
-            torch.stack(list(terms.values())).sum().backward()
-            for optimiser in optimisers:
-                optimiser.step()
+    def call() -> None:
+        terms = losses(torch.Generator().manual_seed(0))
+        net.zero_grad(set_to_none=True)
+        torch.stack(list(terms.values())).sum().backward()
+        for optimiser in optimisers:
+            optimiser.step()
 
     return call
 
