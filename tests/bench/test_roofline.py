@@ -12,7 +12,7 @@ from viewnet.model import volume
 def test_layers_and_samples_are_counted():
     layer = torch.nn.Conv2d(3, 8, 3, padding=1, bias=False, device="meta")
     image = torch.zeros(2, 3, 16, 16, device="meta")
-    need = roofline.network_need(layer, lambda: layer(image).sum(), 216, 5.0)
+    need = roofline.network_need(lambda: layer(image).sum(), 216, 5.0)
     products = 2 * 16 * 16 * 8 * 27
     assert need.products == 5 * 2 * products  # forward, and the weights' gradient; images need none
     assert need.layer_values == 5 * 3 * (image.numel() + 2 * 8 * 256)

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.nn.modules.module import register_module_forward_hook
 from torch.utils.flop_counter import FlopCounterMode
 
 from viewnet import reference
@@ -71,7 +72,7 @@ class Need:
     def __add__(self, other: "Need") -> "Need":
         return Need(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
-    def seconds(self, rates: "Rates") -> float:
+    def seconds(self, rates: Rates) -> float:
         """At a machine's rates, layers in the faster precision: arithmetic or memory, whichever takes longer."""
         times = []
         for rate, width in ((rates.float32, 4), (rates.bfloat16, 2)):
@@ -80,8 +81,8 @@ class Need:
         return min(times)
 
 
-def network_need(networks: nn.Module, run: Callable[[], Tensor], parameters: int, scale: float) -> "Need":
-    """One training pass through `networks` on the device `meta`, `run` giving its outputs, `scale` times over.
+def network_need(run: Callable[[], Tensor], parameters: int, scale: float) -> Need:
+    """One training pass through the networks that `run` gives the outputs of, `scale` times over.
 
     Layers read their inputs and write their outputs once; backward they read both again and write the inputs' gradient.
     Adam reads and writes its weights and both moments.
@@ -90,17 +91,15 @@ def network_need(networks: nn.Module, run: Callable[[], Tensor], parameters: int
 
     def count(module: nn.Module, inputs: tuple[Any, ...], output: Tensor) -> None:
         nonlocal moved
-        moved += inputs[0].numel() + output.numel()
+        if isinstance(module, COUNTED):
+            moved += inputs[0].numel() + output.numel()
 
-    hooks = [module.register_forward_hook(count) for module in networks.modules() if isinstance(module, COUNTED)]
-    with FlopCounterMode(display=False) as counter:
+    with register_module_forward_hook(count), FlopCounterMode(display=False) as counter:
         run().backward()
-    for hook in hooks:
-        hook.remove()
     return Need(scale * counter.get_total_flops() / 2, 0.0, 3 * scale * moved, 8.0 * parameters)
 
 
-def step_need(config: ModelConfig, batch: int) -> "Need":
+def step_need(config: ModelConfig, batch: int) -> Need:
     """The networks' part of a training step with `batch` targets."""
     with torch.device("meta"):
         net = reference.ViewNet(config)
@@ -110,10 +109,10 @@ def step_need(config: ModelConfig, batch: int) -> "Need":
         vectors, logits = net.viewpoints(images)
         return net.volumes(images).sum() + vectors.sum() + logits.sum()
 
-    return network_need(net, run, sum(weight.numel() for weight in net.parameters()), batch / 2)
+    return network_need(run, sum(weight.numel() for weight in net.parameters()), batch / 2)
 
 
-def render_need(samples: float, voxels: int, pixels: int, backward: bool) -> "Need":
+def render_need(samples: float, voxels: int, pixels: int, backward: bool) -> Need:
     """Rendering with so many ray samples: volumes are read once and images written; backward, gradients as well."""
     values = 4 * (voxels + pixels)
     return Need(samples=(3 if backward else 1) * SAMPLE * samples, values=values + (values + 4 * voxels) * backward)

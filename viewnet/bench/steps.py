@@ -21,6 +21,7 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd import DeviceType  # type: ignore[attr-defined]
 from torch.autograd.profiler import record_function
+from torch.nn.modules.module import register_module_forward_hook
 from torch.profiler import ProfilerActivity, profile
 from torch.utils.flop_counter import FlopCounterMode
 
@@ -282,7 +283,7 @@ def needs(step: Step, progress: float) -> dict[str, Need]:
     result = _networks(step, seen, objects) | {OPTIMISERS: _optimisers(step)}
     if step.perceptual is not None:
         network, images = step.perceptual, torch.zeros(targets, 3, size, size, device=step.device)
-        three = network_need(network, lambda: network(images.clone().requires_grad_(), images), 0, 1.0)
+        three = network_need(lambda: network(images.clone().requires_grad_(), images), 0, 1.0)
         # Features of images and targets, and the images' gradients: three passes for an image, one for its target.
         result[PERCEPTUAL] = replace(three, layer_values=three.layer_values * 2 / 3)
     if model.decoder == "hologan":
@@ -312,17 +313,16 @@ def _networks(step: Step, seen: int, objects: int) -> dict[str, Need]:
 
     def count(module: Any, inputs: Any, output: Tensor) -> None:
         nonlocal normalised
-        normalised += output.numel() if module.bias is None else 0  # a normalisation, which has the bias, comes next
+        if isinstance(module, COUNTED) and module.bias is None:  # a normalisation, which has the bias, comes next
+            normalised += output.numel()
 
     def run() -> Tensor:
         images = torch.zeros(max(seen, objects), 4, size, size, device=step.device)
         hypotheses = model.viewpoint(model.composite(images[:seen]))
         return hypotheses.vectors.sum() + hypotheses.logits.sum() + model.encode(images[:objects])[1].sum()
 
-    hooks = [module.register_forward_hook(count) for module in model.modules() if isinstance(module, COUNTED)]
-    layers = network_need(model, run, 0, 1.0)
-    for hook in hooks:
-        hook.remove()
+    with register_module_forward_hook(count):
+        layers = network_need(run, 0, 1.0)
     weights = sum(weight.numel() for weight in model.parameters())  # read twice, and their gradients written
     # Normalising reads and writes; backward it reads two and writes one.
     return {LAYERS: layers + Need(layer_values=3.0 * weights), NORMS: Need(layer_values=5.0 * normalised)}
