@@ -10,11 +10,11 @@ import os
 import re
 import statistics
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 from typing import Any
+from unittest import mock
 
 import torch
 import torch.nn.functional as F
@@ -195,37 +195,22 @@ def _rows(step: Step, phase: str, progress: float, settings: Settings, rates: Ra
     return rows
 
 
-@contextmanager
-def _replaced(owner: type, name: str, method: Callable[..., Any]) -> Iterator[None]:
-    before = getattr(owner, name)
-    setattr(owner, name, method)
-    try:
-        yield
-    finally:
-        setattr(owner, name, before)
-
-
-def named_choice() -> AbstractContextManager[None]:
+def named_choice() -> AbstractContextManager[Any]:
     """Records the choice of viewpoints as CHOICE: what is rendered in it has no gradient."""
-    return _replaced(PoseSearch, "__call__", record_function(CHOICE)(PoseSearch.__call__))
+    return mock.patch.object(PoseSearch, "__call__", record_function(CHOICE)(PoseSearch.__call__))
 
 
-def named_perceptual() -> AbstractContextManager[None]:
+def named_perceptual() -> AbstractContextManager[Any]:
     """Records the perceptual term as PERCEPTUAL, and when its backward pass begins and ends."""
     call = record_function(PERCEPTUAL)(PerceptualLoss.forward)
 
     def marked(self: PerceptualLoss, image: Tensor, target: Tensor) -> Tensor:
         loss = call(self, image, target)
-        loss.register_hook(lambda _: _mark(BEGINS))
-        image.register_hook(lambda _: _mark(ENDS))
+        loss.register_hook(record_function(BEGINS)(lambda gradient: None))
+        image.register_hook(record_function(ENDS)(lambda gradient: None))
         return loss
 
-    return _replaced(PerceptualLoss, "forward", marked)
-
-
-def _mark(name: str) -> None:
-    with record_function(name):
-        pass
+    return mock.patch.object(PerceptualLoss, "forward", marked)
 
 
 def attribute(events: Any, on_gpu: bool = False) -> tuple[dict[str, float], "Counter[str]"]:
@@ -295,12 +280,11 @@ def needs(step: Step, progress: float) -> dict[str, Need]:
     result[COMPARING] = render_need(full * targets * samples[0], voxels, pixels, False)
     if half:
         result[COMPARING] += render_need(half * targets * samples[1], voxels // 8, pixels // 4, False)
-    result[FORWARD] = render_need(targets * samples[0], voxels, pixels, False)
+    once, both = (render_need(targets * samples[0], voxels, pixels, backward) for backward in (False, True))
+    result[FORWARD] = once
     if cycle:
         side = model.input_size
         result[FORWARD] += render_need(objects * _samples(step, side)[0], voxels, objects * side**2, False)
-    both = render_need(targets * samples[0], voxels, pixels, True)
-    once = render_need(targets * samples[0], voxels, pixels, False)
     result[BACKWARD] = Need(samples=both.samples - once.samples, values=both.values - once.values)
     result[SQUASH] = Need(values=5 * 4 * voxels)  # logits to volumes; backward, logits and gradients to gradients
     return result
