@@ -80,8 +80,8 @@ class Prepared:
     viewpoint: Tensor  # (N, 4, S, S) RGB times alpha and alpha, for the viewpoint network
     whole: Tensor  # (N, 4, S, S) the same, not cut to the object
     mask: Tensor  # (N, 1, S, S) the object's mask where it is known and the object is not cut out, elsewhere 1
-    cutout: np.ndarray  # (N,) bool: whether the object is cut out
-    masked: np.ndarray  # (N,) bool: whether the object's mask is known
+    cutout: Tensor  # (N,) bool: whether the object is cut out
+    masked: Tensor  # (N,) bool: whether the object's mask is known
     backdrop: float  # grey level around a cut-out object
 
     def __len__(self) -> int:
@@ -90,11 +90,9 @@ class Prepared:
     @classmethod
     def joined(cls, parts: "Sequence[Prepared]", device: torch.device) -> "Prepared":
         """The images of all parts, on a device."""
-        viewpoint, whole, mask = (
-            torch.cat([getattr(part, name) for part in parts]).to(device) for name in ("viewpoint", "whole", "mask")
-        )
-        cutout, masked = (np.concatenate([getattr(part, name) for part in parts]) for name in ("cutout", "masked"))
-        return cls(viewpoint, whole, mask, cutout, masked, parts[0].backdrop)
+        names = ("viewpoint", "whole", "mask", "cutout", "masked")
+        tensors: Any = {name: torch.cat([getattr(part, name) for part in parts]).to(device) for name in names}
+        return cls(**tensors, backdrop=parts[0].backdrop)
 
     @property
     def appearance(self) -> Tensor:
@@ -104,15 +102,13 @@ class Prepared:
     @property
     def background(self) -> Tensor:
         """(N, 3, S, S) the background that the appearance network sees."""
-        cutout = torch.from_numpy(self.cutout).to(self.whole.device)[:, None, None, None]  # (N, 1, 1, 1)
-        return torch.where(cutout, self.backdrop, self.whole[:, :3])
+        return torch.where(self.cutout[:, None, None, None], self.backdrop, self.whole[:, :3])
 
     @property
     def images(self) -> Tensor:
         """(N, 4, S, S) to show to people: cut-out objects stay transparent, others keep their background."""
-        cutout = torch.from_numpy(self.cutout).to(self.viewpoint.device)[:, None, None, None]  # (N, 1, 1, 1)
         whole = torch.cat([self.background, torch.ones_like(self.background[:, :1])], 1)  # (N, 4, S, S)
-        return torch.where(cutout, self.appearance, whole)
+        return torch.where(self.cutout[:, None, None, None], self.appearance, whole)
 
 
 def crop_to_object(given: InputImage, framing: "Framing") -> CroppedImage:
@@ -157,11 +153,12 @@ def prepare(cropped: Sequence[CroppedImage], framing: "Framing", device: torch.d
         for i in rows:
             if (mask := cropped[i].mask) is not None:
                 masks[i] = resize(torch.from_numpy(mask).float()[None, None], size)[0] / 255
-    cutout = np.array([image.cutout for image in cropped])
-    masked = cutout | [image.mask is not None for image in cropped]
+    cutout = torch.tensor([image.cutout for image in cropped])
+    masked = cutout | torch.tensor([image.mask is not None for image in cropped])
     whole /= 255
     viewpoint = whole if framing.crop == "none" else viewpoint.div_(255)
-    return Prepared(viewpoint.to(device), whole.to(device), masks.to(device), cutout, masked, framing.backdrop)
+    known = cutout.to(device), masked.to(device)
+    return Prepared(viewpoint.to(device), whole.to(device), masks.to(device), *known, framing.backdrop)
 
 
 def _whole_crop(images: Tensor, size: int, stretch: bool) -> Tensor:
@@ -222,10 +219,9 @@ def computed(
         if not cropped:
             return [], []
         prepared = prepare(list(cropped.values()), framing, torch.device("cpu"))
-        bright = _bright(prepared.viewpoint[:, :3]).numpy() & ~prepared.cutout
-        return [work(prepared)], [
-            _name(listed[row], row) for row, unlike in zip(cropped, bright, strict=True) if unlike
-        ]
+        bright = _bright(prepared.viewpoint[:, :3]) & ~prepared.cutout
+        names = [_name(listed[row], row) for row, unlike in zip(cropped, bright, strict=True) if unlike]
+        return [work(prepared)], names
 
     with bar(progress, total=len(listed), desc="images", unit="image", leave=False) as shown:
         for start in range(0, len(listed), _positive(batch_size)):
