@@ -122,19 +122,15 @@ class ViewpointEstimator(pretrained.Pretrained, rendering.ObjectRenderer):
         a dictionary of `failures` such images are left out instead, and it gets their positions and what is wrong.
         `progress` shows a bar while files are read.
         """
-
-        def found(prepared: Prepared) -> Hypotheses:
-            return self._hypotheses(self.network.composite(prepared.viewpoint))
-
         hypotheses: Iterable[Hypotheses]
         if masks is None and boxes is None and (ready := preprocess.ready_images(images, self.framing)) is not None:
             inputs = preprocess.ready_batches(ready, self.framing, self.device, batch_size)
             hypotheses = map(self._hypotheses, inputs)
         elif isinstance(images, Prepared) or self.device.type != "cpu":
-            hypotheses = map(found, self._prepared(images, masks, boxes, batch_size, failures, progress))
+            hypotheses = map(self._found, self._prepared(images, masks, boxes, batch_size, failures, progress))
         else:
-            batches = preprocess.computed(found, images, masks, boxes, self.framing, batch_size, failures, progress)
-            hypotheses = chain.from_iterable(batches)
+            parts = preprocess.computed(self._found, images, masks, boxes, self.framing, batch_size, failures, progress)
+            hypotheses = chain.from_iterable(parts)
         # Copied at once: the next batch may overwrite what a batch was computed from.
         arrays = [[_array(each.vectors), _array(each.logits), _array(each.ups)] for each in hypotheses]
         if not arrays:  # all of them failed
@@ -271,9 +267,13 @@ class ViewpointEstimator(pretrained.Pretrained, rendering.ObjectRenderer):
         """Hypotheses for the viewpoint network's input (N, 3, S, S), in the network's own frame."""
         return cast(Hypotheses, self.network.viewpoint(images))
 
+    def _found(self, prepared: Prepared) -> Hypotheses:
+        """`_hypotheses` for prepared images."""
+        return self._hypotheses(self.network.composite(prepared.viewpoint))
+
     def _predicted_poses(self, prepared: Prepared) -> Tensor:
         """(N, 3, 3) camera frames of the selected hypotheses, in the network's own frame."""
-        hypotheses = self._hypotheses(self.network.composite(prepared.viewpoint))
+        hypotheses = self._found(prepared)
         return hypotheses.world_from_camera[torch.arange(len(prepared)), hypotheses.logits.argmax(1).cpu()].cpu()
 
     @torch.no_grad()
