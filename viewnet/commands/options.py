@@ -91,19 +91,15 @@ def configurations(options: Options, seed: int = 0) -> list[RunConfig]:
 
     def config(category: str) -> RunConfig:
         filmed = root and "video" not in settings and build.shows_videos(Path(root), category)
-        video: dict[str, Any] = {"video": {"category": category, "root": root}} if filmed else {}
-
-        def made(**more: Any) -> RunConfig:
-            how = (options.variant, category, options.profile, options.recipe, seed, None if filmed else root, splits)
-            return make_config(*how, **(settings | video | more))
-
-        found, usual = made(), make_config(profile=options.profile, recipe=options.recipe).data
+        given = settings | ({"video": {"category": category, "root": root}} if filmed else {})
+        how = (options.variant, category, options.profile, options.recipe, seed, None if filmed else root, splits)
+        found, usual = make_config(*how, **given), make_config(profile=options.profile, recipe=options.recipe).data
         setting, wanted = "epochs" if filmed else "views", usual.models * usual.views  # 0 models: all that there are
         if not root or not wanted or options.profile == "smoke" or setting in settings:
             return found
         share = build.count_views(found.data) / wanted
         value = found.train.epochs if filmed else found.data.views
-        return made(**{setting: math.ceil(value / share)}) if 0 < share < 1 else found
+        return make_config(*how, **(given | {setting: math.ceil(value / share)})) if 0 < share < 1 else found
 
     return [config(category) for category in options.categories]
 
