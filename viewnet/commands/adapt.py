@@ -52,9 +52,8 @@ def run(options: Options) -> int:
             print(f"viewnet: {names[row]}: {failures[row]}", file=sys.stderr)
     print(options.output if found.kept else "not written: it does not help")
     print(f"  learned from {found.photographs} photographs, {found.held_out} held out")
-    print(
-        f"  crops and mirror images of one held out agree: {100 * found.before:.1f} % before, {100 * found.after:.1f}"
-    )
+    agreeing = f"{100 * found.before:.1f} % before, {100 * found.after:.1f}"
+    print(f"  crops and mirror images of one held out agree: {agreeing}")
     shares = f"{100 * found.stayed:.1f} % of those held out, {100 * found.remembered:.1f} % of drawn views"
     print(f"  sure answers that stay: {shares}")
     return 0 if found.kept else 1
