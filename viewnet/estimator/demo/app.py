@@ -73,14 +73,7 @@ class Page:
                 with gr.Column(scale=6, min_width=320):
                     self._lay_out_answer()
             with gr.Row():
-                with gr.Column(min_width=320):
-                    self._lay_out_views()
-                with gr.Column(min_width=320):
-                    label, white = "As a 3-D model: drag to turn it", (1, 1, 1, 1)
-                    self.mesh = gr.Model3D(label=label, clear_color=white, height=440, elem_id="mesh")
-                    still: Any = {"interactive": False, "format": "png", "buttons": ["download"], "visible": False}
-                    label = "As a 3-D model, from four sides: this browser cannot turn it"
-                    self.sides = gr.Image(label=label, height=440, elem_id="sides", **still)
+                self._lay_out_views()
             with gr.Accordion("What this model is", open=True):
                 gr.Markdown(analysis.model_facts(estimator), elem_id="about")
             self._connect()
@@ -115,10 +108,16 @@ class Page:
         self.table = gr.HTML(elem_id="hypotheses")
 
     def _lay_out_views(self) -> None:
-        still: dict[str, Any] = {"interactive": False, "format": "png", "buttons": ["download"]}
-        self.view = gr.Image(label="From elsewhere", height=300, elem_id="view", **still)
-        self.azimuth = gr.Slider(0, 360, value=0, step=1, label="azimuth, degrees", elem_id="azimuth")
-        self.elevation = gr.Slider(-90, 90, value=0, step=1, label="elevation, degrees", elem_id="elevation")
+        still: Any = {"interactive": False, "format": "png", "buttons": ["download"]}
+        with gr.Column(min_width=320):
+            self.view = gr.Image(label="From elsewhere", height=300, elem_id="view", **still)
+            self.azimuth = gr.Slider(0, 360, value=0, step=1, label="azimuth, degrees", elem_id="azimuth")
+            self.elevation = gr.Slider(-90, 90, value=0, step=1, label="elevation, degrees", elem_id="elevation")
+        with gr.Column(min_width=320):
+            label, white = "As a 3-D model: drag to turn it", (1, 1, 1, 1)
+            self.mesh = gr.Model3D(label=label, clear_color=white, height=440, elem_id="mesh")
+            label = "As a 3-D model, from four sides: this browser cannot turn it"
+            self.sides = gr.Image(label=label, height=440, elem_id="sides", visible=False, **still)
 
     def _connect(self) -> None:
         question = [self.picker, self.image, self.box]
