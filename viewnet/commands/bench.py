@@ -40,12 +40,11 @@ def run(options: Options) -> None:
     from viewnet.bench import measure, report, steps
 
     folder = options.output or paths.tables() / "benchmarks"
-    names = ("repeat", "threads", "quick")
-    given = {name: getattr(options, name) for name in names}
+    given = {name: getattr(options, name) for name in ("batch", "repeat", "threads", "quick")}
     if options.steps is not None:
         if options.sizes is not None or options.accuracy:
             raise ViewnetError("--steps goes with neither --sizes nor --accuracy: run it twice")
-        settings = measure.Settings.default(batch=options.batch, **given)
+        settings = measure.Settings.default(**given)
         profiles = dict.fromkeys(options.steps)
         configs = [steps.configuration(name, options.recipe, options.variant, options.batch) for name in profiles]
         measured = steps.measure(configs, settings)
@@ -54,7 +53,7 @@ def run(options: Options) -> None:
         if options.recipe or options.variant != "viewnet":
             raise ViewnetError("--recipe and --variant are of --steps: name its profiles, such as --steps tiny")
         sizes = None if options.sizes is None else tuple(options.sizes)
-        settings = measure.Settings.default(sizes=sizes, batch=options.batch, accuracy=options.accuracy, **given)
+        settings = measure.Settings.default(sizes=sizes, accuracy=options.accuracy, **given)
         measured = measure.measure(settings)
         files, text = report.write(measured, folder), report.as_text(measured)
     print_results(options, measured | {"files": [str(path) for path in files]}, text, *files)

@@ -42,6 +42,6 @@ def run(options: Options) -> None:
         print(*notebooks.parameters(notebooks.find(options.name).stem), sep="\n")
     elif options.dry_run:
         name = notebooks.find(options.name).stem
-        print(*notebooks.check(name, [(key, value) for key, value in options.values]).needs().lines(), sep="\n")
+        print(*notebooks.check(name, options.values).needs().lines(), sep="\n")
     else:
-        print(notebooks.run(options.name, [(name, value) for name, value in options.values], options.output))
+        print(notebooks.run(options.name, options.values, options.output))

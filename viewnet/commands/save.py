@@ -44,8 +44,6 @@ def run(options: Options) -> None:
     for path in options.scores:
         values = read_json(path)
         scores += values if isinstance(values, list) else [values]
+    how = {"license": options.license, "half": options.half, "scores": scores}
     push = {"push_to_hub": options.push is not None, "repo_id": options.push}
-    address = estimator.save_pretrained(
-        options.folder, license=options.license, half=options.half, scores=scores, **push
-    )
-    print(address or options.folder)
+    print(estimator.save_pretrained(options.folder, **how, **push) or options.folder)
