@@ -19,15 +19,14 @@ from viewnet.errors import ViewnetError
 
 LAUNCH: dict[str, Any] = {"prevent_thread_lock": True, "quiet": True, "show_error": False, "max_file_size": "20mb"}
 LAUNCH |= {"footer_links": [], "run_history": False, "ssr_mode": False}
+OFFERED = "images to offer on the page, such as photographs (default: drawn ones)"
 SHARED = "yes: a public address too, by a tunnel through gradio's servers (default: no)"
 ARGUMENTS = (
     *MODEL,
     argument("--host", "the address to listen at (default: 127.0.0.1, this machine)", default="127.0.0.1"),
     argument("--port", "default: 7860", type=int, default=7860),
     argument("--share", SHARED, choices=["no", "yes"], default="no"),
-    argument(
-        "--examples", "images to offer on the page, such as photographs (default: drawn ones)", nargs="+", default=[]
-    ),
+    argument("--examples", OFFERED, nargs="+", default=[]),
     argument("--open", "open the page in the browser", action="store_true"),
 )
 

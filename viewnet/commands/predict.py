@@ -89,8 +89,7 @@ def run(options: Options) -> int:
     if not len(viewpoints):
         return 2
     names = [name for row, name in enumerate(names) if row not in failures]
-    alike = ALIKE.get(estimator.config.category)
-    notes = [*([] if viewpoints.aligned else [OWN]), *([alike] if alike else [])]
+    notes = [note for note in ("" if viewpoints.aligned else OWN, ALIKE.get(estimator.config.category)) if note]
     if options.json or output:
         failed = [{"file": name, "error": problem} for name, problem in errors]
         about = {"frame": "annotated" if viewpoints.aligned else "own", "notes": notes, "failures": failed}
