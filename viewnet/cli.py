@@ -69,10 +69,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that reports a mistake in one line, and takes every negative number for a value."""
+    """A parser that reports a mistake in one line, takes negative numbers for values, and keeps the lines of help."""
 
     def __init__(self, **settings: Any) -> None:
-        super().__init__(**settings)
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **settings)
         self._negative_number_matcher = NEGATIVE
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
@@ -95,7 +95,6 @@ def parser() -> argparse.ArgumentParser:
         prog="viewnet",
         description="ViewNet, replicated: tables and figures of the paper, and viewpoints of your own images.",
         epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     whole.set_defaults(parser=whole)
     whole.add_argument("--version", action="version", version=f"viewnet {importlib.metadata.version('viewnet')}")
@@ -109,7 +108,6 @@ def parser() -> argparse.ArgumentParser:
             help=summary[:1].lower() + summary[1:].rstrip("."),
             description=description,
             epilog="examples:\n" + textwrap.indent(textwrap.dedent(examples), "  "),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         for each in module.ARGUMENTS:
             exclusive = isinstance(each, list)
