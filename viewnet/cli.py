@@ -125,3 +125,7 @@ def _fail_together(message: str) -> None:
 
         if distributed.size() > 1:
             distributed.fail(message)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
