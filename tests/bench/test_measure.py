@@ -84,6 +84,10 @@ def test_the_seconds_a_training_took_to_an_accuracy():
         (["--batch", "1"], "batch 1: expected 2 to 4096"),
         (["--repeat", "0"], "repeat 0: expected 1 to 1000"),
         (["--threads", "0"], "threads 0: expected 1 to 1024"),
+        (
+            ["--steps", "tiny", "--variant", "mvc"],
+            "--variant mvc: a method of another paper: --steps takes ViewNet apart",
+        ),
     ],
 )
 def test_settings_out_of_range_are_refused_in_a_line(arguments, message, capsys):

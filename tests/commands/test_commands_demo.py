@@ -28,6 +28,7 @@ def test_without_gradio_the_message_says_what_to_install(run, monkeypatch, capsy
         (["--port", "99999"], "--port 99999: expected 1 to 65535"),
         (["--model", "ba9876543210"], "ba9876543210: no model there"),
         (["--host", "256.0.0.1"], "256.0.0.1:{port}: cannot listen there"),
+        (["--host", "a..b"], "a..b:{port}: cannot listen there (no name of a host)"),
         (["--device", "abacus"], "device abacus: not available here"),
     ],
 )

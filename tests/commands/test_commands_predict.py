@@ -165,6 +165,11 @@ def test_predict_reads_the_standard_input(images, monkeypatch, capsys):
         assert found[0]["azimuth"] == found[-1]["azimuth"]
 
 
+def test_the_standard_input_is_one_image(images, capsys):
+    assert cli.main(["predict", "-", images[0], "-", "--model", "car"]) == 2
+    assert capsys.readouterr().err == "viewnet: -: standard input holds one image: name it once\n"
+
+
 @pytest.mark.parametrize("kind", ["csv", "parquet", "json"])
 def test_predict_writes_a_table(images, kind, tmp_path, capsys):
     output = tmp_path / "new" / f"viewpoints.{kind}"

@@ -85,7 +85,7 @@ def test_saved_models_predict_the_same_bit_for_bit(run, images, tmp_path):
 
 
 def test_folders_of_a_machine_stay_there(tmp_path):
-    video = VideoConfig("car", root="/home/someone/clips", masks="alpha")
+    video = VideoConfig("car", root="/home/someone/clips", mask_folder="/home/someone/masks")
     data = DataConfig("car", root="/home/someone/ShapeNetCore.v1", backgrounds="/home/someone/SUN397", video=video)
     estimator = untrained()
     there = replace(estimator, config=replace(estimator.config, data=data))

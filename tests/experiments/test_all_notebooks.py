@@ -78,6 +78,7 @@ def test_the_page_alone_runs_nothing(ran, capsys, tmp_path):
         (["--seeds", "none"], "seeds 'none': expected how many"),
         (["--page", "--profile", "smoke"], "--page cannot be combined"),
         (["--claims", "--seeds", "3"], "--claims cannot be combined"),
+        (["--page", "--dry-run"], "--page cannot be combined"),
     ],
 )
 def test_what_cannot_be_run_is_said_before_anything_is(ran, arguments, message, capsys):

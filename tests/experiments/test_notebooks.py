@@ -148,6 +148,7 @@ def test_values_are_text_and_nothing_is_guessed(root):
         (["-p", "seeds", "1", "-p", "seeds", "2"], "parameter seeds is given twice"),
         (["-p", "data_root", "nowhere"], "data_root nowhere: no such folder"),
         (["--refresh", "-p", "seeds", "2"], "--refresh takes neither -p nor --output"),
+        (["--refresh", "--dry-run"], "--refresh takes neither -p nor --output nor --dry-run"),
         (["-o", str(FOLDER / "table1_shapenet.ipynb")], "is the notebook itself"),
     ],
 )

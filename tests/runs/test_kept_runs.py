@@ -113,3 +113,8 @@ def test_the_command_lists_shows_compares_and_removes(runs, capsys):
 def test_a_mistake_is_named(runs, capsys, arguments, message):
     assert cli.main(["runs", *arguments]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_two_beginnings_of_a_key_are_one_run(runs, capsys):
+    assert cli.main(["runs", "compare", runs[0].key[:11], runs[0].key]) == 2
+    assert "name two keys or more" in capsys.readouterr().err

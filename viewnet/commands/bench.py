@@ -38,10 +38,13 @@ def run(options: Options) -> None:
     """Measure, write the reports and print them. ViewnetError for options that exclude each other."""
     from viewnet import paths
     from viewnet.bench import measure, report, steps
+    from viewnet.recipes import PEERS
 
     folder = options.output or paths.tables() / "benchmarks"
     given = {name: getattr(options, name) for name in ("batch", "repeat", "threads", "quick")}
     if options.steps is not None:
+        if options.variant in PEERS:
+            raise ViewnetError(f"--variant {options.variant}: a method of another paper: --steps takes ViewNet apart")
         if options.sizes is not None or options.accuracy:
             raise ViewnetError("--steps goes with neither --sizes nor --accuracy: run it twice")
         settings = measure.Settings.default(**given)

@@ -73,6 +73,7 @@ def _check_free(host: str, port: int) -> None:
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         socket.create_server(address[:2], family=family).close()
-    except OSError as error:
-        reason = f"cannot listen there ({error.strerror}): choose another --port or --host"
+    except (OSError, UnicodeError) as error:  # the latter for what cannot be a host's name
+        why = getattr(error, "strerror", None) or "no name of a host"
+        reason = f"cannot listen there ({why}): choose another --port or --host"
         raise ViewnetError(f"{host}:{port}: {reason}") from None

@@ -35,8 +35,8 @@ def run(options: Options) -> None:
     from viewnet.experiments import notebooks
 
     if options.refresh:
-        if options.values or options.output:
-            raise ViewnetError("--refresh takes neither -p nor --output")
+        if options.values or options.output or options.dry_run:
+            raise ViewnetError("--refresh takes neither -p nor --output nor --dry-run")
         print(*notebooks.refresh(notebooks.ORDER if options.name == "all" else [options.name]), sep="\n")
     elif options.parameters:
         print(*notebooks.parameters(notebooks.find(options.name).stem), sep="\n")

@@ -69,6 +69,8 @@ def run(options: Options) -> int:
     from viewnet.estimator.viewpoints import ALIKE
     from viewnet.runtime.files import scratch
 
+    if options.images.count("-") > 1:
+        raise ViewnetError("-: standard input holds one image: name it once")
     names, boxes, errors = image_names.expanded(options.images), options.box, list[tuple[str, str]]()
     if options.boxes:
         names, boxes, without = image_names.boxed(names, options.boxes)

@@ -36,10 +36,10 @@ def run(options: Options) -> None:
         table = kept_runs.listed(**{name: value for name, value in wanted.items() if value})
         print_results(options, records(table), _text(table))
         return
-    least = 2 if options.what == "compare" else 1
-    if len(set(options.keys)) < least:
+    least, keys = 2 if options.what == "compare" else 1, set(options.keys)
+    folders = list(dict.fromkeys(map(kept_runs.find, options.keys))) if len(keys) >= least else []
+    if len(folders) < least:  # two keys may be beginnings of one
         raise ViewnetError(f"runs {options.what}: name {'two keys or more' if least > 1 else 'a key'}")
-    folders = list(dict.fromkeys(map(kept_runs.find, options.keys)))
     if options.what == "show":
         shown = [_about(folder) for folder in folders]
         print_results(options, shown, *(line for about in shown for line in _lines(about)))

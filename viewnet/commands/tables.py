@@ -43,7 +43,7 @@ def run(options: Options) -> int:
     from viewnet.experiments.page import page
 
     alone = [name for name in ("page", "claims", "from_predictions") if getattr(options, name)]
-    if alone and (len(alone) > 1 or options.only or options.profile or options.seeds):
+    if alone and (len(alone) > 1 or options.only or options.profile or options.seeds or options.dry_run):
         raise ViewnetError(f"--{alone[0].replace('_', '-')} cannot be combined with other options")
     if options.claims:
         return _judge(options, paths.tables())

@@ -192,7 +192,8 @@ def _without_places(config: RunConfig) -> RunConfig:
         return None if place is None else Path(place).name or place
 
     data, train = config.data, config.train
-    video = None if data.video is None else replace(data.video, root=last(data.video.root))
+    if (video := data.video) is not None:
+        video = replace(video, root=last(video.root), mask_folder=last(video.mask_folder))
     places: dict[str, Any] = {name: last(getattr(data, name)) for name in ("root", "splits", "extra", "backgrounds")}
     return replace(config, data=replace(data, **places, video=video), train=replace(train, start=last(train.start)))
 

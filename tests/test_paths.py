@@ -1,0 +1,20 @@
+"""The project's folders, and the environment variables that move them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from viewnet import paths
+
+
+@pytest.mark.parametrize("name", ["root", "data", "runs", "tables"])
+def test_a_variable_moves_its_folder_and_an_empty_one_moves_nothing(name, monkeypatch, tmp_path):
+    variable = f"VIEWNET_{name.upper()}"
+    monkeypatch.delenv(variable, raising=False)
+    usual = getattr(paths, name)()
+    monkeypatch.setenv(variable, "")
+    assert getattr(paths, name)() == usual != Path()
+    monkeypatch.setenv(variable, str(tmp_path))
+    assert getattr(paths, name)() == tmp_path
