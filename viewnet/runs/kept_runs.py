@@ -1,6 +1,8 @@
 """The runs in the run store: what each is, how far it is, what it reached, and which committed files show it."""
 
 import contextlib
+import functools
+import operator
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -87,11 +89,7 @@ def _folders() -> list[Path]:
 def _settings(run: Run) -> dict[str, Any]:
     """Every setting of a run by its name, and what decides a run beside settings."""
     config, found = run.config.to_dict(), {name: getattr(run.config, name) for name in NAMES}
-    for name, place in settings():
-        value: Any = config
-        for part in place:
-            value = value[part]
-        found[name] = value
+    found |= {name: functools.reduce(operator.getitem, place, config) for name, place in settings()}
     with contextlib.suppress(ViewnetError):  # not finished yet
         found |= {"views": run.result.get("views"), "commit": _commit(run.result)}
     return found
