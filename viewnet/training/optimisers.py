@@ -94,9 +94,6 @@ def make_optimisers(model: ViewNet, config: TrainConfig) -> list[torch.optim.Opt
     if matrices:
         half = half_precision(matrices[0].device, config)
         optimisers.append(Muon([{"params": matrices}, *opening], settings.muon, half=half))
-    for optimiser in optimisers:
-        for group in optimiser.param_groups:
-            group["initial_lr"] = group["lr"]  # what a schedule scales
     return optimisers
 
 
@@ -108,4 +105,4 @@ def set_learning_rates(optimisers: list[torch.optim.Optimizer], config: Optimise
         factor = 0.5 * (1 + math.cos(math.pi * max(0.0, progress - held) / (1 - held)))  # 1 -> 0
     for optimiser in optimisers:
         for group in optimiser.param_groups:
-            group["lr"] = group["initial_lr"] * factor
+            group["lr"] = group.setdefault("initial_lr", group["lr"]) * factor  # kept at the first call, and in state.pt

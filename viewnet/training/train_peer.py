@@ -55,12 +55,8 @@ def train_peer(
         views.require_viewpoints(["train", "val"], f"{config.variant} learns from viewpoints: use an annotated store")
     source = _Source(config, views, model, device)
     groups = model.parameter_groups(settings.optimiser.learning_rate)
-    optimisers: list[torch.optim.Optimizer] = [
-        torch.optim.Adam(groups, lr=settings.optimiser.learning_rate, betas=settings.optimiser.betas, fused=True)
-    ]
-    for group in optimisers[0].param_groups:
-        group["initial_lr"] = group["lr"]  # what a schedule scales
-    history = resume(model, optimisers, folder)  # type: ignore[arg-type]  # it needs the state alone
+    adam = torch.optim.Adam(groups, lr=settings.optimiser.learning_rate, betas=settings.optimiser.betas, fused=True)
+    history = resume(model, [adam], folder)  # type: ignore[arg-type]  # it needs the state alone
     steps = max(1, len(source.training.objects) // settings.batch_size)
     total = settings.epochs * steps
     title = f"{config.variant} {config.category} seed {config.seed}"
@@ -70,7 +66,7 @@ def train_peer(
     model.train()
     while history.epoch < settings.epochs and not history.exhausted(settings.patience, settings.select_by):
         for step in range(history.epoch * steps, (history.epoch + 1) * steps):
-            set_learning_rates(optimisers, settings.optimiser, step / total)
+            set_learning_rates([adam], settings.optimiser, step / total)
             generator = step_generator(config.seed, step)
             terms = model.losses(source.batch(step, generator), step / total, generator)
             values = torch.stack(list(terms.values()))  # (terms,), each weighted already
@@ -82,7 +78,7 @@ def train_peer(
                 )
             model.zero_grad(set_to_none=True)
             values.sum().backward()
-            optimisers[0].step()
+            adam.step()
             for name, value in logged.items():
                 sums[name] = sums.get(name, 0.0) + value / steps
             shown.update()
@@ -91,7 +87,7 @@ def train_peer(
             scores = source.validate()
             history.seconds = time.perf_counter() - begun
             history.add(model, history.epoch * steps, settings.select_by, scores, sums)  # type: ignore[arg-type]
-            write(model, optimisers, history, folder)  # type: ignore[arg-type]  # goes on from here
+            write(model, [adam], history, folder)  # type: ignore[arg-type]  # goes on from here
             shown.set_postfix(acc=f"{scores['accuracy']:.0f}%", refresh=False)
         sums = {}
     shown.close()
