@@ -26,7 +26,7 @@ from viewnet.peers.peer import Batch, Peer
 from viewnet.runtime import distributed, memory
 from viewnet.runtime.progress import bar
 from viewnet.training.history import keep_best, resume, write
-from viewnet.training.optimisers import set_learning_rates
+from viewnet.training.optimisers import descend, set_learning_rates
 from viewnet.training.validation import VALIDATION_VIEWS
 
 
@@ -69,17 +69,7 @@ def train_peer(
             set_learning_rates([adam], settings.optimiser, step / total)
             generator = step_generator(config.seed, step)
             terms = model.losses(source.batch(step, generator), step / total, generator)
-            values = torch.stack(list(terms.values()))  # (terms,), each weighted already
-            logged = dict(zip(terms, values.detach().tolist(), strict=True))
-            if not math.isfinite(sum(logged.values())):  # before the update: the weights are still good
-                names = ", ".join(f"{name} {value:.3g}" for name, value in logged.items())
-                raise ViewnetError(
-                    f"{folder}: the loss is not finite at step {step} ({names}): lower the learning rate"
-                )
-            model.zero_grad(set_to_none=True)
-            values.sum().backward()
-            adam.step()
-            for name, value in logged.items():
+            for name, value in descend(model, [adam], terms, step, folder).items():
                 sums[name] = sums.get(name, 0.0) + value / steps
             shown.update()
         history.epoch += 1
