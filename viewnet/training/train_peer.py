@@ -62,9 +62,9 @@ def train_peer(
     title = f"{config.variant} {config.category} seed {config.seed}"
     shown = bar(progress, total=total, initial=history.epoch * steps, desc=title, unit="step")
     begun = time.perf_counter() - history.seconds  # what came before a resume counts
-    sums: dict[str, float] = {}
     model.train()
     while history.epoch < settings.epochs and not history.exhausted(settings.patience, settings.select_by):
+        sums: dict[str, float] = {}
         for step in range(history.epoch * steps, (history.epoch + 1) * steps):
             set_learning_rates([adam], settings.optimiser, step / total)
             generator = step_generator(config.seed, step)
@@ -79,7 +79,6 @@ def train_peer(
             history.add(model, history.epoch * steps, settings.select_by, scores, sums)  # type: ignore[arg-type]
             write(model, [adam], history, folder)  # type: ignore[arg-type]  # goes on from here
             shown.set_postfix(acc=f"{scores['accuracy']:.0f}%", refresh=False)
-        sums = {}
     shown.close()
     keep_best(config, history, folder)  # only now: a checkpoint means finished
 
