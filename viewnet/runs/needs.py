@@ -71,9 +71,8 @@ def needs(configs: Sequence[RunConfig], later: Sequence[RunConfig] = ()) -> Need
         place = None
         if (identity := identities[config.data]) and config not in later:
             behind, size = config.data.backgrounds, 2 * config.model.input_size
-            place = run_store.locate(
-                config, identity, backgrounds.identity(behind, size, augment.COUNT) if behind else ""
-            )
+            drawn = backgrounds.identity(behind, size, augment.COUNT) if behind else ""
+            place = run_store.locate(config, identity, drawn)
         trained = config.variant not in UNTRAINED
         # Those with the best validation accuracy after a robust alignment are kept beside them.
         copies = 1 + (config.train.select_by == "accuracy" and config.variant not in PEERS)
