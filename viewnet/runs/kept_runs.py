@@ -4,7 +4,7 @@ import contextlib
 import functools
 import operator
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,13 +65,15 @@ def differences(runs: Sequence[Run]) -> pd.DataFrame:
 
 def shown_in(key: str) -> list[str]:
     """The files of paper_tables/ that show a run, relative to it."""
-    found = []
+    shown = ((path, {name.partition("/")[0] for name in runs}) for path, runs in in_tables())
+    return [path.relative_to(paths.tables()).as_posix() for path, keys in shown if key in keys]
+
+
+def in_tables() -> Iterator[tuple[Path, dict[str, Any]]]:
+    """The JSON files of paper_tables/, and what each says of the runs that it shows, by their names."""
     for path in sorted(paths.tables().rglob("*.json")):
         about = read_json(path)
-        runs = about.get("runs", {}) if isinstance(about, dict) else {}
-        if key in {name.partition("/")[0] for name in runs}:
-            found.append(path.relative_to(paths.tables()).as_posix())
-    return found
+        yield path, about.get("runs", {}) if isinstance(about, dict) else {}
 
 
 def remove(folder: Path) -> int:

@@ -18,7 +18,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.run import run_name
 from viewnet.recipes import PEERS
-from viewnet.runs import make_run, run_store
+from viewnet.runs import kept_runs, make_run, run_store
 from viewnet.runtime.files import read_json
 
 Row = dict[str, Any]
@@ -112,9 +112,8 @@ def _origin(data: DataConfig) -> str:
 
 def _known() -> Iterator[tuple[Row, str, float]]:
     """Of every run that is kept: its names, its settings' key, and how many seconds it was trained."""
-    for file in sorted(paths.tables().rglob("*.json")):
-        about = read_json(file)
-        for run in about.get("runs", {}).values() if isinstance(about, dict) else ():
+    for _, runs in kept_runs.in_tables():
+        for run in runs.values():
             if run.get("settings") and run.get("training"):
                 yield run, run["settings"], run["training"]["seconds"]
     for file in sorted(paths.runs().glob("*/*/result.json")):
