@@ -298,18 +298,14 @@ def _differences(values: dict[str, Any], usual: dict[str, Any]) -> dict[str, Any
     return found
 
 
-def settings(cls: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[str, tuple[str, ...]]]:
+def settings(cls: Any = RunConfig, path: tuple[str, ...] = ()) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Every setting's name and where it stands: ("search_views", ("train", "search", "views"))."""
-    if cls is None:
-        for section, config in (("data", DataConfig), ("model", ModelConfig), ("train", TrainConfig)):
-            yield from settings(config, (section,))
-        return
     hints = typing.get_type_hints(cls)
     for each in dataclasses.fields(cls):
         place = (*path, each.name)
-        if path[0] == "train" and dataclasses.is_dataclass(hints[each.name]):
+        if dataclasses.is_dataclass(hints[each.name]):
             yield from settings(hints[each.name], place)
-        else:
+        elif path:  # what stands beside the sections names the run
             yield each.metadata.get("setting", each.name), place
 
 
@@ -352,15 +348,12 @@ def build(cls: Any, values: Any, where: str) -> Any:
         raise ViewnetError(
             f"{where}: unknown setting {unknown[0]!r}: choose one of {', '.join(hints)}{nearest(unknown[0], hints)}"
         )
-    missing = [
-        f.name
-        for f in dataclasses.fields(cls)
-        if f.name not in values and f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
-    ]
-    if missing:
+    fields = dataclasses.fields(cls)
+    required = (f.name for f in fields if f.default is f.default_factory is dataclasses.MISSING)
+    if missing := [name for name in required if name not in values]:
         raise ViewnetError(f"{where}: {missing[0]!r} is missing")
     typed = {name: _typed(hints[name], value, f"{where}.{name}") for name, value in values.items()}
-    for each in dataclasses.fields(cls):
+    for each in fields:
         _check_limits(each.metadata.get("setting", each.name), typed.get(each.name))
     return cls(**typed)
 

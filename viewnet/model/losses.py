@@ -25,11 +25,8 @@ channels' means. Undivided, features of SqueezeNet, which has no normalisation, 
 
 def pixel_loss(image: Tensor, target: Tensor) -> Tensor:
     """L1 + MSE / 2 of images (N, C, H, W) at their own and half their resolution, averaged."""
-    total = image.new_zeros(())
-    for factor in (1, 2):
-        difference = F.avg_pool2d(image - target, factor) if factor > 1 else image - target  # (N, C, H / f, W / f)
-        total = total + difference.abs().mean() + 0.5 * difference.square().mean()
-    return total / 2
+    full, half = image - target, F.avg_pool2d(image - target, 2)  # (N, C, H, W) and (N, C, H / 2, W / 2)
+    return (full.abs().mean() + 0.5 * full.square().mean() + half.abs().mean() + 0.5 * half.square().mean()) / 2
 
 
 class PerceptualLoss(nn.Module):

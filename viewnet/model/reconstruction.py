@@ -84,10 +84,9 @@ def reconstruct(
 
 def best_head(model: ViewNet, objects: Encoded, hypotheses: Hypotheses, target: Tensor, config: TrainConfig) -> Choice:
     """The head with the least reconstruction error: m* of equation 2."""
-    rows = torch.arange(len(target), device=target.device)
     _, errors = compare(model, objects, hypotheses.vectors[:, :, None], hypotheses.ups, target, config)  # (N, M)
     head = errors.argmin(1)  # (N,)
-    return Choice(head, hypotheses.vectors[rows, head], errors)
+    return Choice(head, hypotheses.of_heads(head), errors)
 
 
 def compare(
@@ -115,6 +114,4 @@ def compare(
             if weight:
                 errors = errors + weight * head_errors(rendered[:, :, channels], target[:, channels])  # (N, M T)
         errors, best = errors.unflatten(1, candidates.shape[1:3]).min(2)  # (N, M)
-    if candidates.shape[2] == 1:
-        return candidates[:, :, 0], errors
-    return candidates.gather(2, best[:, :, None, None].expand(-1, -1, 1, 3))[:, :, 0], errors  # (N, M, 3)
+    return candidates.take_along_dim(best[:, :, None, None], 2)[:, :, 0], errors  # (N, M, 3) and (N, M)

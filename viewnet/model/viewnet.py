@@ -132,7 +132,6 @@ class ViewNet(nn.Module):
 
         `size` defaults to the size of reconstructions; the HoloGAN decoder has no other.
         """
-        size = self.config.render_size if size is None else size
         if isinstance(self.decoder, HoloGANDecoder):
             return self.decoder.render(volumes, code, world_from_camera)
-        return volume.render(volumes, world_from_camera, self.focal, size, sparse=True)
+        return volume.render(volumes, world_from_camera, self.focal, size or self.config.render_size, sparse=True)

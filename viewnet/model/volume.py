@@ -133,10 +133,9 @@ def render(
         raise ValueError(
             f"{len(world_from_camera)} camera frames cannot be shared out evenly over {len(volume)} volumes"
         )
+    given = volume.float(), world_from_camera.float(), focal.float(), size, steps
     fused = fused_kernels(volume.device)
-    if fused is not None:
-        return fused.render(volume.float(), world_from_camera.float(), focal.float(), size, steps, sparse)
-    return render_reference(volume.float(), world_from_camera.float(), focal.float(), size, steps)
+    return render_reference(*given) if fused is None else fused.render(*given, sparse)
 
 
 def fused_kernels(device: torch.device) -> ModuleType | None:

@@ -1,8 +1,10 @@
 """The runs in the run store: what each is, how far it is, what it reached, and which committed files show it."""
 
 import contextlib
+import functools
+import operator
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -63,13 +65,15 @@ def differences(runs: Sequence[Run]) -> pd.DataFrame:
 
 def shown_in(key: str) -> list[str]:
     """The files of paper_tables/ that show a run, relative to it."""
-    found = []
+    shown = ((path, {name.partition("/")[0] for name in runs}) for path, runs in in_tables())
+    return [path.relative_to(paths.tables()).as_posix() for path, keys in shown if key in keys]
+
+
+def in_tables() -> Iterator[tuple[Path, dict[str, Any]]]:
+    """The JSON files of paper_tables/, and what each says of the runs that it shows, by their names."""
     for path in sorted(paths.tables().rglob("*.json")):
         about = read_json(path)
-        runs = about.get("runs", {}) if isinstance(about, dict) else {}
-        if key in {name.partition("/")[0] for name in runs}:
-            found.append(path.relative_to(paths.tables()).as_posix())
-    return found
+        yield path, about.get("runs", {}) if isinstance(about, dict) else {}
 
 
 def remove(folder: Path) -> int:
@@ -87,11 +91,7 @@ def _folders() -> list[Path]:
 def _settings(run: Run) -> dict[str, Any]:
     """Every setting of a run by its name, and what decides a run beside settings."""
     config, found = run.config.to_dict(), {name: getattr(run.config, name) for name in NAMES}
-    for name, place in settings():
-        value: Any = config
-        for part in place:
-            value = value[part]
-        found[name] = value
+    found |= {name: functools.reduce(operator.getitem, place, config) for name, place in settings()}
     with contextlib.suppress(ViewnetError):  # not finished yet
         found |= {"views": run.result.get("views"), "commit": _commit(run.result)}
     return found

@@ -22,9 +22,9 @@ from viewnet.model import checkpoint
 from viewnet.recipes import PEERS
 from viewnet.runtime import distributed, provenance
 from viewnet.runtime.files import locked, write_json, write_text
+from viewnet.training.history import STATE
 
 SCHEMA = 1  # of result.json
-STATE = "state.pt"  # what an interrupted training resumes from (training.train); removed when training has ended
 # A change in the statements of these modules repeats predictions and metrics of finished runs, not their training.
 PREDICTING = ("evaluation/predict.py", "evaluation/predictions.py")
 EVALUATING = (*(f"evaluation/{name}.py" for name in ("alignment", "evaluate", "metrics", "predictions")), "geometry.py")

@@ -18,7 +18,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
 from viewnet.evaluation.run import run_name
 from viewnet.recipes import PEERS
-from viewnet.runs import make_run, run_store
+from viewnet.runs import kept_runs, make_run, run_store
 from viewnet.runtime.files import read_json
 
 Row = dict[str, Any]
@@ -71,9 +71,8 @@ def needs(configs: Sequence[RunConfig], later: Sequence[RunConfig] = ()) -> Need
         place = None
         if (identity := identities[config.data]) and config not in later:
             behind, size = config.data.backgrounds, 2 * config.model.input_size
-            place = run_store.locate(
-                config, identity, backgrounds.identity(behind, size, augment.COUNT) if behind else ""
-            )
+            drawn = backgrounds.identity(behind, size, augment.COUNT) if behind else ""
+            place = run_store.locate(config, identity, drawn)
         trained = config.variant not in UNTRAINED
         # Those with the best validation accuracy after a robust alignment are kept beside them.
         copies = 1 + (config.train.select_by == "accuracy" and config.variant not in PEERS)
@@ -113,9 +112,8 @@ def _origin(data: DataConfig) -> str:
 
 def _known() -> Iterator[tuple[Row, str, float]]:
     """Of every run that is kept: its names, its settings' key, and how many seconds it was trained."""
-    for file in sorted(paths.tables().rglob("*.json")):
-        about = read_json(file)
-        for run in about.get("runs", {}).values() if isinstance(about, dict) else ():
+    for _, runs in kept_runs.in_tables():
+        for run in runs.values():
             if run.get("settings") and run.get("training"):
                 yield run, run["settings"], run["training"]["seconds"]
     for file in sorted(paths.runs().glob("*/*/result.json")):

@@ -55,12 +55,10 @@ A module that training starts to use must be added here, or a change in it would
 with what viewnet.training.train imports.
 """
 PEER_TRAINING = (
-    "peers/peer.py",
+    *(name for name in TRAINING if not name.startswith("training/")),
     *(f"training/{name}.py" for name in ("history", "optimisers", "train_peer")),
-    "geometry.py", "data/augment.py", "data/boxes.py", "data/pairs.py", "evaluation/alignment.py", "render/camera.py",
-    *(name for name in TRAINING if name.startswith("model/")), "peers/splat_numba.py",
-    *(f"runtime/{name}.py" for name in ("distributed", "images", "memory", "random", "torchvision_weights")),
-)  # fmt: skip
+    *("data/boxes.py", "peers/peer.py", "peers/splat_numba.py", "render/camera.py"),
+)
 """The same of peers; to it come the files of the method itself (viewnet.peers.registry.code_of)."""
 UNTRAINED_CODE = ("evaluation/baselines.py", "geometry.py")  # the same of predictors that need no training
 

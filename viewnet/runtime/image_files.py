@@ -192,8 +192,5 @@ def _claimed(head: bytes, formats: tuple[str, ...]) -> str:
     kind = head[8:12].decode("latin-1").strip().upper() if head[4:8] == b"ftyp" else next(claims, "no known format")
     if kind in ("HEIC", "HEIX", "MIF1"):
         kind += ", for which install pillow-heif"
-    return (
-        f"{kind}, damaged or of an unknown kind"
-        if kind in formats
-        else f"{kind}: save it as one of {', '.join(formats)}"
-    )
+    advice = ", damaged or of an unknown kind" if kind in formats else f": save it as one of {', '.join(formats)}"
+    return kind + advice

@@ -3,7 +3,6 @@
 import csv
 import json
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,17 +21,11 @@ from viewnet.runtime.files import replacing
 
 STATE = "state.pt"
 """What a training resumes from; removed when it has come to its end."""
-CHOICES: dict[str, Callable[[dict[str, float]], float]] = {
-    "accuracy": lambda scores: scores["accuracy"],
-    "reconstruction": lambda scores: -scores["reconstruction"],
-    "robust": lambda scores: scores["robust"],
-}
-"""Rule by which weights are chosen -> the score, higher is better, of what validation measures."""
 
 
 @dataclass
 class History:
-    """How far a training is: its log, and the best weights so far by each rule of CHOICES that counts."""
+    """How far a training is: its log, and the best weights so far by each rule that counts: a score of validation."""
 
     epoch: int = 0  # finished ones
     seconds: float = 0.0
@@ -51,7 +44,7 @@ class History:
         """
         weights: dict[str, Tensor] = {}
         for rule in ("accuracy", "robust") if by == "accuracy" else (by,):
-            score = CHOICES[rule](scores)
+            score = -scores[rule] if rule == "reconstruction" else scores[rule]  # higher is better
             if rule not in self.best or score > self.best[rule]["score"]:  # a first score of NaN counts
                 weights = weights or {  # copied, as training goes on; contiguous, as safetensors wants them
                     name: value.detach().cpu().clone(memory_format=torch.contiguous_format)

@@ -1,25 +1,29 @@
-"""Optimisers and the learning rate over time: Adam (section 4.1), and Muon (Jordan et al. 2024) beside it (ours)."""
+"""Adam (section 4.1), and Muon (Jordan et al. 2024) beside it (ours): their learning rates over time, and a step."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.optim import Optimizer
 from torch.optim.optimizer import ParamsT
 
 from viewnet.config import OptimiserConfig, TrainConfig
+from viewnet.errors import ViewnetError
 from viewnet.model.fast_layers import FixedCodeDeconv
 from viewnet.model.precision import half_precision
 from viewnet.model.viewnet import ViewNet
+from viewnet.runtime import distributed
 
-INNER_LAYERS = (torch.nn.Conv2d, torch.nn.ConvTranspose3d)
+INNER_LAYERS = (nn.Conv2d, nn.ConvTranspose3d)
 BFLOAT16_FROM = 2**16  # numbers from which matrices are made orthogonal in bfloat16
 POLYNOMIALS = ((7.711, -22.1138, 16.2487), (3.2153, -2.4112, 0.5013), (2.2183, -1.594, 0.4107))
 """Of degree five, a x + b x^3 + c x^5, one after the other: together they bring singular values in [0.02, 1] to within
 0.1 of 1. Each is the closest to 1 on the interval that the one before leaves (a linear program on a fine grid)."""
 
 
-class Muon(torch.optim.Optimizer):
+class Muon(Optimizer):
     """Steps along each weight's momentum, made orthogonal as a matrix (first dimension, all others).
 
     A network learns viewpoints in about half the steps that Adam takes. `torch.optim.Muon` takes matrices only, and
@@ -70,7 +74,7 @@ def orthogonal(matrix: Tensor, half: bool = False) -> Tensor:
     return x.T if matrix.shape[0] > matrix.shape[1] else x  # (a, b), as it came
 
 
-def make_optimisers(model: ViewNet, config: TrainConfig) -> list[torch.optim.Optimizer]:
+def make_optimisers(model: ViewNet, config: TrainConfig) -> list[Optimizer]:
     """Adam, and Muon for the inner convolutions of encoders and generator where the settings ask for it."""
     settings = config.optimiser
     parts = [*model.viewpoint.encoder, *model.appearance, *getattr(model.decoder, "stages", [])]
@@ -88,19 +92,16 @@ def make_optimisers(model: ViewNet, config: TrainConfig) -> list[torch.optim.Opt
     rate, norm = (settings.muon, 2) if settings.muon else (settings.learning_rate, 1)
     opening = [{"params": openings, "lr": rate * model.decoder.code.norm(norm).item()}] if openings else []
     adam = [{"params": others}, *([] if settings.muon else opening)]
-    optimisers: list[torch.optim.Optimizer] = [
+    optimisers: list[Optimizer] = [
         torch.optim.Adam(adam, lr=settings.learning_rate, betas=settings.betas, fused=True)  # fused: one pass
     ]
     if matrices:
         half = half_precision(matrices[0].device, config)
         optimisers.append(Muon([{"params": matrices}, *opening], settings.muon, half=half))
-    for optimiser in optimisers:
-        for group in optimiser.param_groups:
-            group["initial_lr"] = group["lr"]  # what a schedule scales
     return optimisers
 
 
-def set_learning_rates(optimisers: list[torch.optim.Optimizer], config: OptimiserConfig, progress: float) -> None:
+def set_learning_rates(optimisers: Sequence[Optimizer], config: OptimiserConfig, progress: float) -> None:
     """Learning rates when the share `progress` of training is done, by `config.schedule`."""
     factor = 1.0
     if config.schedule != "constant":
@@ -108,4 +109,24 @@ def set_learning_rates(optimisers: list[torch.optim.Optimizer], config: Optimise
         factor = 0.5 * (1 + math.cos(math.pi * max(0.0, progress - held) / (1 - held)))  # 1 -> 0
     for optimiser in optimisers:
         for group in optimiser.param_groups:
-            group["lr"] = group["initial_lr"] * factor
+            group["lr"] = group.setdefault("initial_lr", group["lr"]) * factor  # as it was at the first call
+
+
+def descend(
+    model: nn.Module, optimisers: Sequence[Optimizer], terms: dict[str, Tensor], step: int, folder: Path
+) -> dict[str, float]:
+    """One step of training along the sum of a loss's weighted terms; returns the terms, means over all processes.
+
+    ViewnetError, naming the run's folder, for a loss that is not finite: the weights then are as they were.
+    """
+    values = torch.stack(list(terms.values()))  # (terms,)
+    logged = dict(zip(terms, distributed.mean(values.detach()).tolist(), strict=True))  # one copy to the CPU
+    if not math.isfinite(sum(logged.values())):
+        names = ", ".join(f"{name} {value:.3g}" for name, value in logged.items())
+        raise ViewnetError(f"{folder}: the loss is not finite at step {step} ({names}): lower the learning rate")
+    model.zero_grad(set_to_none=True)
+    values.sum().backward()  # the sum: terms stay apart only in the log
+    distributed.average_gradients(model.parameters())
+    for optimiser in optimisers:  # Adam, and perhaps Muon
+        optimiser.step()
+    return logged

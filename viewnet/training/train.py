@@ -7,7 +7,6 @@ files       log.csv (a row a validation), state.pt (to resume), checkpoint.safet
 Under torchrun all processes train one run (viewnet.runtime.distributed); the first one validates and writes.
 """
 
-import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +28,7 @@ from viewnet.runtime import distributed, memory
 from viewnet.runtime.progress import bar
 from viewnet.runtime.random import RankGenerator
 from viewnet.training.history import board_of, keep_best, resume, write
-from viewnet.training.optimisers import make_optimisers, set_learning_rates
+from viewnet.training.optimisers import descend, make_optimisers, set_learning_rates
 from viewnet.training.step import step_loss
 from viewnet.training.validation import validate
 
@@ -68,18 +67,16 @@ def train(
     begun = time.perf_counter() - history.seconds  # what came before a resume counts
     run.model.train()
 
-    while history.epoch < config.train.epochs and not history.exhausted(config.train.patience, config.train.select_by):
+    while history.epoch < settings.epochs and not history.exhausted(settings.patience, settings.select_by):
         means = _train_epoch(run, history.epoch, folder, shown)
         history.epoch += 1
-        if history.epoch % config.train.validate_every and history.epoch < config.train.epochs:
+        if history.epoch % settings.validate_every and history.epoch < settings.epochs:
             continue  # the last epoch is validated whatever its number
         _check_weights(run, history.epoch * run.steps, folder)  # no broken weights among the best
         # Labels are used for the choice of weights only where the recipe says so (section 4.1).
-        scores = distributed.first(
-            lambda: validate(run.model, run.validation, config.train, run.device, run.backgrounds)
-        )
+        scores = distributed.first(lambda: validate(run.model, run.validation, settings, run.device, run.backgrounds))
         history.seconds = time.perf_counter() - begun
-        history.add(run.model, history.epoch * run.steps, config.train.select_by, scores, means)
+        history.add(run.model, history.epoch * run.steps, settings.select_by, scores, means)
         shown.set_postfix(loss=f"{history.log[-1]['loss']:.4f}", acc=f"{scores['accuracy']:.0f}%", refresh=False)
         if writes:
             write(run.model, run.optimisers, history, folder)  # an interrupted run goes on from the last validation
@@ -144,17 +141,7 @@ def _train_epoch(run: _Training, epoch: int, folder: Path, shown: Any) -> dict[s
         # Every process draws for the whole batch and takes its rows: the numbers do not depend on how many there are.
         generator = RankGenerator(step_generator(config.seed, step), distributed.rank(), distributed.size())
         terms = step_loss(run.model, batch, settings, run.perceptual, progress, generator, run.backgrounds)
-        values = torch.stack(list(terms.values()))  # (terms,), each weighted already
-        logged = dict(zip(terms, distributed.mean(values.detach()).tolist(), strict=True))  # one copy to the CPU
-        if not math.isfinite(sum(logged.values())):  # before the update: the weights are still good
-            names = ", ".join(f"{name} {value:.3g}" for name, value in logged.items())
-            raise ViewnetError(f"{folder}: the loss is not finite at step {step} ({names}): lower the learning rate")
-        run.model.zero_grad(set_to_none=True)
-        values.sum().backward()  # the sum: terms stay apart only in the log
-        distributed.average_gradients(run.model.parameters())
-        for optimiser in run.optimisers:  # Adam, and perhaps Muon
-            optimiser.step()
-        for name, value in logged.items():
+        for name, value in descend(run.model, run.optimisers, terms, step, folder).items():
             sums[name] = sums.get(name, 0.0) + value
         shown.update()
     return {name: value / run.steps for name, value in sums.items()}

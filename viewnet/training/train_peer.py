@@ -26,7 +26,7 @@ from viewnet.peers.peer import Batch, Peer
 from viewnet.runtime import distributed, memory
 from viewnet.runtime.progress import bar
 from viewnet.training.history import keep_best, resume, write
-from viewnet.training.optimisers import set_learning_rates
+from viewnet.training.optimisers import descend, set_learning_rates
 from viewnet.training.validation import VALIDATION_VIEWS
 
 
@@ -55,35 +55,21 @@ def train_peer(
         views.require_viewpoints(["train", "val"], f"{config.variant} learns from viewpoints: use an annotated store")
     source = _Source(config, views, model, device)
     groups = model.parameter_groups(settings.optimiser.learning_rate)
-    optimisers: list[torch.optim.Optimizer] = [
-        torch.optim.Adam(groups, lr=settings.optimiser.learning_rate, betas=settings.optimiser.betas, fused=True)
-    ]
-    for group in optimisers[0].param_groups:
-        group["initial_lr"] = group["lr"]  # what a schedule scales
-    history = resume(model, optimisers, folder)  # type: ignore[arg-type]  # it needs the state alone
+    adam = torch.optim.Adam(groups, lr=settings.optimiser.learning_rate, betas=settings.optimiser.betas, fused=True)
+    history = resume(model, [adam], folder)  # type: ignore[arg-type]  # it needs the state alone
     steps = max(1, len(source.training.objects) // settings.batch_size)
     total = settings.epochs * steps
     title = f"{config.variant} {config.category} seed {config.seed}"
     shown = bar(progress, total=total, initial=history.epoch * steps, desc=title, unit="step")
     begun = time.perf_counter() - history.seconds  # what came before a resume counts
-    sums: dict[str, float] = {}
     model.train()
     while history.epoch < settings.epochs and not history.exhausted(settings.patience, settings.select_by):
+        sums: dict[str, float] = {}
         for step in range(history.epoch * steps, (history.epoch + 1) * steps):
-            set_learning_rates(optimisers, settings.optimiser, step / total)
+            set_learning_rates([adam], settings.optimiser, step / total)
             generator = step_generator(config.seed, step)
             terms = model.losses(source.batch(step, generator), step / total, generator)
-            values = torch.stack(list(terms.values()))  # (terms,), each weighted already
-            logged = dict(zip(terms, values.detach().tolist(), strict=True))
-            if not math.isfinite(sum(logged.values())):  # before the update: the weights are still good
-                names = ", ".join(f"{name} {value:.3g}" for name, value in logged.items())
-                raise ViewnetError(
-                    f"{folder}: the loss is not finite at step {step} ({names}): lower the learning rate"
-                )
-            model.zero_grad(set_to_none=True)
-            values.sum().backward()
-            optimisers[0].step()
-            for name, value in logged.items():
+            for name, value in descend(model, [adam], terms, step, folder).items():
                 sums[name] = sums.get(name, 0.0) + value / steps
             shown.update()
         history.epoch += 1
@@ -91,9 +77,8 @@ def train_peer(
             scores = source.validate()
             history.seconds = time.perf_counter() - begun
             history.add(model, history.epoch * steps, settings.select_by, scores, sums)  # type: ignore[arg-type]
-            write(model, optimisers, history, folder)  # type: ignore[arg-type]  # goes on from here
+            write(model, [adam], history, folder)  # type: ignore[arg-type]  # goes on from here
             shown.set_postfix(acc=f"{scores['accuracy']:.0f}%", refresh=False)
-        sums = {}
     shown.close()
     keep_best(config, history, folder)  # only now: a checkpoint means finished
 

@@ -42,9 +42,8 @@ class _NormReLU(torch.autograd.Function):
         x, mean, variance, slope, offset = ctx.saved_tensors
         grad = grads[0].to(x.dtype).contiguous()  # autograd may hand over another type or layout
         grad_x, grad_scale, grad_shift = torch.empty_like(x), torch.empty_like(mean), torch.empty_like(mean)
-        found = (grad_x, grad_scale, grad_shift)
-        _run("norm_backward", x, grad, mean, variance, ctx.epsilon, slope, offset, *found)
-        return *found, None  # none for epsilon
+        _run("norm_backward", x, grad, mean, variance, ctx.epsilon, slope, offset, grad_x, grad_scale, grad_shift)
+        return grad_x, grad_scale, grad_shift, None  # none for epsilon
 
 
 def _run(kernel: str, *arguments: Any) -> None:

@@ -28,10 +28,7 @@ def warm_up() -> None:
 
 
 def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
-    """As viewnet.model.volume.render_reference, in float32 on the CPU.
-
-    `sparse` leaves out the gradient of voxels without an occupied neighbour, which is most of the work.
-    """
+    """As viewnet.model.volume.render, in float32 on the CPU."""
     return _Render.apply(volume, frames, focal, size, steps, sparse)
 
 
@@ -114,9 +111,8 @@ class _Render(torch.autograd.Function):
         grad = grads[0].contiguous()  # (N, 4, S, S)
         grad_voxels, grad_frames = torch.zeros_like(voxels), torch.empty_like(frames)
         grad_focal = torch.zeros(len(voxels))  # one sum a volume, which one thread fills
-        found = (grad_voxels, grad_frames, grad_focal)
-        arguments = (voxels, cells, boxes, ctx.shape, frames, focal, ctx.steps, grad, *found)
-        _run("backward", *arguments)
+        given = voxels, cells, boxes, ctx.shape, frames, focal, ctx.steps, grad
+        _run("backward", *given, grad_voxels, grad_frames, grad_focal)
         grad_volume = unpadded(grad_voxels, ctx.shape)  # (B, 4, Z, Y, X); the frame's is dropped
         return grad_volume, grad_frames, grad_focal.sum().reshape(focal.shape), None, None, None  # focal's is a scalar
 

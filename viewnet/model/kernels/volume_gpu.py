@@ -1,8 +1,8 @@
 """The volume renderer for GPUs: one compiled pass a ray, forward and backward, with nothing stored in between.
 
-The plain PyTorch renderer writes the rotated volume to memory and reads it back several times. Here each ray is walked
-once, sample, weigh, stop, and the backward pass walks it again. A ray ends where hardly any light is left, and empty
-space is passed over. What a GPU keeps from forward to backward is the volume itself, laid out for the kernels.
+As in viewnet.model.kernels.volume_cpu each ray is walked once, and the backward pass walks it again. A ray ends where
+hardly any light is left, and empty space is passed over. What a GPU keeps from forward to backward is the volume
+itself, laid out for the kernels.
 
 Images, and the gradients of frames and focal parameter, are the same bits each time. Rays that run in parallel add to
 the gradient of the same voxel in any order, so its last bits vary from run to run.
@@ -41,10 +41,7 @@ def available() -> bool:
 
 
 def render(volume: Tensor, frames: Tensor, focal: Tensor, size: int, steps: int, sparse: bool) -> Tensor:
-    """As viewnet.model.volume.render_reference, in float32 on the GPU.
-
-    `sparse` leaves out the gradient of voxels without an occupied neighbour, which is most of the work.
-    """
+    """As viewnet.model.volume.render, in float32 on the GPU."""
     return _Render.apply(volume, frames, focal, size, steps, sparse)
 
 
