@@ -5,6 +5,7 @@ Layers of viewnet.model.fast_layers stand for PyTorch's, as their names say.
 Where the paper is silent or contradicts itself, docs/decisions.md says what was chosen and why.
 """
 
+import math
 from itertools import pairwise
 
 import torch
@@ -227,3 +228,8 @@ def gaussian_prior(size: int, width: float = 0.05) -> Tensor:
     axis = (torch.arange(size) * 2 + 1) / size - 1  # (n,), the voxels' centres
     z, y, x = torch.meshgrid(axis, axis, axis, indexing="ij")
     return torch.exp(-(x**2 + y**2 + z**2) / width)  # (n, n, n)
+
+
+def parameters(module: nn.Module) -> int:
+    """Number of learned parameters."""
+    return sum(math.prod(p.shape) for p in module.parameters())
