@@ -192,7 +192,7 @@ def image_grid(
     y = _places(len(lines), CELL + under, row_gaps, top)
     width, height = x[-1], y[-1] + 0.02
     figure = Figure(figsize=(width, height))  # placed by hand: layouts of matplotlib leave cells of unequal sizes
-    for (i, j), image in {(i, j): image for i, line in enumerate(lines) for j, image in enumerate(line)}.items():
+    for i, j, image in ((i, j, image) for i, line in enumerate(lines) for j, image in enumerate(line)):
         box = (x[j] / width, 1 - (y[i] + CELL) / height, CELL / width, CELL / height)
         axes = figure.add_axes(box, label=f"{i} {j}")
         axes.set(xticks=[], yticks=[])
@@ -223,8 +223,7 @@ def _wrapped(label: str) -> str:
 def _rows(renderer: RunRenderer, count: int) -> list[int]:
     """The first views of `count` objects, or of all where there are fewer, evenly spaced over the test split."""
     first = renderer.views.first
-    places = np.linspace(0, len(first), min(count, len(first)), endpoint=False).astype(int)
-    return [int(first[place]) for place in places]
+    return first[np.linspace(0, len(first), min(count, len(first)), endpoint=False).astype(int)].tolist()
 
 
 def _label(renderer: RunRenderer, among: Sequence[RunRenderer]) -> str:
