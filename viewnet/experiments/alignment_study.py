@@ -75,9 +75,9 @@ class Study:
     scores: pd.DataFrame
     collapse: pd.DataFrame
 
-    def by_count(self, metric: str = "acc30") -> pd.DataFrame:
-        """Median over draws and seeds, with the lowest and the highest, by number of calibration photographs."""
-        groups = self.scores.groupby(["category", "predictor", "alignment", "images"], sort=False)[metric]
+    def by_count(self) -> pd.DataFrame:
+        """Acc@30, median over draws and seeds with the lowest and the highest, by number of calibration photographs."""
+        groups = self.scores.groupby(["category", "predictor", "alignment", "images"], sort=False)["acc30"]
         wide = groups.agg(lambda g: f"{g.median():.1f} [{g.min():.1f}, {g.max():.1f}]").unstack("images")
         # Of the table, not of the alphabet.
         order = self.scores[["category", "predictor", "alignment"]].drop_duplicates()
@@ -195,8 +195,7 @@ def collapse_rows(predictor: Predictor) -> Iterator[dict[str, Any]]:
     """The rows of Study.collapse for one predictor, without subsets of fewer than FEWEST photographs."""
     predictions = predictor.predict(None, 0)
     for concentration in CONCENTRATIONS:
-        subset = one_sided(predictions, concentration)
-        if subset is None:
+        if (subset := one_sided(predictions, concentration)) is None:
             continue
         val, test = subset.subset("val"), subset.subset("test")
         azimuths = test.ids["azimuth"].to_numpy()
