@@ -64,9 +64,7 @@ class ConstantAudit:
             where = cells.loc[cells["verdict"] == best, "test_set"]
             text = best if len(where) == len(cells) else f"{best} ({', '.join(where)})"
             lines.setdefault((table, category), {"printed": cells["printed"].iloc[0]})[definition] = text
-        frame = pd.DataFrame.from_dict(lines, orient="index")
-        frame.index = pd.MultiIndex.from_tuples(frame.index, names=["table", "category"])
-        return frame
+        return pd.DataFrame.from_dict(lines, orient="index").rename_axis(["table", "category"])
 
     def write(self, folder: Path) -> list[Path]:
         """`audit_constants.csv` and `audit_confidence.csv` (`stand_in_...` for a stand-in): all numbers compared."""
