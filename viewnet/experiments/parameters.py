@@ -100,15 +100,6 @@ def _categories(value: Any, what: str) -> tuple[str, ...]:
     return names
 
 
-def _recipes(value: str, what: str) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(known(name.strip(), RECIPES, what) for name in value.split(",")))
-
-
-def _rows(value: str, what: str) -> tuple[str, ...]:
-    variants = dict.fromkeys(variant for layout in LAYOUTS.values() for variant in layout.variants)
-    return tuple(dict.fromkeys(known(name.strip(), variants, what) for name in value.split(",")))
-
-
 def _seeds(value: Any, what: str) -> tuple[int, ...]:
     """Seeds from a count, a list, or text of either."""
     problem = ViewnetError(f"{what} {value!r}: expected how many (3) or which (0,2), whole numbers of 0 or more")
@@ -163,6 +154,13 @@ def _one_name(default: str, choices: Collection[str], help: str, field: str, lab
     return Parameter(default, lambda value, what: (known(value, choices, what),), help, label, field=field)
 
 
+def _several_of(default: str, choices: Collection[str], help: str, field: str) -> Parameter:
+    def check(value: str, what: str) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(known(name.strip(), choices, what) for name in value.split(",")))
+
+    return Parameter(default, check, help, "{}", "-".join, field)
+
+
 def _folder(name: str, help: str) -> Parameter:
     return Parameter("", folder_named, help, name)
 
@@ -170,13 +168,12 @@ def _folder(name: str, help: str) -> Parameter:
 # fmt: off
 PARAMETERS: dict[str, Parameter] = {
     "profile": _one_of("default", PROFILES, "smoke, tiny, pocket, small, paper; else $VIEWNET_PROFILE or its own"),
-    "recipe": Parameter("default", _recipes,
-                        "how models are trained (viewnet.recipes), one or more: paper,matting; default: the profile's",
-                        "{}", "-".join, "recipes"),
+    "recipe": _several_of("default", RECIPES, "how models are trained (viewnet.recipes), one or more: paper,matting; "
+                          "default: the profile's", "recipes"),
     "variant": _one_name("", (*VARIANTS, *PEERS), "whose runs to show, such as viewnet_cycle; empty: the notebook's",
                          "variants", "{0[0]}"),
-    "rows": Parameter("", _rows, "variants that fill rows: viewnet,mvc; empty: all that need no pretrained weights",
-                      "{}", "-".join, "variants"),
+    "rows": _several_of("", tuple(dict.fromkeys(variant for layout in LAYOUTS.values() for variant in layout.variants)),
+                        "variants that fill rows: viewnet,mvc; empty: all that need no pretrained weights", "variants"),
     "categories": Parameter("all", _categories,
                             "car, or car,chair, or a list; all: the notebook's; everything: all twelve of PASCAL3D+",
                             "{}", lambda names: "everything" if set(names) == set(CATEGORIES) else "-".join(names),
