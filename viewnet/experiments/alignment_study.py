@@ -6,7 +6,7 @@ adds and the spread that it leaves are measured here, on all photographs and on 
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -137,12 +137,10 @@ class AlignmentStudy(PhotoExperiment):
         kept = {entry.origin.get("settings") for entry in self.kept}
         return [config for config in self.configs if config.settings_key() not in kept]
 
-    def trained_entries(
-        self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None
-    ) -> list[Entry]:
+    def trained_entries(self, runs: Sequence[Run], stores: dict[str, ViewStore]) -> list[Entry]:
         """What is kept, and runs. Raises ViewnetError where what is kept is of photographs of another version."""
         self.check_photographs(self.kept, stores)
-        return [*self.kept, *super().trained_entries(runs, stores, name)]
+        return [*self.kept, *super().trained_entries(runs, stores)]
 
     @property
     def seeds_in_words(self) -> str:
@@ -168,7 +166,7 @@ def predictors(experiment: PhotoExperiment, runs: Sequence[Run]) -> Iterator[Pre
     def fitted(variant: str, category: str, count: int | None, seed: int) -> Predictions:
         return experiment.fitted(variant, stores[category], count, seed)[0]
 
-    for entry in experiment.entries(runs, stores, TABLE):
+    for entry in replace(experiment, name=TABLE).trained_entries(runs, stores):  # the study has no rows of its own
         if entry.alignment == "procrustes":  # the same predictions stand in rows of other alignments
             yield fixed(entry.row, entry.category, entry.seed, entry.predictions)
     for category, store in stores.items():

@@ -164,13 +164,11 @@ class PhotoExperiment(Experiment):
         """What decides a view regression beside the images, for a table's JSON."""
         return {"features": self.chosen_features, "size": features.SIZE, "ridge": self.ridge}
 
-    def entries(self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
-        """The entries of a table, by default its own: the runs, and the untrained predictors, on these photographs."""
-        return [*self.trained_entries(runs, stores, name), *self.untrained_entries(stores, name)]
+    def entries(self, runs: Sequence[Run], stores: dict[str, ViewStore]) -> list[Entry]:
+        """The entries of its table: the runs, and the untrained predictors, on these photographs."""
+        return [*self.trained_entries(runs, stores), *self.untrained_entries(stores)]
 
-    def trained_entries(
-        self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None
-    ) -> list[Entry]:
+    def trained_entries(self, runs: Sequence[Run], stores: dict[str, ViewStore]) -> list[Entry]:
         """Of `entries`, the runs."""
 
         def predictions(run: Run) -> Predictions:
@@ -178,21 +176,20 @@ class PhotoExperiment(Experiment):
 
         return [
             replace(entry, origin=entry.origin | {"photographs": stores[entry.category].identity})
-            for entry in entries(name or self.name, runs, predictions, self.calibration)
+            for entry in entries(self.name, runs, predictions, self.calibration)
         ]
 
-    def untrained_entries(self, stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
+    def untrained_entries(self, stores: dict[str, ViewStore]) -> list[Entry]:
         """Of `entries`, the untrained predictors."""
-        name, result = name or self.name, []
-        shown = [variant for variant in self._untrained_variants if variant in LAYOUTS[name].variants]
-        for (category, store), variant in product(stores.items(), shown):
+        result = []
+        for (category, store), variant in product(stores.items(), self._untrained_variants):
             fitted, settings = self.fitted(variant, store, self.calibration)
             alignment = ALIGNED.get(variant, "none")
             origin: dict[str, Any] = {"variant": variant, "category": category, "photographs": store.identity}
             origin |= {"alignment": alignment, **settings, "calibration": self.calibration}
             key = content_key(variant, [origin, provenance.code_identity(CODE)])
             origin["git"] = provenance.commit()
-            for row in LAYOUTS[name].rows_of(variant):
+            for row in LAYOUTS[self.name].rows_of(variant):
                 result.append(Entry(row.label, category, 0, alignment, key, fitted, origin, self.calibration))
         return result
 
