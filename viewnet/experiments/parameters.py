@@ -3,6 +3,7 @@
 Values arrive plain, as papermill and the command line give them: names, whole numbers, "car,chair" or lists.
 """
 
+import contextlib
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -79,12 +80,10 @@ def _is_whole(value: Any, least: int = 0) -> bool:
 
 def _whole(value: Any, what: str, expected: str = "", least: int = 0) -> int:
     """A whole number from `least`, or 0, also as text."""
-    try:
+    with contextlib.suppress(ValueError):  # text without digits
         number = int(value) if isinstance(value, str) else value
         if _is_whole(number) and not 0 < number < least:
             return int(number)
-    except ValueError:
-        pass  # no digits
     raise ViewnetError(f"{what} {value!r}: expected a whole number{expected}")
 
 
