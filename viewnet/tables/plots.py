@@ -137,11 +137,10 @@ def calibration_curves(scores: pd.DataFrame) -> Figure:
     `scores` is that of viewnet.experiments.alignment_study.Study: a line is the median over draws and seeds by an
     alignment, the shade from the lowest to the highest. Grey lines are of what was fitted and needs no alignment.
     """
-    categories = list(dict.fromkeys(scores["category"]))
-    fitted = set(scores.loc[scores["alignment"] == "none", "predictor"])
-    aligned = [name for name in dict.fromkeys(scores["predictor"]) if name not in {*fitted, "Random"}]
+    fitted = scores.loc[scores["alignment"] == "none", "predictor"].unique()
+    aligned = [name for name in scores["predictor"].unique() if name not in {*fitted, "Random"}]
     titles = {name: f"{name}:\naccuracy (%)" for name in aligned}
-    figure, panels = _panels(categories, titles, "calibration photographs")
+    figure, panels = _panels(scores["category"].unique(), titles, "calibration photographs")
     for (predictor, category), axes in panels.items():
         here = scores[scores["category"] == category]
         shown = [(ALIGNMENTS[kind], colour, here[(here["predictor"] == predictor) & (here["alignment"] == kind)])
@@ -171,10 +170,10 @@ def collapse_curves(collapse: pd.DataFrame) -> Figure:
     gains = {metric: collapse[f"{metric}_linear"] - collapse[f"{metric}_rigid"] for metric in ("acc30", "dva")}
     titles = {"spread": "spread of predictions\n(% of the truth's)"}
     titles |= {"acc30": "accuracy, linear\nless rotation (points)", "dva": "DVA, linear\nless rotation (points)"}
-    categories = list(dict.fromkeys(collapse["category"]))
-    figure, panels = _panels(categories, titles, "photographs within the commonest\n30° of azimuth (%)")
+    below = "photographs within the commonest\n30° of azimuth (%)"
+    figure, panels = _panels(collapse["category"].unique(), titles, below)
     measured = collapse.assign(**shares, **gains)
-    colours = dict(zip(dict.fromkeys(collapse["predictor"]), itertools.cycle(COLOURS), strict=False))
+    colours = dict(zip(collapse["predictor"].unique(), itertools.cycle(COLOURS), strict=False))
     for (column, category), axes in panels.items():
         axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)  # a constant, or nothing added
         for name, rows in measured[measured["category"] == category].groupby("predictor", sort=False):
