@@ -165,9 +165,8 @@ def failures(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
         rows = failed[:count]  # all are counted in the label
         pairs = zip(renderer.test_images(rows), renderer.displayed(renderer.reconstruct(rows)), strict=True)
         each = itertools.product(rows, kinds.items())
-        texts = (f"{kind}\n{round(a[row]) % 360}°, {round(e[row])}°" for row, (kind, (a, e)) in each)
         lines.append(list(itertools.chain.from_iterable(pairs)))
-        captions.append(list(texts))
+        captions.append([f"{kind}\n{round(a[row]) % 360}°, {round(e[row])}°" for row, (kind, (a, e)) in each])
         labels.append(f"{cause}\n{len(failed)} of {len(renderer)}")
     return image_grid(lines, labels, captions=captions, gaps=range(2, 2 * count, 2))  # between image and next image
 
