@@ -44,11 +44,10 @@ def make(
     }
     rows = [row for row in range(len(images)) if row not in failures]
     unread: dict[int, str] = {}
-    parts: list[Tensor] = []
     chosen = [images[row] for row in rows]
     edges = [boxes[row] for row in rows] if boxes else None
-    for found in preprocess.computed(_pixels, chosen, None, edges, framing, 256, unread, progress):
-        parts += found
+    batches = preprocess.computed(_pixels, chosen, None, edges, framing, 256, unread, progress)
+    parts = [part for batch in batches for part in batch]
     failures |= {rows[row]: problem for row, problem in unread.items()}
     if sum(map(len, parts)) < LEAST:
         row = min(failures, default=None)

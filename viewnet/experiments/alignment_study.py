@@ -6,7 +6,7 @@ adds and the spread that it leaves are measured here, on all photographs and on 
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -75,9 +75,9 @@ class Study:
     scores: pd.DataFrame
     collapse: pd.DataFrame
 
-    def by_count(self, metric: str = "acc30") -> pd.DataFrame:
-        """Median over draws and seeds, with the lowest and the highest, by number of calibration photographs."""
-        groups = self.scores.groupby(["category", "predictor", "alignment", "images"], sort=False)[metric]
+    def by_count(self) -> pd.DataFrame:
+        """Acc@30, median over draws and seeds with the lowest and the highest, by number of calibration photographs."""
+        groups = self.scores.groupby(["category", "predictor", "alignment", "images"], sort=False)["acc30"]
         wide = groups.agg(lambda g: f"{g.median():.1f} [{g.min():.1f}, {g.max():.1f}]").unstack("images")
         # Of the table, not of the alphabet.
         order = self.scores[["category", "predictor", "alignment"]].drop_duplicates()
@@ -137,12 +137,10 @@ class AlignmentStudy(PhotoExperiment):
         kept = {entry.origin.get("settings") for entry in self.kept}
         return [config for config in self.configs if config.settings_key() not in kept]
 
-    def trained_entries(
-        self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None
-    ) -> list[Entry]:
+    def trained_entries(self, runs: Sequence[Run], stores: dict[str, ViewStore]) -> list[Entry]:
         """What is kept, and runs. Raises ViewnetError where what is kept is of photographs of another version."""
         self.check_photographs(self.kept, stores)
-        return [*self.kept, *super().trained_entries(runs, stores, name)]
+        return [*self.kept, *super().trained_entries(runs, stores)]
 
     @property
     def seeds_in_words(self) -> str:
@@ -168,7 +166,7 @@ def predictors(experiment: PhotoExperiment, runs: Sequence[Run]) -> Iterator[Pre
     def fitted(variant: str, category: str, count: int | None, seed: int) -> Predictions:
         return experiment.fitted(variant, stores[category], count, seed)[0]
 
-    for entry in experiment.entries(runs, stores, TABLE):
+    for entry in replace(experiment, name=TABLE).trained_entries(runs, stores):  # the study has no rows of its own
         if entry.alignment == "procrustes":  # the same predictions stand in rows of other alignments
             yield fixed(entry.row, entry.category, entry.seed, entry.predictions)
     for category, store in stores.items():
@@ -195,8 +193,7 @@ def collapse_rows(predictor: Predictor) -> Iterator[dict[str, Any]]:
     """The rows of Study.collapse for one predictor, without subsets of fewer than FEWEST photographs."""
     predictions = predictor.predict(None, 0)
     for concentration in CONCENTRATIONS:
-        subset = one_sided(predictions, concentration)
-        if subset is None:
+        if (subset := one_sided(predictions, concentration)) is None:
             continue
         val, test = subset.subset("val"), subset.subset("test")
         azimuths = test.ids["azimuth"].to_numpy()

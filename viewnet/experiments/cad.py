@@ -103,10 +103,14 @@ class Experiment(Request):
 
     def table_of(self, own: Sequence[Entry], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
         """The table of these entries; see `table`."""
-        rows = LAYOUTS[self.name].rows
+        rows = (self.renamed_rows, self.unmeasured_rows)
+        return Table.of(self.name, own, self.categories, self.note, remarks, *rows, added)
+
+    @property
+    def unmeasured_rows(self) -> tuple[str, ...]:
+        """Rows of ours for which only reported numbers are shown: those that were not asked for."""
         measured = {config.variant for config in self.configs}
-        unmeasured = [row.label for row in rows if row.variant and row.variant not in measured]
-        return Table.of(self.name, own, self.categories, self.note, remarks, unmeasured=unmeasured, added=added)
+        return tuple(r.label for r in LAYOUTS[self.name].rows if r.variant and r.variant not in measured)
 
     def entries_of(self, run: Run) -> list[Entry]:
         """What a finished run adds to the table, without `eval_root`."""

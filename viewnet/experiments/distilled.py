@@ -44,9 +44,8 @@ def make(
     model, others = models[0], models[1:]
     for name, other in zip(teachers, others, strict=True):
         if other.config.category != model.config.category:
-            raise ViewnetError(
-                f"{name}: is of the category {other.config.category}, {where} of {model.config.category}"
-            )
+            categories = f"{other.config.category}, {where} of {model.config.category}"
+            raise ViewnetError(f"{name}: is of the category {categories}")
     config = moved(model.config, cad_root)
     store = build.view_store(config.data, progress=progress)
     distil(model.network, config, store, [(each.network, each.config) for each in others], seed, progress)

@@ -6,7 +6,6 @@ and the models of a collection, such as one made by artists.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -46,16 +45,19 @@ class OtherSetsExperiment(Experiment):
         """The scores of each run on each set, all aligned on the run's validation views."""
         own: list[Entry] = []
         stores = {run.config.category: self.stores(run.config) for run in runs}
-        for run, row in product(runs, LAYOUTS[self.name].rows):
-            entry = next(entry for entry in entries(self.name, [run]) if entry.row == row.label)
-            if row.label != OWN:
-                if (store := stores[entry.category].get(row.label)) is None:
-                    continue
-                key = f"{entry.key}-{store.identity}"  # its predictions are kept beside the run's own
-                entry = replace(entry, key=key, predictions=transferred(run, store))
-            own.append(entry)
-        unmeasured = () if self.eval_root else (OTHER,)
-        return Table.of(self.name, own, self.categories, self.note, remarks, unmeasured=unmeasured, added=added)
+        for run in runs:
+            for entry in entries(self.name, [run]):
+                if entry.row == OWN:
+                    own.append(entry)
+                elif (store := stores[entry.category].get(entry.row)) is not None:
+                    key = f"{entry.key}-{store.identity}"  # its predictions are kept beside the run's own
+                    own.append(replace(entry, key=key, predictions=transferred(run, store)))
+        return self.table_of(own, added, remarks)
+
+    @property
+    def unmeasured_rows(self) -> tuple[str, ...]:
+        """The other collection's where there is none."""
+        return () if self.eval_root else (OTHER,)
 
     @property
     def note(self) -> str:

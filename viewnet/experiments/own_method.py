@@ -206,9 +206,8 @@ def entries(table: Experiment, submissions: Sequence[Submission]) -> list[Entry]
     ViewnetError, before any method is called, for an experiment without a table and for a label that is given twice or
     is a row already; then for invalid predictions.
     """
-    layout = LAYOUTS[known(table.name, LAYOUTS, "table")].extended(table.renamed_rows.values())
-    for submission in submissions:
-        layout = layout.extended([submission.label])  # one by one: two of them may be alike
+    labels = [*table.renamed_rows.values(), *(submission.label for submission in submissions)]
+    LAYOUTS[known(table.name, LAYOUTS, "table")].extended(labels)  # each label once
     found = []
     for category in table.categories:
         images = held_out(table, category)  # once for all methods

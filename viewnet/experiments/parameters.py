@@ -3,6 +3,7 @@
 Values arrive plain, as papermill and the command line give them: names, whole numbers, "car,chair" or lists.
 """
 
+import contextlib
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -79,12 +80,10 @@ def _is_whole(value: Any, least: int = 0) -> bool:
 
 def _whole(value: Any, what: str, expected: str = "", least: int = 0) -> int:
     """A whole number from `least`, or 0, also as text."""
-    try:
+    with contextlib.suppress(ValueError):  # text without digits
         number = int(value) if isinstance(value, str) else value
         if _is_whole(number) and not 0 < number < least:
             return int(number)
-    except ValueError:
-        pass  # no digits
     raise ViewnetError(f"{what} {value!r}: expected a whole number{expected}")
 
 
@@ -98,15 +97,6 @@ def _categories(value: Any, what: str) -> tuple[str, ...]:
     if len(set(names)) < len(names):
         raise ViewnetError(f"{what} {value!r}: a name is there twice")
     return names
-
-
-def _recipes(value: str, what: str) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(known(name.strip(), RECIPES, what) for name in value.split(",")))
-
-
-def _rows(value: str, what: str) -> tuple[str, ...]:
-    variants = dict.fromkeys(variant for layout in LAYOUTS.values() for variant in layout.variants)
-    return tuple(dict.fromkeys(known(name.strip(), variants, what) for name in value.split(",")))
 
 
 def _seeds(value: Any, what: str) -> tuple[int, ...]:
@@ -163,6 +153,13 @@ def _one_name(default: str, choices: Collection[str], help: str, field: str, lab
     return Parameter(default, lambda value, what: (known(value, choices, what),), help, label, field=field)
 
 
+def _several_of(default: str, choices: Collection[str], help: str, field: str) -> Parameter:
+    def check(value: str, what: str) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(known(name.strip(), choices, what) for name in value.split(",")))
+
+    return Parameter(default, check, help, "{}", "-".join, field)
+
+
 def _folder(name: str, help: str) -> Parameter:
     return Parameter("", folder_named, help, name)
 
@@ -170,13 +167,12 @@ def _folder(name: str, help: str) -> Parameter:
 # fmt: off
 PARAMETERS: dict[str, Parameter] = {
     "profile": _one_of("default", PROFILES, "smoke, tiny, pocket, small, paper; else $VIEWNET_PROFILE or its own"),
-    "recipe": Parameter("default", _recipes,
-                        "how models are trained (viewnet.recipes), one or more: paper,matting; default: the profile's",
-                        "{}", "-".join, "recipes"),
+    "recipe": _several_of("default", RECIPES, "how models are trained (viewnet.recipes), one or more: paper,matting; "
+                          "default: the profile's", "recipes"),
     "variant": _one_name("", (*VARIANTS, *PEERS), "whose runs to show, such as viewnet_cycle; empty: the notebook's",
                          "variants", "{0[0]}"),
-    "rows": Parameter("", _rows, "variants that fill rows: viewnet,mvc; empty: all that need no pretrained weights",
-                      "{}", "-".join, "variants"),
+    "rows": _several_of("", tuple(dict.fromkeys(variant for layout in LAYOUTS.values() for variant in layout.variants)),
+                        "variants that fill rows: viewnet,mvc; empty: all that need no pretrained weights", "variants"),
     "categories": Parameter("all", _categories,
                             "car, or car,chair, or a list; all: the notebook's; everything: all twelve of PASCAL3D+",
                             "{}", lambda names: "everything" if set(names) == set(CATEGORIES) else "-".join(names),

@@ -59,12 +59,10 @@ class PhotographsStudy(PhotoExperiment):
             for config in super().configs
         ]
 
-    def trained_entries(
-        self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None
-    ) -> list[Entry]:
+    def trained_entries(self, runs: Sequence[Run], stores: dict[str, ViewStore]) -> list[Entry]:
         """The runs that were asked for, and the students of them."""
         shown = [run for run in runs if run.config.variant in self.variants]
-        found = super().trained_entries(shown, stores, name)
+        found = super().trained_entries(shown, stores)
         for variant in self._students:
             (row,) = LAYOUTS[self.name].rows_of(variant)
             for run in (run for run in runs if run.config.variant == "viewnet"):

@@ -99,26 +99,19 @@ class PhotoExperiment(Experiment):
     def table(self, runs: Sequence[Run], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
         """The table of these runs and of the untrained predictors; `added` and `remarks` as in Experiment."""
         stores = self.stores()
-        return self._table(self.entries(runs, stores), stores, added, remarks)
+        return super().table_of(self.entries(runs, stores), added, [*self.remarks(stores), *remarks])
 
     def table_of(self, own: Sequence[Entry], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
         """The table of these entries; see `table`. Raises ViewnetError for those on photographs of another version."""
         stores = self.stores()
         self.check_photographs(own, stores)
-        return self._table(own, stores, added, remarks)
+        return super().table_of(own, added, [*self.remarks(stores), *remarks])
 
     def check_photographs(self, own: Sequence[Entry], stores: dict[str, ViewStore]) -> None:
         """Raise ViewnetError for entries on photographs of another version."""
         if other := [e for e in own if e.origin["photographs"] != stores[e.category].identity]:
             what = f"{self.folder / self.name}: {other[0].row} was scored on photographs of another version"
             raise ViewnetError(f"{what}: remove the table's files to make it again")
-
-    def _table(
-        self, own: Sequence[Entry], stores: dict[str, ViewStore], added: Sequence[Entry], remarks: Sequence[str]
-    ) -> Table:
-        lines = [*self.remarks(stores), *remarks]
-        rows = (self.renamed_rows, self.unmeasured_rows)
-        return Table.of(self.name, own, self.categories, self.note, lines, *rows, added)
 
     def entries_of(self, run: Run) -> list[Entry]:
         """What a finished run adds to the table."""
@@ -143,9 +136,8 @@ class PhotoExperiment(Experiment):
 
     @property
     def unmeasured_rows(self) -> tuple[str, ...]:
-        """Rows of ours for which only reported numbers are shown: those that were not asked for."""
-        rows = LAYOUTS[self.name].rows
-        return tuple(row.label for row in rows if row.variant and row.variant not in self.variants)
+        """As Experiment.unmeasured_rows, of all variants: not all are runs."""
+        return tuple(r.label for r in LAYOUTS[self.name].rows if r.variant and r.variant not in self.variants)
 
     @property
     def renamed_rows(self) -> dict[str, str]:
@@ -172,13 +164,11 @@ class PhotoExperiment(Experiment):
         """What decides a view regression beside the images, for a table's JSON."""
         return {"features": self.chosen_features, "size": features.SIZE, "ridge": self.ridge}
 
-    def entries(self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
-        """The entries of a table, by default its own: the runs, and the untrained predictors, on these photographs."""
-        return [*self.trained_entries(runs, stores, name), *self.untrained_entries(stores, name)]
+    def entries(self, runs: Sequence[Run], stores: dict[str, ViewStore]) -> list[Entry]:
+        """The entries of its table: the runs, and the untrained predictors, on these photographs."""
+        return [*self.trained_entries(runs, stores), *self.untrained_entries(stores)]
 
-    def trained_entries(
-        self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None
-    ) -> list[Entry]:
+    def trained_entries(self, runs: Sequence[Run], stores: dict[str, ViewStore]) -> list[Entry]:
         """Of `entries`, the runs."""
 
         def predictions(run: Run) -> Predictions:
@@ -186,21 +176,20 @@ class PhotoExperiment(Experiment):
 
         return [
             replace(entry, origin=entry.origin | {"photographs": stores[entry.category].identity})
-            for entry in entries(name or self.name, runs, predictions, self.calibration)
+            for entry in entries(self.name, runs, predictions, self.calibration)
         ]
 
-    def untrained_entries(self, stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
+    def untrained_entries(self, stores: dict[str, ViewStore]) -> list[Entry]:
         """Of `entries`, the untrained predictors."""
-        name, result = name or self.name, []
-        shown = [variant for variant in self._untrained_variants if variant in LAYOUTS[name].variants]
-        for (category, store), variant in product(stores.items(), shown):
+        result = []
+        for (category, store), variant in product(stores.items(), self._untrained_variants):
             fitted, settings = self.fitted(variant, store, self.calibration)
             alignment = ALIGNED.get(variant, "none")
             origin: dict[str, Any] = {"variant": variant, "category": category, "photographs": store.identity}
             origin |= {"alignment": alignment, **settings, "calibration": self.calibration}
             key = content_key(variant, [origin, provenance.code_identity(CODE)])
             origin["git"] = provenance.commit()
-            for row in LAYOUTS[name].rows_of(variant):
+            for row in LAYOUTS[self.name].rows_of(variant):
                 result.append(Entry(row.label, category, 0, alignment, key, fitted, origin, self.calibration))
         return result
 

@@ -7,6 +7,7 @@ under each definition and for each test set, with the constants that the paper m
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,6 @@ COVER = float(np.degrees(2 * np.arccos(np.cos(np.radians(STEP / 4)) ** 2)))
 REPRODUCED = {"acc30": 1.0, "median": 0.5, "dva": 1.0}
 ROUNDING = {"acc30": 0.5, "median": 0.05, "dva": 0.5, "confidence_index": 0.005}  # of the paper's last digit
 VERDICTS = ("reproduced", "possible", "no one constant", "excluded")  # the best first
-TABLES = {"table2_ablation": ("acc30", "median"), "table3_pascal3d": ("acc30", "median"), "table5_dva": ("dva",)}
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,7 @@ class ConstantAudit:
             where = cells.loc[cells["verdict"] == best, "test_set"]
             text = best if len(where) == len(cells) else f"{best} ({', '.join(where)})"
             lines.setdefault((table, category), {"printed": cells["printed"].iloc[0]})[definition] = text
-        frame = pd.DataFrame.from_dict(lines, orient="index")
-        frame.index = pd.MultiIndex.from_tuples(frame.index, names=["table", "category"])
-        return frame
+        return pd.DataFrame.from_dict(lines, orient="index").rename_axis(["table", "category"])
 
     def write(self, folder: Path) -> list[Path]:
         """`audit_constants.csv` and `audit_confidence.csv` (`stand_in_...` for a stand-in): all numbers compared."""
@@ -100,7 +98,7 @@ def audit_viewpoints(
         mine = viewpoints[viewpoints["category"] == category]
         for test_set, rows in test_sets(mine):
             cells += examine(test_set, category, rows, _sources(mine), ("table3_pascal3d", "table5_dva"))
-    cells.sort(key=lambda cell: list(TABLES).index(cell["table"]))  # stable: within a table by category and test set
+    cells.sort(key=itemgetter("table"))  # stable: within a table by category and test set
     return ConstantAudit(pd.DataFrame(cells), confidence_indices(viewpoints), left_out or {})
 
 
@@ -222,7 +220,7 @@ def _sources(viewpoints: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 def confidence_indices(viewpoints: pd.DataFrame) -> pd.DataFrame:
     """ConstantAudit.confidence of a list."""
-    report = reported_scores("table5_dva", "Confidence index", ("confidence_index",))
+    report = reported_scores("table5_dva", "Confidence index")
     cells = [
         {"category": category, "test_set": test_set, "images": len(rows)}
         | {"printed": report[category]["confidence_index"]}
@@ -235,10 +233,10 @@ def confidence_indices(viewpoints: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(equal=difference <= ROUNDING["confidence_index"] + 1e-9)
 
 
-def reported_scores(table: str, row: str = "Constant", names: Sequence[str] = ()) -> dict[str, dict[str, float]]:
+def reported_scores(table: str, row: str = "Constant") -> dict[str, dict[str, float]]:
     """Category -> metric -> the score reported in `row`."""
     frame = reported.load(table)  # as text, "" where there is a dash
-    frame = frame[(frame["row"] == row) & (frame["value"] != "") & frame["metric"].isin(names or TABLES[table])]
+    frame = frame[(frame["row"] == row) & (frame["value"] != "")]
     return {
         category: dict(zip(cells["metric"], cells["value"].astype(float), strict=True))
         for category, cells in frame.groupby("category", sort=False)

@@ -77,7 +77,7 @@ class Design:
 _DESIGNED = ("profile", "recipe", "categories", "category", "variant", "rows")
 """Parameters whose defaults are the notebook's."""
 _TABLE_KINDS = dict.fromkeys(("table3_pascal3d", "table5_dva"), "photos")
-_TABLE_KINDS |= {"test_sets": "test_sets", "table4_freiburg": "videos", "photographs_study": "photographs_study"}
+_TABLE_KINDS |= {"test_sets": "test_sets", "table4_freiburg": "videos"}
 _ABLATION = tuple(variant for variant in LAYOUTS["table2_ablation"].variants if variant in VARIANTS)
 """The trained rows of Table 2."""
 _METHOD_TABLES = ("table1_shapenet", "table3_pascal3d", "table5_dva")

@@ -7,7 +7,7 @@ functions. Its own views are rendered again where they are missing.
 import json
 import re
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from viewnet.evaluation.run import LEARNED_ALIGNMENTS, Run
 from viewnet.evaluation.support import support
 from viewnet.experiments import photos
 from viewnet.experiments.calibrated import answers, turned
+from viewnet.experiments.distilled import moved
 from viewnet.experiments.parameters import SUBSETS, folder_named
 from viewnet.model import checkpoint
 from viewnet.recipes import PEERS, make_config
@@ -90,9 +91,7 @@ def scores(
             remedy = f"{run.name} has no rotation of its own: give {MINIMUM} or more"
             raise ViewnetError(f"{description}: too few to calibrate on, and {remedy}")
     found = {name: evaluate(said, kind, calibration) for name, (said, kind) in by_kind.items()}
-    choose = None
-    if where_from == "photographs":
-        choose = choice(found, by_kind, calibration)
+    choose = choice(found, by_kind, calibration) if where_from == "photographs" else None
     about = {"model": where, "name": run.name, "key": result.get("key"), "on": description}
     said, kind = by_kind[choose or next(iter(by_kind))]
     confidence: dict[str, float] | None = None
@@ -156,21 +155,15 @@ def _run(where: str, cad_root: str | None, folder: Path) -> Run:
     keyed = sorted(paths.runs().glob(f"*/{where}")) if re.fullmatch("[0-9a-f]{12}", where) else []
     for place in (Path(where).expanduser(), *keyed):
         if (place / "result.json").is_file():
-            return Run(_moved(RunConfig.from_dict(read_json(place / "config.json")), cad_root), place)
+            return Run(moved(RunConfig.from_dict(read_json(place / "config.json")), cad_root), place)
     model = pretrained.load(where)  # no finished run, so a saved model
-    config = _moved(model.config, cad_root)
+    config = moved(model.config, cad_root)
     # As safetensors wants them.
     weights = {name: value.contiguous() for name, value in model.network.state_dict().items()}
     save_file(weights, folder / checkpoint.CHECKPOINT, metadata={"config": json.dumps(config.to_dict())})
     write_json(folder / "config.json", config.to_dict())
     write_json(folder / "result.json", {"metrics": None} | model.about)  # no metrics: of videos without viewpoints
     return Run(config, folder)
-
-
-def _moved(config: RunConfig, cad_root: str | None) -> RunConfig:
-    """The same with the collection it was trained on in `cad_root`, if given."""
-    root = config.data.root if cad_root is None else folder_named(cad_root, "cad_root")
-    return replace(config, data=replace(config.data, root=root))
 
 
 def _predictions(run: Run, data: ScoredData, steps: make_run.Steps) -> tuple[str, Predictions, str]:

@@ -5,7 +5,7 @@ beside it. For Objectron ViewNet is trained on CAD models, and from there on ten
 masks of a network that was trained on masks, once by those of one that was trained on class names only.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -29,7 +29,7 @@ from viewnet.recipes import PEERS, make_config
 from viewnet.runs.needs import Needs, needs
 from viewnet.runs.run_store import ensure
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.table import Entry
+from viewnet.tables.table import Entry, run_of
 
 SMOKE_CARS: dict[str, Any] = {"sequences": (1, 2, 3, 4), "frames": 8, "size": 32}
 """The stand-in for Freiburg cars at the smallest profile."""
@@ -78,7 +78,7 @@ class VideoExperiment(PhotoExperiment):
         """One configuration a training on videos; with start "shapenet" without the weights, which `run` fills in."""
         return self._configs(dict.fromkeys(self.seeds, self.start or None))
 
-    def _configs(self, starts: dict[int, str | None]) -> list[RunConfig]:
+    def _configs(self, starts: Mapping[int, str | None]) -> list[RunConfig]:
         # Without annotated views held out, training can only select weights by reconstruction.
         selection: dict[str, Any] = {"select_by": "reconstruction"} if self.video.split_rule == "all" else {}
         settings: dict[str, Any] = {"backgrounds": self.backgrounds} | selection
@@ -99,16 +99,15 @@ class VideoExperiment(PhotoExperiment):
         if not self.starts:
             return super().run(progress)
         starts = {run.config.seed: str(run.folder) for run in ensure(self.starts, self.workers, progress)}
-        return ensure(self._configs({**starts}), self.workers, progress)
+        return ensure(self._configs(starts), self.workers, progress)
 
     def needs(self) -> Needs:
         """As Experiment.needs; what starts from runs that are missing is not known before them."""
         begun = needs(self.starts)
-        if all(row["kept"] for row in begun.runs.values()):
-            folders = [row["folder"] for row in begun.runs.values()]
-            known: dict[int, str | None] = dict(zip(self.seeds, folders, strict=True)) if folders else {}
-            return begun | needs(self._configs(known or dict.fromkeys(self.seeds, self.start or None)))
-        return needs(self.starts, later=self._configs(dict.fromkeys(self.seeds, SHAPENET)))
+        if not all(row["kept"] for row in begun.runs.values()):
+            return needs(self.starts, later=self._configs(dict.fromkeys(self.seeds, SHAPENET)))
+        folders = [row["folder"] for row in begun.runs.values()] or [self.start or None] * len(self.seeds)
+        return begun | needs(self._configs(dict(zip(self.seeds, folders, strict=True))))
 
     @property
     def note(self) -> str:
@@ -209,10 +208,8 @@ class ObjectronExperiment(VideoExperiment):
         """The rows of weak masks where there are none."""
         return () if len(self.videos) > 1 else tuple(label for label, row in _NAMES.items() if row == _ROWS[2])
 
-    def entries(self, runs: Sequence[Run], stores: dict[str, ViewStore], name: str | None = None) -> list[Entry]:
+    def entries(self, runs: Sequence[Run], stores: dict[str, ViewStore]) -> list[Entry]:
         """As PhotoExperiment.entries; all trained rows are of one variant, and told apart by the videos trained on."""
         trainings = (None, *self.videos)
         rows = {run.key: _ROWS[trainings.index(run.config.data.video)] for run in runs}
-        # The key of a run in another alignment is followed by that: "key/linear".
-        keyed = [(rows.get(e.key.partition("/")[0]), e) for e in super().entries(runs, stores, name)]
-        return [entry for row, entry in keyed if row in (None, _NAMES.get(entry.row))]
+        return [e for e in super().entries(runs, stores) if rows.get(run_of(e.key)) in (None, _NAMES.get(e.row))]

@@ -18,6 +18,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal
@@ -309,19 +310,15 @@ def _bounded(
     return Finding(outcome, about if place == "." else f"{place}: {about}", f"{category} {text}", why, recipe)
 
 
-def _symmetric(aligned: Aligned) -> Floats:
+def _of_causes(aligned: Aligned, half_turns: float, mirrored: float) -> Floats:
+    """What errors (N,) of these causes count, others nothing."""
     why = causes(aligned.selected, aligned.predictions.truth)  # (N,)
-    return np.where(why == "", np.nan, np.where(np.isin(why, CAUSES[:2]), 100.0, 0.0))
-
-
-def _half_turns(aligned: Aligned) -> Floats:
-    why = causes(aligned.selected, aligned.predictions.truth)  # (N,)
-    return np.where(why == "", np.nan, np.select([why == CAUSES[0], why == CAUSES[1]], [100.0, -100.0], 0.0))
+    return np.select([why == "", why == CAUSES[0], why == CAUSES[1]], [np.nan, half_turns, mirrored], 0.0)
 
 
 MEASURES: dict[str, Callable[[Aligned], Floats]] = {
-    "symmetric errors": _symmetric,
-    "half turns minus mirrored": _half_turns,
+    "symmetric errors": partial(_of_causes, half_turns=100, mirrored=100),
+    "half turns minus mirrored": partial(_of_causes, half_turns=100, mirrored=-100),
     "selected minus best": lambda each: metrics.hits(each.selected_errors) - metrics.hits(each.errors.min(axis=1)),
 }
 """Measures of predictions, in per cent, each view's value (N,), NaN where it does not count:

@@ -165,9 +165,8 @@ def failures(run: Run, stores: Stores = own_views, count: int = 4) -> Figure:
         rows = failed[:count]  # all are counted in the label
         pairs = zip(renderer.test_images(rows), renderer.displayed(renderer.reconstruct(rows)), strict=True)
         each = itertools.product(rows, kinds.items())
-        texts = (f"{kind}\n{round(a[row]) % 360}°, {round(e[row])}°" for row, (kind, (a, e)) in each)
         lines.append(list(itertools.chain.from_iterable(pairs)))
-        captions.append(list(texts))
+        captions.append([f"{kind}\n{round(a[row]) % 360}°, {round(e[row])}°" for row, (kind, (a, e)) in each])
         labels.append(f"{cause}\n{len(failed)} of {len(renderer)}")
     return image_grid(lines, labels, captions=captions, gaps=range(2, 2 * count, 2))  # between image and next image
 
@@ -192,7 +191,7 @@ def image_grid(
     y = _places(len(lines), CELL + under, row_gaps, top)
     width, height = x[-1], y[-1] + 0.02
     figure = Figure(figsize=(width, height))  # placed by hand: layouts of matplotlib leave cells of unequal sizes
-    for (i, j), image in {(i, j): image for i, line in enumerate(lines) for j, image in enumerate(line)}.items():
+    for i, j, image in ((i, j, image) for i, line in enumerate(lines) for j, image in enumerate(line)):
         box = (x[j] / width, 1 - (y[i] + CELL) / height, CELL / width, CELL / height)
         axes = figure.add_axes(box, label=f"{i} {j}")
         axes.set(xticks=[], yticks=[])
@@ -223,8 +222,7 @@ def _wrapped(label: str) -> str:
 def _rows(renderer: RunRenderer, count: int) -> list[int]:
     """The first views of `count` objects, or of all where there are fewer, evenly spaced over the test split."""
     first = renderer.views.first
-    places = np.linspace(0, len(first), min(count, len(first)), endpoint=False).astype(int)
-    return [int(first[place]) for place in places]
+    return first[np.linspace(0, len(first), min(count, len(first)), endpoint=False).astype(int)].tolist()
 
 
 def _label(renderer: RunRenderer, among: Sequence[RunRenderer]) -> str:

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterable, Iterator, Sequence
 
-import numpy as np
 import pandas as pd
 
 from viewnet.tables.columns import DASH, METRICS, Key, best, by_key, text, upper_bound
@@ -28,8 +27,8 @@ def side_by_side(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> s
     headings = [METRICS[metric].latex for metric in layout.metrics]
     count = len(headings) * len(categories)  # each of two columns
     body = [
-        spanned(headings, [len(categories) * 2] * len(headings), LABELS),
-        spanned(categories * len(headings), [2] * count, LABELS),
+        spanned(headings, 2 * len(categories)),
+        spanned(categories * len(headings), 2),
         line(["", SUPERVISION, *["print", "ours"] * count]) + "\\midrule\n",
     ]
     for row, supervision, rule in _labels(cells):
@@ -49,7 +48,7 @@ def blocks(cells: pd.DataFrame, layout: Layout, lines: Sequence[str]) -> str:
         body = [line(["", SUPERVISION, *(SHORT.get(category, category) for category in categories)])]
     else:
         heads = line(["", SUPERVISION, *["print", "ours"] * len(categories)])
-        body = [spanned(categories, [2] * len(categories), LABELS), heads]
+        body = [spanned(categories, 2), heads]
     width = len(categories) * (1 if wide else 2)
     for metric in layout.metrics:
         body.append(_heading(METRICS[metric].latex, width + LABELS))
@@ -101,12 +100,12 @@ def line(cells: Iterable[str]) -> str:
     return " & ".join(cells) + " \\\\\n"
 
 
-def spanned(labels: Sequence[str], spans: Sequence[int], before: int = 1) -> str:
-    """A row of headings after `before` empty cells, each over several columns, with a rule below each."""
-    cells = [f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label, span in zip(labels, spans, strict=True)]
-    ends = np.cumsum(spans) + before
-    rules = [f"\\cmidrule(lr){{{end - span + 1}-{end}}}" for end, span in zip(ends, spans, strict=True)]
-    return line([*[""] * before, *cells]) + " ".join(rules) + "\n"
+def spanned(labels: Sequence[str], span: int) -> str:
+    """A row of headings after the columns of labels, each over `span` columns, with a rule below each."""
+    cells = [f"\\multicolumn{{{span}}}{{c}}{{{label}}}" for label in labels]
+    ends = (LABELS + span * count for count in range(1, len(labels) + 1))
+    rules = [f"\\cmidrule(lr){{{end - span + 1}-{end}}}" for end in ends]
+    return line([*[""] * LABELS, *cells]) + " ".join(rules) + "\n"
 
 
 def escape(plain: str) -> str:

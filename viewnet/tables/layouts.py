@@ -94,7 +94,9 @@ def _aligned(name: str, variant: str = "viewnet") -> tuple[Row, ...]:
     return tuple(Row(name, variant, alignment) for alignment in ("linear", None, "robust"))
 
 
+_SINGLE_IMAGES = "single images, range of viewpoints, mirror symmetry"
 _ON_PHOTOGRAPHS = (
+    Row("SSV (reduced)", "ssv", "linear", _SINGLE_IMAGES),
     *_aligned("ViewNet"), *_aligned("ViewNet + cycle", "viewnet_cycle"),
     *_aligned("ViewNet, backgrounds behind both", "behind_both"),  # as in the paper
 )  # fmt: skip
@@ -108,11 +110,11 @@ _SUPERVISED = (
 """Trained with viewpoints, on CAD models as all are here; the paper's rows of these methods saw photographs.
 
 Those of a pretrained network are optional: its weights come from a file of the user's."""
-_SINGLE_IMAGES = "single images, range of viewpoints, mirror symmetry"
-_CONSTANTS = (
+_FITTED = (
     Row("Constant", "constant", supervision=CALIBRATION),
     # Not in the paper: the mean of frames, not of view vectors.
     Row("Constant (rotation)", "constant_rotation", supervision=CALIBRATION),
+    Row("VGG view*", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),
 )
 
 _TAKEN_AWAY = {
@@ -165,9 +167,7 @@ LAYOUTS = {
     "table3_pascal3d": Layout(
         "PASCAL3D+ results",
         (
-            *_CONSTANTS, Row("VGG view*", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),
-            Row("SSV*", supervision="single images, range of viewpoints"),
-            Row("SSV (reduced)", "ssv", "linear", _SINGLE_IMAGES), *_ON_PHOTOGRAPHS,
+            *_FITTED, Row("SSV*", supervision="single images, range of viewpoints"), *_ON_PHOTOGRAPHS,
             Row("Liao (withdrawn)", supervision=f"absolute viewpoints, {IMAGENET}"),
             Row("Liao (corrected)", supervision=f"absolute viewpoints, {IMAGENET}"),
             Row("Grabner", supervision=f"absolute viewpoints, boxes, {IMAGENET}"),
@@ -216,9 +216,7 @@ LAYOUTS = {
     "table5_dva": Layout(
         "Discretized viewpoint accuracy",
         (
-            Row("Confidence index", "photographs", supervision=NONE), *_CONSTANTS,
-            Row("VGG view*", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),
-            Row("SSV (reduced)", "ssv", "linear", _SINGLE_IMAGES), *_ON_PHOTOGRAPHS, *_SUPERVISED,
+            Row("Confidence index", "photographs", supervision=NONE), *_FITTED, *_ON_PHOTOGRAPHS, *_SUPERVISED,
         ),
         metrics=("dva",), own={"Confidence index": "confidence_index"}, blocks=True,
     ),

@@ -1,7 +1,7 @@
 """Plots: predicted over true azimuth (figure 3 a-c), training curves, scores by calibration; and saving of figures."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -111,9 +111,9 @@ def training_curves(logs: pd.DataFrame) -> Figure:
     recipes = logs["recipe"].nunique() > 1
     names = logs["row"] + " (" + logs["recipe"] + ")" if recipes else logs["row"]
     colours = dict(zip(names.unique(), itertools.cycle(COLOURS), strict=False))
-    figure, grid = _panels(logs["category"].unique(), measures, "target images seen")
-    for (i, column), (j, category) in itertools.product(enumerate(measures), enumerate(logs["category"].unique())):
-        axes, mine = grid[i, j], logs[(logs["category"] == category) & logs[column].notna()]
+    figure, panels = _panels(logs["category"].unique(), measures, "target images seen")
+    for (column, category), axes in panels.items():
+        mine = logs[(logs["category"] == category) & logs[column].notna()]
         for name, part in mine.groupby(names, sort=False):
             seeds = part.pivot_table(column, "targets", "seed")
             axes.plot(seeds.index, seeds, color=colours[name], linewidth=0.5, alpha=0.4)
@@ -124,9 +124,9 @@ def training_curves(logs: pd.DataFrame) -> Figure:
         else:
             axes.set_xlim(left=0)
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    for axes, (column, title) in zip(grid[:, 0], measures.items(), strict=True):
-        axes.set_ylim(bottom=min(0, logs[column].min()), top=100 if "%" in title else None)
-    _label_ends(grid)
+    for (column, _), axes in panels.items():
+        axes.set_ylim(bottom=min(0, logs[column].min()), top=100 if "%" in measures[column] else None)
+    _label_ends(panels.values())
     return figure
 
 
@@ -137,13 +137,12 @@ def calibration_curves(scores: pd.DataFrame) -> Figure:
     `scores` is that of viewnet.experiments.alignment_study.Study: a line is the median over draws and seeds by an
     alignment, the shade from the lowest to the highest. Grey lines are of what was fitted and needs no alignment.
     """
-    categories = list(dict.fromkeys(scores["category"]))
-    fitted = set(scores.loc[scores["alignment"] == "none", "predictor"])
-    aligned = [name for name in dict.fromkeys(scores["predictor"]) if name not in {*fitted, "Random"}]
+    fitted = scores.loc[scores["alignment"] == "none", "predictor"].unique()
+    aligned = [name for name in scores["predictor"].unique() if name not in {*fitted, "Random"}]
     titles = {name: f"{name}:\naccuracy (%)" for name in aligned}
-    figure, grid = _panels(categories, titles, "calibration photographs")
-    for (i, predictor), (j, category) in itertools.product(enumerate(aligned), enumerate(categories)):
-        axes, here = grid[i, j], scores[scores["category"] == category]
+    figure, panels = _panels(scores["category"].unique(), titles, "calibration photographs")
+    for (predictor, category), axes in panels.items():
+        here = scores[scores["category"] == category]
         shown = [(ALIGNMENTS[kind], colour, here[(here["predictor"] == predictor) & (here["alignment"] == kind)])
                  for kind, colour in zip(ALIGNMENTS, COLOURS, strict=False)]  # fmt: skip
         shown += [(name, "0.55", here[(here["predictor"] == name) & (here["alignment"] == "none")]) for name in fitted]
@@ -156,7 +155,7 @@ def calibration_curves(scores: pd.DataFrame) -> Figure:
         axes.set_ylim(0, 100)
         axes.set_xscale("log", base=2)  # counts double
         axes.xaxis.set_major_formatter("{x:.0f}")
-    _label_ends(grid)
+    _label_ends(panels.values())
     return figure
 
 
@@ -171,17 +170,16 @@ def collapse_curves(collapse: pd.DataFrame) -> Figure:
     gains = {metric: collapse[f"{metric}_linear"] - collapse[f"{metric}_rigid"] for metric in ("acc30", "dva")}
     titles = {"spread": "spread of predictions\n(% of the truth's)"}
     titles |= {"acc30": "accuracy, linear\nless rotation (points)", "dva": "DVA, linear\nless rotation (points)"}
-    categories = list(dict.fromkeys(collapse["category"]))
-    figure, grid = _panels(categories, titles, "photographs within the commonest\n30° of azimuth (%)")
+    below = "photographs within the commonest\n30° of azimuth (%)"
+    figure, panels = _panels(collapse["category"].unique(), titles, below)
     measured = collapse.assign(**shares, **gains)
-    colours = dict(zip(dict.fromkeys(collapse["predictor"]), itertools.cycle(COLOURS), strict=False))
-    for (i, column), (j, category) in itertools.product(enumerate(titles), enumerate(categories)):
-        axes = grid[i, j]
+    colours = dict(zip(collapse["predictor"].unique(), itertools.cycle(COLOURS), strict=False))
+    for (column, category), axes in panels.items():
         axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)  # a constant, or nothing added
         for name, rows in measured[measured["category"] == category].groupby("predictor", sort=False):
             means = rows.groupby("concentration")[["side", column]].mean()
             axes.plot(means["side"], means[column], color=colours[name], label=name, **LINE)
-    _label_ends(grid)
+    _label_ends(panels.values())
     return figure
 
 
@@ -208,8 +206,8 @@ def reliability(answers: dict[str, tuple[Floats, NDArray[np.bool_]]]) -> Figure:
     return figure
 
 
-def _panels(columns: Sequence[str], rows: dict[str, str], below: str) -> tuple[Figure, Any]:
-    """A figure of panels (rows, columns) with room for words at the right of each, and its axes."""
+def _panels(columns: Sequence[str], rows: dict[str, str], below: str) -> tuple[Figure, dict[tuple[str, str], Any]]:
+    """A figure of panels with room for words at the right of each, and its axes: row and column -> axes."""
     figure = Figure(figsize=(2.6 * len(columns) + 0.3, 1.55 * len(rows) + 0.4), layout="constrained")
     grid = figure.subplots(len(rows), len(columns), squeeze=False, sharex="col", sharey="row")
     for j, title in enumerate(columns):
@@ -217,21 +215,20 @@ def _panels(columns: Sequence[str], rows: dict[str, str], below: str) -> tuple[F
         grid[-1, j].set_xlabel(below)
     for i, title in enumerate(rows.values()):
         grid[i, 0].set_ylabel(title)
-    return figure, grid
+    return figure, dict(zip(itertools.product(rows, columns), grid.flat, strict=True))
 
 
-def _label_ends(grid: Any) -> None:
+def _label_ends(panels: Iterable[Any]) -> None:
     """Write the label of each line at its end, moved to where it stands on no other, in its panel's height."""
-    for axes in grid.ravel():
+    for axes in panels:
         bottom, top = axes.get_ylim()
         gap, lowest, across = (top - bottom) / 11, bottom, axes.get_yaxis_transform()
         lines = [line for line in axes.lines if not line.get_label().startswith("_")]
         for above, line in zip(range(len(lines) - 1, -1, -1), sorted(lines, key=_end), strict=True):
             place = min(max(_end(line), lowest), top - gap * above)
             lowest, colour = place + gap, line.get_color()
-            pointer = {"arrowstyle": "-", "linewidth": 0.4, "color": colour, "relpos": (0, 0.5)} | dict.fromkeys(
-                ("shrinkA", "shrinkB"), 0
-            )
+            pointer: Any = {"arrowstyle": "-", "linewidth": 0.4, "color": colour, "relpos": (0, 0.5)}
+            pointer |= {"shrinkA": 0, "shrinkB": 0}
             style: Any = {"textcoords": across, "color": colour, "fontsize": 6, "va": "center", "arrowprops": pointer}
             axes.annotate(line.get_label(), (1, _end(line)), (1.05, place), across, **style, annotation_clip=False)
 

@@ -11,8 +11,6 @@ from viewnet.tables.layouts import LAYOUTS
 
 TABLES = tuple(name for name, layout in LAYOUTS.items() if layout.reported)
 """Each has a file of its name."""
-COLUMNS = ("row", "metric", "category", "value", "bold", "source", "note")
-"""The last says how a number was measured, where that is not as ours are."""
 
 
 def folder() -> Path:
@@ -26,7 +24,8 @@ def load(table: str) -> pd.DataFrame:
     Metrics are acc30 and dva (per cent), median (degrees) and confidence_index. ViewnetError for a missing column.
     """
     path = folder() / f"{known(table, TABLES, 'table')}.csv"
-    frame = read_csv(path, COLUMNS, dtype=str, keep_default_na=False)
+    columns = ("row", "metric", "category", "value", "bold", "source", "note")  # how it was measured, if not as ours
+    frame = read_csv(path, columns, dtype=str, keep_default_na=False)
     return frame.assign(bold=frame["bold"] == "1")  # values stay text, with the digits of the paper
 
 

@@ -30,8 +30,6 @@ ORIGIN = ("variant", "category", "profile", "recipe", "seed", "views", "git", "t
 """The keys of a run's result.json that a table's JSON repeats."""
 CHOSEN_ROBUSTLY = ", weights by robust accuracy"
 """What the label of a row ends with whose weights were chosen so."""
-own_predictions: Callable[[Run], Predictions] = operator.attrgetter("predictions")
-"""The predictions a run is scored on by default: of its own test split."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ def named(label: str, recipe: str) -> str:
 def entries(
     name: str,
     runs: Sequence[Run],
-    predictions: Callable[[Run], Predictions] = own_predictions,
+    predictions: Callable[[Run], Predictions] = operator.attrgetter("predictions"),  # of its own test split
     calibration: int | None = None,
 ) -> list[Entry]:
     """Finished runs as entries of a table, one for each row of a run's variant. ViewnetError for runs without a row."""

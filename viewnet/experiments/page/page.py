@@ -116,13 +116,12 @@ def sections(folder: Path, widest: int = WIDTHS[0]) -> list[Section]:
     files = found(folder)
     if not files:
         raise ViewnetError(f"{folder}: no tables and no figures: make some first (viewnet tables)")
-    parts = [(name, setting) for name, settings in files.items() for setting in settings]
-    contents = {(name, setting): read(name, files[name][setting]) for name, setting in parts}
+    contents = {(name, setting): read(name, paths) for name, parts in files.items() for setting, paths in parts.items()}
     # A run may be told of elsewhere, and more fully.
     known = {key: run for content in contents.values() for key, run in content.runs.items() if run}
     kinds = {kind.name: kind for kind in reversed(KINDS)}  # of several of one name the first has its title
     result = []
-    with bar(True, total=len(parts), desc=NAME, unit="part", leave=False) as progress:
+    with bar(True, total=len(contents), desc=NAME, unit="part", leave=False) as progress:
         for name in dict.fromkeys(kind.name for kind in KINDS if kind.name in files):
             settings = []
             for setting, paths in sorted(files[name].items()):  # the default, "", comes first
