@@ -20,7 +20,7 @@ import numpy as np
 from viewnet.config import LIMITS
 from viewnet.data import contents
 from viewnet.data.readers.shapenet import READER_VERSION, ModelFile, load_model, read_files
-from viewnet.data.store import ViewStore, identity_of, made_once, write_store
+from viewnet.data.store import COLUMNS, ViewStore, identity_of, made_once, write_store
 from viewnet.errors import ViewnetError
 from viewnet.render import VERSION, Backend, choose_backend, render_cameras
 from viewnet.render.camera import DISTANCE, FOCAL, look_from
@@ -271,22 +271,16 @@ def assemble(
     for file in files:
         reasons.update(read_chunk(file)[1])
     rejected = [(model.id, _source(model), reasons[model.id]) for model in models if model.id in reasons]
-    used = [i for i, model in enumerate(models) if model.id not in reasons]
-    if not used:
+    if len(rejected) == len(models):
         name, _, reason = rejected[0]
         raise ViewnetError(f"{folder}: none of the {len(models)} models can be used (the first, {name}: {reason})")
     if rejected:
         log.warning("%s: %d of %d models cannot be used, see rejected.csv", folder, len(rejected), len(models))
-    views = azimuth.shape[1]
-    index = pd.DataFrame(
-        {
-            "model_id": np.repeat([models[i].id for i in used], views),
-            "category": np.repeat([models[i].category for i in used], views),
-            "split": np.repeat([models[i].split for i in used], views),
-            "view": np.tile(np.arange(views), len(used)),
-            "azimuth": azimuth[used].ravel(),
-            "elevation": elevation[used].ravel(),
-            "source": np.repeat([_source(models[i]) for i in used], views),
-        }
-    )
+    rows = [
+        (model.id, model.category, model.split, view, azimuth[number, view], elevation[number, view], _source(model))
+        for number, model in enumerate(models)
+        if model.id not in reasons
+        for view in range(azimuth.shape[1])
+    ]
+    index = pd.DataFrame(rows, columns=list(COLUMNS))
     write_store(folder, (read_chunk(file)[0] for file in files), index, made_by, rejected)
