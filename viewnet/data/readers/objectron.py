@@ -24,7 +24,6 @@ from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text
 from viewnet.data.store import Rejected, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
-from viewnet.runtime.progress import bar
 from viewnet.runtime.splits import seeded_rank, seeded_splits
 
 CLASSES = {"bicycle": "bike", "bottle": "bottle", "chair": "chair"}  # Objectron's classes that are categories here
@@ -35,9 +34,7 @@ _SUFFIXES = (".jpg", ".jpeg", ".png")
 _Images = dict[int, tuple[int, Path]]  # frame number -> place in the order of names, and file
 
 
-def read(
-    root: Path, category: str, frames: int = 10, seed: int = 0, progress: bool = False
-) -> tuple[list[Clip], list[Rejected]]:
+def read(root: Path, category: str, frames: int = 10, seed: int = 0) -> tuple[list[Clip], list[Rejected]]:
     """The videos of a category under `root`, each with up to `frames` of its usable frames, sampled by seed and video.
 
     The second value lists the videos, frames and further objects that cannot be used, but not frames that were merely
@@ -58,7 +55,7 @@ def read(
     clips: list[Clip] = []
     rejected: list[Rejected] = []
     videos = {path: within(path.with_suffix(""), root / "annotations") for path in records}
-    for path, video in bar(progress, iterable=videos.items(), desc="records", unit="video"):
+    for path, video in videos.items():
         try:
             clips.append(_clip(root, video, category, _split(listed, video), frames, seed, rejected))
         except ViewnetError as error:

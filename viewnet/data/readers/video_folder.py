@@ -13,7 +13,7 @@ Nothing is left out silently: whatever is not used is listed with the reason.
 from collections.abc import Mapping
 from pathlib import Path
 
-from viewnet.config import known, known_category
+from viewnet.config import known_category
 from viewnet.data.clips import Clip, Frame, Pick, frame_count, is_video, masks_in, pick_frames
 from viewnet.data.readers.reader import Contents, Reader
 from viewnet.data.store import Rejected, within
@@ -100,7 +100,7 @@ def as_clips(
         if one_form(name) not in chosen:
             rejected.append((name, within(sources[name], root), "in no split"))
             continue
-        split = known(chosen[one_form(name)], SPLITS, "split")
+        split = chosen[one_form(name)]
         clips.append(Clip(name, category, split, sources[name], tuple(map(Frame, numbers)), masks.get(name)))
     return clips, rejected
 
