@@ -51,11 +51,10 @@ def read(root: Path) -> tuple[list[Clip], list[Rejected]]:
         elif number not in lists:
             rejected.append((f"car{number:03d}", folders[number].name, "no annotations of the sequence"))
         else:
-            name, masks = folders[number].name, root / MASKS / folders[number].name
-            if frames := tuple(_frames(lists[number], folders[number], root, rejected)):
-                place = (folders[number], frames, masks if masks.is_dir() else None)
+            folder, masks = folders[number], root / MASKS / folders[number].name
+            if frames := tuple(_frames(lists[number], folder, root, rejected)):
                 split = "train" if number <= 45 else "val" if number <= 47 else "test"
-                clips.append(Clip(name, CATEGORY, split, *place))
+                clips.append(Clip(folder.name, CATEGORY, split, folder, frames, masks if masks.is_dir() else None))
     if not clips:
         raise no_usable(root, "frame", rejected, "no sequences")
     return clips, rejected
@@ -130,8 +129,8 @@ def _read_videos(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Reje
 
 def _count(root: Path, contents: Contents) -> None:
     clips, rejected = read(root)
-    found = [("sequences", clip) for clip in clips]
-    contents.add_clips(root, CATEGORY, found, "sequences", [reason for *_, reason in rejected])
+    reasons = [reason for *_, reason in rejected]
+    contents.add_clips(root, CATEGORY, [("sequences", clip) for clip in clips], "sequences", reasons)
 
 
 READER = Reader(

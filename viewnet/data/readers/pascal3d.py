@@ -203,12 +203,10 @@ def mended_box(
     Raises ViewnetError for a box that is not four numbers, or has no part in the image.
     """
     array = np.asarray(box)
-    corners = (
-        [float(value) for value in array.ravel().tolist()] if array.dtype.kind in "fiu" and array.size == 4 else []
-    )
-    if not corners or not all(abs(value) < 1e9 for value in corners):  # no NaN either
+    corners = array.ravel().astype(np.float64) if array.dtype.kind in "fiu" else np.zeros(0)
+    if len(corners) != 4 or not (np.abs(corners) < 1e9).all():  # no NaN either
         raise ViewnetError("box is not four numbers")
-    x0, y0, x1, y1 = corners
+    x0, y0, x1, y1 = corners.tolist()
     if x0 > x1 or y0 > y1:
         corrections.append("box with exchanged corners")
         x0, x1, y0, y1 = *sorted((x0, x1)), *sorted((y0, y1))
