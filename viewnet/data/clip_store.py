@@ -1,12 +1,9 @@
 """Clips as a view store: every frame's object cropped by its mask, made square, in one size.
 
-    clips ─► frames and masks ─► crops ─► view store
-
 A clip is a model of the store and its frames are its views. Viewpoints without annotation are NaN.
 """
 
 import hashlib
-import itertools
 import json
 import math
 from collections import Counter
@@ -71,7 +68,7 @@ class Cutting:
         Those of a data set, in `root`, are known by their names and contents.
         """
         files_in = {place: _files(place) for clip in clips for place in (clip.source, clip.masks) if place is not None}
-        every = list(dict.fromkeys(itertools.chain(*files_in.values())))
+        every = [file for files in files_in.values() for file in files]
         marks: Mapping[Path, int | str]
         marks = {file: file.stat().st_size for file in every} if root is None else contents.of_files(root, every)
         hashed = hashlib.sha256()

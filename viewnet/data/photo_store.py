@@ -1,7 +1,5 @@
 """Photographs with known viewpoints as a view store: cut to a box, made square, in one size.
 
-    annotated photographs ─► crops ─► view store
-
 A photograph has no mask, so its alpha is 1 throughout; what lies beyond its edges is black.
 """
 
