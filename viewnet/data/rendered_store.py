@@ -103,15 +103,14 @@ def render_views(
     def make() -> None:
         chunks = _plan(models, partial_folder(folder), made_by)
         todo = [(rows, file) for rows, file in chunks if not file.exists()]
-        open_share = sum(len(rows) for rows, _ in todo) / len(models)
+        open_share = sum(len(models[rows]) for rows, _ in todo) / len(models)
         _check_room(folder, len(models) * how.views * how.image_size**2 * 4, open_share)
         azimuth, elevation, light = sample_viewpoints(models, how)
         jobs = []
         for rows, file in todo:
-            cameras = look_from(azimuth[rows].ravel(), elevation[rows].ravel())
-            cameras = cameras.reshape(len(rows), how.views, 3, 3)  # (M, V, 3, 3)
-            lights = np.einsum("mvij,mvj->mvi", cameras, light[rows])  # in world coordinates
-            jobs.append(Chunk(tuple(models[i] for i in rows), cameras, lights, how, file))
+            cameras = look_from(azimuth[rows].ravel(), elevation[rows].ravel()).reshape(-1, how.views, 3, 3)
+            lights = np.einsum("mvij,mvj->mvi", cameras, light[rows])  # (M, V, 3), in world coordinates
+            jobs.append(Chunk(tuple(models[rows]), cameras, lights, how, file))
         _render(jobs, len(models), workers, progress, executor)
         assemble(folder, models, [file for _, file in chunks], azimuth, elevation, made_by)
 
@@ -227,7 +226,7 @@ def _source(model: ModelFile) -> str:
     return model.path.relative_to(model.folder.parent.parent).as_posix()
 
 
-def _plan(models: Sequence[ModelFile], partial: Path, made_by: dict[str, Any]) -> list[tuple[np.ndarray, Path]]:
+def _plan(models: Sequence[ModelFile], partial: Path, made_by: dict[str, Any]) -> list[tuple[slice, Path]]:
     """Model numbers and file of each chunk. What `partial` holds of another request is removed."""
     plan = json.dumps({"identity": identity_of(made_by), "chunk": CHUNK})
     note = partial / "plan.json"
@@ -235,8 +234,7 @@ def _plan(models: Sequence[ModelFile], partial: Path, made_by: dict[str, Any]) -
         shutil.rmtree(partial)
     if not partial.exists():
         write_text(note, plan)
-    rows = np.arange(len(models))
-    return [(rows[i : i + CHUNK], partial / f"{i:08d}.npz") for i in range(0, len(models), CHUNK)]
+    return [(slice(i, i + CHUNK), partial / f"{i:08d}.npz") for i in range(0, len(models), CHUNK)]
 
 
 def _check_room(folder: Path, size: int, open_share: float) -> None:
