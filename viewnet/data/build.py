@@ -186,8 +186,7 @@ def shows_videos(root: Path, category: str) -> bool:
 
 def photo_stand_in(config: PhotoConfig) -> StandIn:
     """The stand-in for PASCAL3D+ that `config` asks for."""
-    names = ("category", "subset", "models", "count", "seed", "backgrounds")
-    return Pascal3DStandIn(**{name: getattr(config, name) for name in names})
+    return Pascal3DStandIn(config.category, config.subset, config.models, config.count, config.seed, config.backgrounds)
 
 
 def written(stand_in: StandIn, workers: int | None = None, progress: bool = True) -> Path:

@@ -48,8 +48,7 @@ def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None
     centre_x, centre_y = (x0 + x1) / 2, (y0 + y1) / 2
     seen = (centre_x - half_x, centre_y - half_y, centre_x + half_x, centre_y + half_y)
     # Whole pixels around it, the image's own or black; resizing cuts the exact edges.
-    left, upper = int(np.floor(seen[0])), int(np.floor(seen[1]))
-    right, lower = int(np.ceil(seen[2])), int(np.ceil(seen[3]))
+    (left, upper), (right, lower) = map(math.floor, seen[:2]), map(math.ceil, seen[2:])
     if (right - left) * (lower - upper) > MOST_PIXELS:
         raise ViewnetError(f"box is too large to be cut ({right - left} x {lower - upper} pixels with its margin)")
     part = (max(left, 0), max(upper, 0), min(right, width), min(lower, height))

@@ -104,8 +104,8 @@ class Contents:
 class Reader:
     """A data set that the project reads, by the data set's folder and a configuration."""
 
-    recognises: Callable[[Path], bool] = lambda folder: False  # whether a folder has its layout
-    count: Callable[[Path, Contents], None] = lambda folder, contents: None  # adds what a folder holds to its contents
+    recognises: Callable[[Path], bool]  # whether a folder has its layout
+    count: Callable[[Path, Contents], None]  # adds what a folder holds to its contents
     photographs: "Callable[[PhotoConfig, Path], Photographs] | None" = None  # annotated ones
     # Clips and what cannot be used, and whether a folder is read so where a configuration does not name its layout.
     videos: "Callable[[VideoConfig, Path], tuple[list[Clip], list[Rejected]]] | None" = None

@@ -110,9 +110,8 @@ def _listed(root: Path) -> dict[str, str]:
     path = root / LIST
     if not path.is_file():
         return {}
-    table = read_list(path, ("clip", "split"))
     listed: dict[str, str] = {}
-    for row in table.itertuples():
+    for row in read_list(path, ("clip", "split")).itertuples():
         if row.split not in SPLITS:
             raise ViewnetError(
                 f"{path}: line {row.Index}: split {row.split[:60]!r}: expected one of {', '.join(SPLITS)}"
