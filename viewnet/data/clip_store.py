@@ -24,7 +24,7 @@ from viewnet.data.clips import Clip, Frame, frame_count, read_frames
 from viewnet.data.crop import Crop, bounds, cut, inside, shrunk
 from viewnet.data.masks import MaskSource, from_files
 from viewnet.data.photo_store import describe_crop
-from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, tally, within, write_store
+from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, rejecting, tally, within, write_store
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import scratch
 from viewnet.runtime.parallel import cores
@@ -178,13 +178,11 @@ def _views(clip: Clip, root: Path, cutting: Cutting, enough: int | None = None) 
         mine = {frame.number: frame for frame in clip.frames or map(Frame, range(frame_count(clip.source)))}
         follow = cutting.masks.follow(clip) if cutting.masks else None
         for number, name, image in read_frames(clip.source, mine):
-            try:
+            with rejecting(lost, f"{clip.id}/{name}", where):
                 if isinstance(image, ViewnetError):
                     raise image
                 mask = follow(number, name, image) if follow else None
                 views.append(_view(mine[number], name, image, mask, cutting))
-            except ViewnetError as error:
-                lost.append((f"{clip.id}/{name}", where, str(error)))
             if len(views) == enough:
                 break
     except (ViewnetError, OSError) as error:

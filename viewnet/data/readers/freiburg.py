@@ -17,7 +17,7 @@ from viewnet.config import VideoConfig
 from viewnet.data.clips import Clip, Frame, images_in, pick_frames
 from viewnet.data.crop import Box, clipped
 from viewnet.data.readers.reader import Contents, Reader, no_usable
-from viewnet.data.store import Rejected, within
+from viewnet.data.store import Rejected, rejecting, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import size
 
@@ -87,7 +87,7 @@ def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> l
     for row, line in enumerate(lines, start=1):
         if not line.strip():
             continue
-        try:
+        with rejecting(rejected, f"{folder.name}:{row}", where):
             stem, box, angle = _parsed(line)
             if stem not in places:
                 raise ViewnetError(f"annotation of a frame that is missing ({stem})")
@@ -96,8 +96,6 @@ def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> l
                 raise ViewnetError(f"frame annotated twice ({stem})")
             annotated.add(number)
             frames[number] = Frame(number, azimuth(angle), 0.0, clipped(box, size(files[number])))
-        except ViewnetError as error:
-            rejected.append((f"{folder.name}:{row}", where, str(error)))
     for number, path in enumerate(files):
         if number not in annotated:
             rejected.append((f"{folder.name}/{path.stem}", within(path, root), "frame without a usable annotation"))

@@ -21,7 +21,7 @@ from viewnet.data.photo_store import Photograph, Photographs
 from viewnet.data.readers import object_arrays, pascal3d
 from viewnet.data.readers.pascal3d import SPLITS, Report
 from viewnet.data.readers.reader import Contents, Reader, no_usable
-from viewnet.data.store import within
+from viewnet.data.store import rejecting, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
@@ -94,7 +94,7 @@ def _read_image(root: Path, category: str, split: str, image: str, keep: str, re
     photographs = []
     for place, (number, item) in enumerate(mine):
         name, corrections = f"{image}/{number}", list[str]()
-        try:
+        with rejecting(report.rejected, name, where):
             if keep == "first" and place:
                 raise ViewnetError("not the first of its image")
             _check_status(item, keep)
@@ -103,11 +103,8 @@ def _read_image(root: Path, category: str, split: str, image: str, keep: str, re
             box = pascal3d.mended_box(
                 corners if isinstance(corners, np.ndarray) else (), 0, size, _size(item), corrections
             )
-        except ViewnetError as error:
-            report.rejected.append((name, where, str(error)))
-            continue
-        photographs.append(Photograph(name, category, split, image_path, box, azimuth, elevation))
-        report.mended += [(name, what) for what in corrections]
+            photographs.append(Photograph(name, category, split, image_path, box, azimuth, elevation))
+            report.mended += [(name, what) for what in corrections]
     return photographs
 
 

@@ -21,7 +21,7 @@ from viewnet.config import VideoConfig, known
 from viewnet.data.clips import Clip, Frame, natural
 from viewnet.data.readers.objectron_record import Record, View, read_record
 from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text
-from viewnet.data.store import Rejected, within
+from viewnet.data.store import Rejected, rejecting, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 from viewnet.runtime.splits import seeded_rank, seeded_splits
@@ -56,10 +56,8 @@ def read(root: Path, category: str, frames: int = 10, seed: int = 0) -> tuple[li
     rejected: list[Rejected] = []
     videos = {path: within(path.with_suffix(""), root / "annotations") for path in records}
     for path, video in videos.items():
-        try:
+        with rejecting(rejected, video, within(path, root)):
             clips.append(_clip(root, video, category, _split(listed, video), frames, seed, rejected))
-        except ViewnetError as error:
-            rejected.append((video, within(path, root), str(error)))
     there = set(videos.values())
     for place in sorted((root / "videos" / name).glob("*/*"), key=lambda path: natural(path.as_posix())):
         video = within(place, root / "videos")
@@ -88,10 +86,8 @@ def _clip(root: Path, video: str, category: str, split: str, count: int, seed: i
             break
         if view.number in missing:
             continue
-        try:
+        with rejecting(rejected, f"{video}/{view.number}", where):
             sampled.append(_frame(view, images))
-        except ViewnetError as error:
-            rejected.append((f"{video}/{view.number}", where, str(error)))
     if not sampled:
         raise ViewnetError("no usable frame")
     frames = tuple(sorted(sampled, key=lambda frame: frame.number))

@@ -24,7 +24,7 @@ from viewnet.data.crop import Box, clipped
 from viewnet.data.photo_store import Photograph, Photographs
 from viewnet.data.readers import matlab
 from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text
-from viewnet.data.store import Rejected, tally, within
+from viewnet.data.store import Rejected, rejecting, tally, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
@@ -156,7 +156,7 @@ def _read_image(
     photographs = []
     for place, (number, item) in enumerate(mine):
         corrections: list[str] = []
-        try:
+        with rejecting(report.rejected, f"{name}/{number}", where):
             if keep == "first" and place:
                 raise ViewnetError("not the first of its image")
             # Pixels are counted from 1, and the last one belongs to the box.
@@ -165,11 +165,8 @@ def _read_image(
             hard = [_number(item, flag, 0.0) for flag in ("truncated", "occluded", "difficult")]
             if keep == "easy" and any(hard):
                 raise ViewnetError("truncated, occluded or difficult")
-        except ViewnetError as error:
-            report.rejected.append((f"{name}/{number}", where, str(error)))
-            continue
-        photographs.append(Photograph(f"{name}/{number}", category, split, image_path, box, azimuth, elevation))
-        report.mended += [(f"{name}/{number}", what) for what in corrections]
+            photographs.append(Photograph(f"{name}/{number}", category, split, image_path, box, azimuth, elevation))
+            report.mended += [(f"{name}/{number}", what) for what in corrections]
     return photographs
 
 
