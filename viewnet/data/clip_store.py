@@ -122,7 +122,6 @@ def clip_store(
     rejected = list(rejected)
     ordered = sorted(clips, key=lambda clip: clip.id)
     rows: list[tuple[Any, ...]] = []
-    files: list[Path] = []
     # Crops wait on the disk until their number is known.
     with scratch(folder) as waiting:
 
@@ -137,17 +136,17 @@ def clip_store(
         with ThreadPoolExecutor(parallel) as pool:
             work_done = pool.map(work, range(len(ordered)))
             results = bar(progress, iterable=work_done, total=len(ordered), desc="clips", unit="clip")
-            for number, (views, lost) in enumerate(results):
+            for views, lost in results:
                 rejected += lost
                 rows += views
-                files += [waiting / f"{number}.npy"] if views else []
         kinds = {"view": np.int64, "azimuth": np.float64, "elevation": np.float64}
         index = pd.DataFrame(rows, columns=list(COLUMNS)).astype(kinds)
         if not (index["split"] == "train").any():
             first = f" (the first that was left out: {': '.join(rejected[0])})" if rejected else ""
             remedy = ": put masks in masks/<clip>/, named as the frames" if "mask is missing" in first else ""
             raise ViewnetError(f"{root}: no clip to train on can be used{first}{remedy}")
-        batches = (np.load(file) for file in files)
+        files = (waiting / f"{number}.npy" for number in range(len(ordered)))
+        batches = (np.load(file) for file in files if file.exists())
         return write_store(folder, batches, index, made_by or cutting.describe(clips), rejected)
 
 
