@@ -128,7 +128,7 @@ def _count(root: Path, contents: Contents) -> None:
     for category in CATEGORIES:
         if category in usable | rejected:
             found = [("objects", crop) for crop in usable.get(category, [])]
-            contents.add_photographs(category, found, True, [reason for *_, reason in rejected[category]])
+            contents.add_photographs(category, found, True, rejected[category])
     unknown = {name: count for name, count in names.items() if not _category(name)}
     if unknown:
         contents.problems.append(f"left out, of other categories: {in_words(unknown)}")

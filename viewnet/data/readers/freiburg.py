@@ -127,8 +127,7 @@ def _read_videos(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Reje
 
 def _count(root: Path, contents: Contents) -> None:
     clips, rejected = read(root)
-    reasons = [reason for *_, reason in rejected]
-    contents.add_clips(root, CATEGORY, [("sequences", clip) for clip in clips], "sequences", reasons)
+    contents.add_clips(root, CATEGORY, [("sequences", clip) for clip in clips], "sequences", rejected)
 
 
 READER = Reader(

@@ -162,7 +162,7 @@ def _count(root: Path, contents: Contents) -> None:
             with contents.error_is_problem():
                 clips, rejected = read(root, category, sys.maxsize)
                 found = [(f"videos to {clip.split}", clip) for clip in clips]
-                contents.add_clips(root, category, found, "videos", [reason for *_, reason in rejected])
+                contents.add_clips(root, category, found, "videos", rejected)
 
 
 READER = Reader(

@@ -281,14 +281,14 @@ def _count(root: Path, contents: Contents) -> None:
         files = {subset: [list_file(root, category, subset, split) for split in SPLITS] for subset in SUBSETS}
         there = [subset for subset in SUBSETS if any(file.is_file() for file in files[subset])]
         found: list[tuple[str, Photograph]] = []
-        reasons: list[str] = []
+        rejected: list[Rejected] = []
         for subset, (split, use) in itertools.product(there, USES.items()):
             with contents.error_is_problem():
                 photographs, report = read(root, category, subset, split)
                 found += [(f"{subset} objects", replace(photo, split=use)) for photo in photographs]
-                reasons += [reason for _, _, reason in report.rejected]
+                rejected += report.rejected
         if there:
-            contents.add_photographs(category, found, False, reasons)
+            contents.add_photographs(category, found, False, rejected)
     if not contents.counts:
         contents.problems.append(f"{root / LISTS}: no list of any category: expected PASCAL3D+ release 1.1")
 

@@ -124,7 +124,7 @@ def _listed(root: Path) -> dict[str, str]:
 
 def _count(root: Path, contents: Contents) -> None:
     clips, rejected = read(root, "own", None)
-    contents.add_clips(root, "", [("clips", clip) for clip in clips], "clips", [reason for *_, reason in rejected])
+    contents.add_clips(root, "", [("clips", clip) for clip in clips], "clips", rejected)
 
 
 READER = Reader(
