@@ -82,14 +82,11 @@ def _described(
     if count < 1:
         raise ViewnetError(f"backgrounds: count {count}: expected 1 or more")
     described: dict[str, int | str] = {"version": VERSION, "size": size, "count": count, "seed": seed}
-    listed: list[tuple[str, int]] = []
-    missing: list[tuple[str, str]] = []
     if source == SYNTHETIC:
-        described["drawn"] = scenes.VERSION
-    else:
-        listed, missing = list_images(Path(source))
-        described["pictures"] = _digest(Path(source), listed, missing, _balanced(listed, seed)[:count])
-    return described, listed, missing
+        return described | {"drawn": scenes.VERSION}, [], []
+    listed, missing = list_images(Path(source))
+    pictures = _digest(Path(source), listed, missing, _balanced(listed, seed)[:count])
+    return described | {"pictures": pictures}, listed, missing
 
 
 def _digest(
@@ -112,13 +109,13 @@ def _crop_all(
         for path, number in _balanced(listed, seed):
             if len(found) == count:
                 break
-            rng = seeded_generator(seed, "place", path)
             try:
-                found.append((number, random_square(root / path, size, rng).transpose(2, 0, 1)))  # (3, size, size)
+                square = random_square(root / path, size, seeded_generator(seed, "place", path))
             except ViewnetError as error:
                 rejected.append((path, str(error)))
-            else:
-                shown.update()
+                continue
+            found.append((number, square.transpose(2, 0, 1)))  # (3, size, size)
+            shown.update()
     if not found:
         raise ViewnetError(f"{root}: none of its {len(listed)} images can be used ({': '.join(rejected[0])})")
     found.sort(key=lambda item: item[0])

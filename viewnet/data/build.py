@@ -100,11 +100,10 @@ def _asked(config: DataConfig) -> tuple[Path, dict[str, Any], dict[str, Any], li
     described = {"extra": digest(extra)} if extra else {}
     if models is None:
         # Known without looking at a file, so that a store is found when its collection has been removed.
-        version = {"built-in": cad.VERSIONS[config.category], "count": config.models, "category": config.category}
-        folder = _store_folder(config.category, made_by | described | {"models": version})
+        known_by = {"built-in": cad.VERSIONS[config.category], "count": config.models, "category": config.category}
     else:
-        described["models"] = digest(models)
-        folder = _store_folder(config.category, made_by | described)
+        known_by = described["models"] = digest(models)
+    folder = _store_folder(config.category, made_by | described | {"models": known_by})
     return folder, settings, described, models, extra
 
 
@@ -187,8 +186,7 @@ def shows_videos(root: Path, category: str) -> bool:
 
 def photo_stand_in(config: PhotoConfig) -> StandIn:
     """The stand-in for PASCAL3D+ that `config` asks for."""
-    names = ("category", "subset", "models", "count", "seed", "backgrounds")
-    return Pascal3DStandIn(**{name: getattr(config, name) for name in names})
+    return Pascal3DStandIn(config.category, config.subset, config.models, config.count, config.seed, config.backgrounds)
 
 
 def written(stand_in: StandIn, workers: int | None = None, progress: bool = True) -> Path:

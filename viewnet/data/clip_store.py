@@ -1,12 +1,9 @@
 """Clips as a view store: every frame's object cropped by its mask, made square, in one size.
 
-    clips ─► frames and masks ─► crops ─► view store
-
 A clip is a model of the store and its frames are its views. Viewpoints without annotation are NaN.
 """
 
 import hashlib
-import itertools
 import json
 import math
 from collections import Counter
@@ -27,7 +24,7 @@ from viewnet.data.clips import Clip, Frame, frame_count, read_frames
 from viewnet.data.crop import Crop, bounds, cut, inside, shrunk
 from viewnet.data.masks import MaskSource, from_files
 from viewnet.data.photo_store import describe_crop
-from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, tally, within, write_store
+from viewnet.data.store import COLUMNS, Rejected, ViewStore, in_words, rejecting, tally, within, write_store
 from viewnet.errors import ViewnetError
 from viewnet.runtime.files import scratch
 from viewnet.runtime.parallel import cores
@@ -71,7 +68,7 @@ class Cutting:
         Those of a data set, in `root`, are known by their names and contents.
         """
         files_in = {place: _files(place) for clip in clips for place in (clip.source, clip.masks) if place is not None}
-        every = list(dict.fromkeys(itertools.chain(*files_in.values())))
+        every = [file for files in files_in.values() for file in files]
         marks: Mapping[Path, int | str]
         marks = {file: file.stat().st_size for file in every} if root is None else contents.of_files(root, every)
         hashed = hashlib.sha256()
@@ -125,7 +122,6 @@ def clip_store(
     rejected = list(rejected)
     ordered = sorted(clips, key=lambda clip: clip.id)
     rows: list[tuple[Any, ...]] = []
-    files: list[Path] = []
     # Crops wait on the disk until their number is known.
     with scratch(folder) as waiting:
 
@@ -140,17 +136,17 @@ def clip_store(
         with ThreadPoolExecutor(parallel) as pool:
             work_done = pool.map(work, range(len(ordered)))
             results = bar(progress, iterable=work_done, total=len(ordered), desc="clips", unit="clip")
-            for number, (views, lost) in enumerate(results):
+            for views, lost in results:
                 rejected += lost
                 rows += views
-                files += [waiting / f"{number}.npy"] if views else []
         kinds = {"view": np.int64, "azimuth": np.float64, "elevation": np.float64}
         index = pd.DataFrame(rows, columns=list(COLUMNS)).astype(kinds)
         if not (index["split"] == "train").any():
             first = f" (the first that was left out: {': '.join(rejected[0])})" if rejected else ""
             remedy = ": put masks in masks/<clip>/, named as the frames" if "mask is missing" in first else ""
             raise ViewnetError(f"{root}: no clip to train on can be used{first}{remedy}")
-        batches = (np.load(file) for file in files)
+        files = (waiting / f"{number}.npy" for number in range(len(ordered)))
+        batches = (np.load(file) for file in files if file.exists())
         return write_store(folder, batches, index, made_by or cutting.describe(clips), rejected)
 
 
@@ -181,13 +177,11 @@ def _views(clip: Clip, root: Path, cutting: Cutting, enough: int | None = None) 
         mine = {frame.number: frame for frame in clip.frames or map(Frame, range(frame_count(clip.source)))}
         follow = cutting.masks.follow(clip) if cutting.masks else None
         for number, name, image in read_frames(clip.source, mine):
-            try:
+            with rejecting(lost, f"{clip.id}/{name}", where):
                 if isinstance(image, ViewnetError):
                     raise image
                 mask = follow(number, name, image) if follow else None
                 views.append(_view(mine[number], name, image, mask, cutting))
-            except ViewnetError as error:
-                lost.append((f"{clip.id}/{name}", where, str(error)))
             if len(views) == enough:
                 break
     except (ViewnetError, OSError) as error:

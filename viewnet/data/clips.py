@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import av
 import numpy as np
@@ -28,7 +28,6 @@ CONTAINERS = (
 """What a video file may hold, in FFmpeg's names. Some of FFmpeg's other formats are lists that open further files."""
 
 Pick = Literal["random", "evenly"]
-PICKS: tuple[Pick, ...] = ("random", "evenly")
 Still = tuple[int, str, Image.Image | ViewnetError]
 """A frame's number from 0, its name without a suffix, and its image or why there is none."""
 
@@ -121,7 +120,7 @@ def pick_frames(total: int, count: int | None, how: Pick, name: str, seed: int =
     """
     if count is not None and count < 1:
         raise ViewnetError(f"frames {count}: expected 1 or more a clip, or none for all")
-    known(how, PICKS, "pick")
+    known(how, get_args(Pick), "pick")
     if count is None or count >= total:
         return list(range(total))
     if how == "evenly":

@@ -40,10 +40,8 @@ def digests(root: Path, groups: Mapping[str, Callable[[], Named]]) -> list[str]:
     def read(name: str) -> tuple[list[list[Any]], str]:
         """The group's files with their states, and its hash."""
         states = [(label, path, _state(path)) for label, path in groups[name]().items()]
-        hashed = [[label, state and _content(path)] for label, path, state in states]
-        return [[str(path), state] for _, path, state in states], hashlib.sha256(
-            json.dumps(hashed).encode()
-        ).hexdigest()
+        hashed = json.dumps([[label, state and _content(path)] for label, path, state in states])
+        return [[str(path), state] for _, path, state in states], hashlib.sha256(hashed.encode()).hexdigest()
 
     changed = [name for name in groups if not _unchanged(known.get(name))]
     with ThreadPoolExecutor(cores()) as pool:

@@ -48,24 +48,19 @@ def cut(image: Image.Image, box: Box | None, crop: Crop, mask: np.ndarray | None
     centre_x, centre_y = (x0 + x1) / 2, (y0 + y1) / 2
     seen = (centre_x - half_x, centre_y - half_y, centre_x + half_x, centre_y + half_y)
     # Whole pixels around it, the image's own or black; resizing cuts the exact edges.
-    left, upper = int(np.floor(seen[0])), int(np.floor(seen[1]))
-    right, lower = int(np.ceil(seen[2])), int(np.ceil(seen[3]))
+    (left, upper), (right, lower) = map(math.floor, seen[:2]), map(math.ceil, seen[2:])
     if (right - left) * (lower - upper) > MOST_PIXELS:
         raise ViewnetError(f"box is too large to be cut ({right - left} x {lower - upper} pixels with its margin)")
     part = (max(left, 0), max(upper, 0), min(right, width), min(lower, height))
-    inside, place = image.crop(part).convert("RGB"), (part[0] - left, part[1] - upper)
-    exact = (seen[0] - left, seen[1] - upper, seen[2] - left, seen[3] - upper)
+    canvas = image.crop(part).convert("RGB")
     if mask is not None:
-        inside.putalpha(Image.fromarray(mask).crop(part))
-        cutout = Image.new("RGBA", (right - left, lower - upper))
-        cutout.paste(inside, place)
-        # Pillow weights colours by their alpha while it averages them.
-        return np.array(cutout.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact))
-    canvas = inside
-    if inside.size != (right - left, lower - upper):
-        canvas = Image.new("RGB", (right - left, lower - upper))
-        canvas.paste(inside, place)
-    # Averages over the pixels that become one, without the ringing of sharper filters at the image's edge.
+        canvas.putalpha(Image.fromarray(mask).crop(part))
+    if canvas.size != (right - left, lower - upper):
+        inside, canvas = canvas, Image.new(canvas.mode, (right - left, lower - upper))
+        canvas.paste(inside, (part[0] - left, part[1] - upper))
+    exact = (seen[0] - left, seen[1] - upper, seen[2] - left, seen[3] - upper)
+    # Averages over the pixels that become one, without the ringing of sharper filters at the image's edge; Pillow
+    # weights colours by their alpha.
     small = canvas.resize((crop.size, crop.size), Image.Resampling.HAMMING, box=exact, reducing_gap=4.0)
     return np.array(small.convert("RGBA"))
 

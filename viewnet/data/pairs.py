@@ -76,9 +76,8 @@ def load_views(store: ViewStore, split: str, size: int, crop: int | None = None,
 
 def model_views(store: ViewStore, split: str, size: int, config: ModelConfig) -> Views:
     """`load_views` with the crops that the networks of `config` see."""
-    return load_views(
-        store, split, size, None if config.crop == "none" else config.input_size, config.crop == "stretched"
-    )
+    crop = None if config.crop == "none" else config.input_size
+    return load_views(store, split, size, crop, config.crop == "stretched")
 
 
 def sample_pairs(views: Views, objects: int, targets: int, seed: int, step: int) -> tuple[Tensor, Tensor]:

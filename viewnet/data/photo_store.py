@@ -1,7 +1,5 @@
 """Photographs with known viewpoints as a view store: cut to a box, made square, in one size.
 
-    annotated photographs ─► crops ─► view store
-
 A photograph has no mask, so its alpha is 1 throughout; what lies beyond its edges is black.
 """
 
@@ -81,9 +79,7 @@ def photo_store(
         if not (index["split"] == name).any():
             first = f" (the first that was left out: {rejected[0][1]}: {rejected[0][2]})" if rejected else ""
             raise ViewnetError(f"{root}: no usable photograph in the {name} split{first}")
-    views = [pixels for _, _, pixels in usable]
-    batches = (np.stack(views[i : i + 256]) for i in range(0, len(views), 256))  # (256, S, S, 4), the last one fewer
-    return write_store(folder, batches, index, made_by | data.notes, rejected)
+    return write_store(folder, (pixels[None] for _, _, pixels in usable), index, made_by | data.notes, rejected)
 
 
 def crops(
@@ -98,16 +94,9 @@ def crops(
         work = pool.map(lambda photograph: _crop_and_digest(photograph, crop, upright), photographs)
         results = list(bar(progress, iterable=work, total=len(photographs), desc="photographs", unit="image"))
     pairs = list(zip(photographs, results, strict=True))
-    scored = {result[1] for photo, result in pairs if photo.split == "test" and isinstance(result, tuple)}
-    made: list[np.ndarray | ViewnetError] = []
-    for photograph, result in pairs:
-        if isinstance(result, ViewnetError):
-            made.append(result)
-        elif photograph.split == "val" and result[1] in scored:
-            made.append(ViewnetError("image to calibrate on that is scored on under another name"))
-        else:
-            made.append(result[0])
-    return made
+    scored = {pixels for photograph, (_, pixels) in pairs if photograph.split == "test"} - {None}
+    again = ViewnetError("image to calibrate on that is scored on under another name")
+    return [again if photo.split == "val" and pixels in scored else made for photo, (made, pixels) in pairs]
 
 
 def summary(store: ViewStore) -> str:
@@ -144,12 +133,14 @@ def check_apart(photographs: Sequence[Photograph]) -> None:
             raise ViewnetError(f"{photograph.image_path}: is both calibrated on and scored: list it in one split only")
 
 
-def _crop_and_digest(photograph: Photograph, crop: Crop, upright: bool) -> tuple[np.ndarray, bytes] | ViewnetError:
-    """The crop and a digest of the whole image's pixels, or why it cannot be used."""
+def _crop_and_digest(
+    photograph: Photograph, crop: Crop, upright: bool
+) -> tuple[np.ndarray | ViewnetError, bytes | None]:
+    """The crop, or why there is none, and a digest of the whole image's pixels."""
     try:
         image = image_files.read(photograph.image_path, upright=upright)
         pixels = hashlib.sha256(image.tobytes())
         pixels.update(repr(image.size).encode())
         return cut(image, photograph.box, crop), pixels.digest()
     except ViewnetError as error:
-        return error
+        return error, None

@@ -20,7 +20,7 @@ import numpy as np
 from viewnet.config import LIMITS
 from viewnet.data import contents
 from viewnet.data.readers.shapenet import READER_VERSION, ModelFile, load_model, read_files
-from viewnet.data.store import ViewStore, identity_of, made_once, write_store
+from viewnet.data.store import COLUMNS, ViewStore, identity_of, made_once, write_store
 from viewnet.errors import ViewnetError
 from viewnet.render import VERSION, Backend, choose_backend, render_cameras
 from viewnet.render.camera import DISTANCE, FOCAL, look_from
@@ -103,15 +103,14 @@ def render_views(
     def make() -> None:
         chunks = _plan(models, partial_folder(folder), made_by)
         todo = [(rows, file) for rows, file in chunks if not file.exists()]
-        open_share = sum(len(rows) for rows, _ in todo) / len(models)
+        open_share = sum(len(models[rows]) for rows, _ in todo) / len(models)
         _check_room(folder, len(models) * how.views * how.image_size**2 * 4, open_share)
         azimuth, elevation, light = sample_viewpoints(models, how)
         jobs = []
         for rows, file in todo:
-            cameras = look_from(azimuth[rows].ravel(), elevation[rows].ravel())
-            cameras = cameras.reshape(len(rows), how.views, 3, 3)  # (M, V, 3, 3)
-            lights = np.einsum("mvij,mvj->mvi", cameras, light[rows])  # in world coordinates
-            jobs.append(Chunk(tuple(models[i] for i in rows), cameras, lights, how, file))
+            cameras = look_from(azimuth[rows].ravel(), elevation[rows].ravel()).reshape(-1, how.views, 3, 3)
+            lights = np.einsum("mvij,mvj->mvi", cameras, light[rows])  # (M, V, 3), in world coordinates
+            jobs.append(Chunk(tuple(models[rows]), cameras, lights, how, file))
         _render(jobs, len(models), workers, progress, executor)
         assemble(folder, models, [file for _, file in chunks], azimuth, elevation, made_by)
 
@@ -227,7 +226,7 @@ def _source(model: ModelFile) -> str:
     return model.path.relative_to(model.folder.parent.parent).as_posix()
 
 
-def _plan(models: Sequence[ModelFile], partial: Path, made_by: dict[str, Any]) -> list[tuple[np.ndarray, Path]]:
+def _plan(models: Sequence[ModelFile], partial: Path, made_by: dict[str, Any]) -> list[tuple[slice, Path]]:
     """Model numbers and file of each chunk. What `partial` holds of another request is removed."""
     plan = json.dumps({"identity": identity_of(made_by), "chunk": CHUNK})
     note = partial / "plan.json"
@@ -235,8 +234,7 @@ def _plan(models: Sequence[ModelFile], partial: Path, made_by: dict[str, Any]) -
         shutil.rmtree(partial)
     if not partial.exists():
         write_text(note, plan)
-    rows = np.arange(len(models))
-    return [(rows[i : i + CHUNK], partial / f"{i:08d}.npz") for i in range(0, len(models), CHUNK)]
+    return [(slice(i, i + CHUNK), partial / f"{i:08d}.npz") for i in range(0, len(models), CHUNK)]
 
 
 def _check_room(folder: Path, size: int, open_share: float) -> None:
@@ -271,22 +269,16 @@ def assemble(
     for file in files:
         reasons.update(read_chunk(file)[1])
     rejected = [(model.id, _source(model), reasons[model.id]) for model in models if model.id in reasons]
-    used = [i for i, model in enumerate(models) if model.id not in reasons]
-    if not used:
+    if len(rejected) == len(models):
         name, _, reason = rejected[0]
         raise ViewnetError(f"{folder}: none of the {len(models)} models can be used (the first, {name}: {reason})")
     if rejected:
         log.warning("%s: %d of %d models cannot be used, see rejected.csv", folder, len(rejected), len(models))
-    views = azimuth.shape[1]
-    index = pd.DataFrame(
-        {
-            "model_id": np.repeat([models[i].id for i in used], views),
-            "category": np.repeat([models[i].category for i in used], views),
-            "split": np.repeat([models[i].split for i in used], views),
-            "view": np.tile(np.arange(views), len(used)),
-            "azimuth": azimuth[used].ravel(),
-            "elevation": elevation[used].ravel(),
-            "source": np.repeat([_source(models[i]) for i in used], views),
-        }
-    )
+    rows = [
+        (model.id, model.category, model.split, view, azimuth[number, view], elevation[number, view], _source(model))
+        for number, model in enumerate(models)
+        if model.id not in reasons
+        for view in range(azimuth.shape[1])
+    ]
+    index = pd.DataFrame(rows, columns=list(COLUMNS))
     write_store(folder, (read_chunk(file)[0] for file in files), index, made_by, rejected)

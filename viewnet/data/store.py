@@ -9,11 +9,12 @@ All views of a model are in consecutive rows, ordered by view. A view without an
 azimuth and elevation: it can be trained on, but not scored.
 """
 
+import contextlib
 import hashlib
 import json
 import platform
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -108,6 +109,15 @@ class ViewStore:
 def within(path: Path, root: Path) -> str:
     """A path within its data set, as lists of what cannot be used have it."""
     return path.relative_to(root).as_posix()
+
+
+@contextlib.contextmanager
+def rejecting(rejected: list[Rejected], name: str, path: str) -> Iterator[None]:
+    """A ViewnetError in the block is the reason why `name`, in `path` within its data set, joins what is `rejected`."""
+    try:
+        yield
+    except ViewnetError as error:
+        rejected.append((name, path, str(error)))
 
 
 def tally(reasons: Iterable[str]) -> dict[str, int]:

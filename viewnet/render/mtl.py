@@ -105,8 +105,7 @@ def read_lines(home: Home, file: Path, most: int) -> bytes:
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         data = data.decode("utf-16", "replace").encode()
     data = data.removeprefix(codecs.BOM_UTF8) + b"\n"
-    if b"\r" in data:
-        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     data = data.replace(b"\t", b" ").replace(b"\v", b" ").replace(b"\f", b" ")
     if b"\\" in data:
         data = re.sub(rb"#[^\n]*\\ *\n", b"\n", data)  # a comment ends with its line

@@ -18,7 +18,7 @@ from typing import Any
 from viewnet.config import CATEGORIES, PhotoConfig, known
 from viewnet.data.photo_store import Photograph, Photographs
 from viewnet.data.readers.reader import Contents, Reader, require_all
-from viewnet.data.store import Rejected, in_words
+from viewnet.data.store import Rejected, in_words, rejecting
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import SUFFIXES
 from viewnet.runtime.lists import one_form, read_list
@@ -58,7 +58,7 @@ def _read(root: Path) -> tuple[dict[str, list[Photograph]], dict[str, list[Rejec
     for line, row in zip(table.index, table.to_dict("records"), strict=True):
         name = row["img_idx"]
         category = _category(row["category_name"])
-        try:
+        with rejecting(rejected[category], name, f"{file.name}: line {line}"):
             if name in usable[category]:
                 raise ViewnetError("crop listed twice")
             azimuth, elevation = _angles(row)
@@ -66,8 +66,6 @@ def _read(root: Path) -> tuple[dict[str, list[Photograph]], dict[str, list[Rejec
                 several = f"several images ({', '.join(path.name for path in found)})"
                 raise ViewnetError(several if found else f"no such image (img_idx {name[:60]!r})")
             usable[category][name] = Photograph(name, category, "test", found[0], None, azimuth, elevation)
-        except ViewnetError as error:
-            rejected[category].append((name, f"{file.name}: line {line}", str(error)))
     split = {category: _split(list(crops.values())) for category, crops in usable.items() if crops}
     return split, rejected, Counter(table["category_name"])
 
@@ -130,7 +128,7 @@ def _count(root: Path, contents: Contents) -> None:
     for category in CATEGORIES:
         if category in usable | rejected:
             found = [("objects", crop) for crop in usable.get(category, [])]
-            contents.add_photographs(category, found, True, [reason for *_, reason in rejected[category]])
+            contents.add_photographs(category, found, True, rejected[category])
     unknown = {name: count for name, count in names.items() if not _category(name)}
     if unknown:
         contents.problems.append(f"left out, of other categories: {in_words(unknown)}")

@@ -17,7 +17,7 @@ from viewnet.config import VideoConfig
 from viewnet.data.clips import Clip, Frame, images_in, pick_frames
 from viewnet.data.crop import Box, clipped
 from viewnet.data.readers.reader import Contents, Reader, no_usable
-from viewnet.data.store import Rejected, within
+from viewnet.data.store import Rejected, rejecting, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime.image_files import size
 
@@ -51,11 +51,10 @@ def read(root: Path) -> tuple[list[Clip], list[Rejected]]:
         elif number not in lists:
             rejected.append((f"car{number:03d}", folders[number].name, "no annotations of the sequence"))
         else:
-            name, masks = folders[number].name, root / MASKS / folders[number].name
-            if frames := tuple(_frames(lists[number], folders[number], root, rejected)):
-                place = (folders[number], frames, masks if masks.is_dir() else None)
+            folder, masks = folders[number], root / MASKS / folders[number].name
+            if frames := tuple(_frames(lists[number], folder, root, rejected)):
                 split = "train" if number <= 45 else "val" if number <= 47 else "test"
-                clips.append(Clip(name, CATEGORY, split, *place))
+                clips.append(Clip(folder.name, CATEGORY, split, folder, frames, masks if masks.is_dir() else None))
     if not clips:
         raise no_usable(root, "frame", rejected, "no sequences")
     return clips, rejected
@@ -88,7 +87,7 @@ def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> l
     for row, line in enumerate(lines, start=1):
         if not line.strip():
             continue
-        try:
+        with rejecting(rejected, f"{folder.name}:{row}", where):
             stem, box, angle = _parsed(line)
             if stem not in places:
                 raise ViewnetError(f"annotation of a frame that is missing ({stem})")
@@ -97,8 +96,6 @@ def _frames(file: Path, folder: Path, root: Path, rejected: list[Rejected]) -> l
                 raise ViewnetError(f"frame annotated twice ({stem})")
             annotated.add(number)
             frames[number] = Frame(number, azimuth(angle), 0.0, clipped(box, size(files[number])))
-        except ViewnetError as error:
-            rejected.append((f"{folder.name}:{row}", where, str(error)))
     for number, path in enumerate(files):
         if number not in annotated:
             rejected.append((f"{folder.name}/{path.stem}", within(path, root), "frame without a usable annotation"))
@@ -130,8 +127,7 @@ def _read_videos(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Reje
 
 def _count(root: Path, contents: Contents) -> None:
     clips, rejected = read(root)
-    found = [("sequences", clip) for clip in clips]
-    contents.add_clips(root, CATEGORY, found, "sequences", [reason for *_, reason in rejected])
+    contents.add_clips(root, CATEGORY, [("sequences", clip) for clip in clips], "sequences", rejected)
 
 
 READER = Reader(

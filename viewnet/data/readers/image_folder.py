@@ -39,9 +39,8 @@ def list_images(root: Path) -> tuple[list[tuple[str, int]], list[tuple[str, str]
         classes = {path.relative_to(root).as_posix(): 0 for path in _walk(root, {root.resolve()})}
     if not classes:
         lost = f", and {len(missing)} of the folders in {CLASSES} are missing" if missing else ""
-        raise ViewnetError(
-            f"{root}: no images in it ({', '.join(image_files.SUFFIXES)}){lost}: name a folder that has some"
-        )
+        suffixes = ", ".join(image_files.SUFFIXES)
+        raise ViewnetError(f"{root}: no images in it ({suffixes}){lost}: name a folder that has some")
     return sorted(classes.items()), missing
 
 

@@ -21,7 +21,7 @@ from viewnet.data.photo_store import Photograph, Photographs
 from viewnet.data.readers import object_arrays, pascal3d
 from viewnet.data.readers.pascal3d import SPLITS, Report
 from viewnet.data.readers.reader import Contents, Reader, no_usable
-from viewnet.data.store import within
+from viewnet.data.store import Rejected, rejecting, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
@@ -94,20 +94,16 @@ def _read_image(root: Path, category: str, split: str, image: str, keep: str, re
     photographs = []
     for place, (number, item) in enumerate(mine):
         name, corrections = f"{image}/{number}", list[str]()
-        try:
+        with rejecting(report.rejected, name, where):
             if keep == "first" and place:
                 raise ViewnetError("not the first of its image")
             _check_status(item, keep)
             azimuth, elevation = _viewpoint(item)
             corners = _field(item, "bbox")
-            box = pascal3d.mended_box(
-                corners if isinstance(corners, np.ndarray) else (), 0, size, _size(item), corrections
-            )
-        except ViewnetError as error:
-            report.rejected.append((name, where, str(error)))
-            continue
-        photographs.append(Photograph(name, category, split, image_path, box, azimuth, elevation))
-        report.mended += [(name, what) for what in corrections]
+            array = corners if isinstance(corners, np.ndarray) else ()
+            box = pascal3d.mended_box(array, 0, size, _size(item), corrections)
+            photographs.append(Photograph(name, category, split, image_path, box, azimuth, elevation))
+            report.mended += [(name, what) for what in corrections]
     return photographs
 
 
@@ -191,13 +187,13 @@ def _count(root: Path, contents: Contents) -> None:
         if category not in there:
             continue
         found: list[tuple[str, Photograph]] = []
-        reasons: list[str] = []
+        rejected: list[Rejected] = []
         for split, use in pascal3d.USES.items():
             with contents.error_is_problem():
                 photographs, report = read(root, category, split)
                 found += [("objects", replace(photo, split=use)) for photo in photographs]
-                reasons += [reason for *_, reason in report.rejected]
-        contents.add_photographs(category, found, False, reasons)
+                rejected += report.rejected
+        contents.add_photographs(category, found, False, rejected)
     if others := there - set(CATEGORIES):
         contents.notes.append(f"{len(others)} categories that are not read: {', '.join(sorted(others)[:3])} ...")
 

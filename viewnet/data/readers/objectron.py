@@ -21,10 +21,9 @@ from viewnet.config import VideoConfig, known
 from viewnet.data.clips import Clip, Frame, natural
 from viewnet.data.readers.objectron_record import Record, View, read_record
 from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text
-from viewnet.data.store import Rejected, within
+from viewnet.data.store import Rejected, rejecting, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
-from viewnet.runtime.progress import bar
 from viewnet.runtime.splits import seeded_rank, seeded_splits
 
 CLASSES = {"bicycle": "bike", "bottle": "bottle", "chair": "chair"}  # Objectron's classes that are categories here
@@ -35,9 +34,7 @@ _SUFFIXES = (".jpg", ".jpeg", ".png")
 _Images = dict[int, tuple[int, Path]]  # frame number -> place in the order of names, and file
 
 
-def read(
-    root: Path, category: str, frames: int = 10, seed: int = 0, progress: bool = False
-) -> tuple[list[Clip], list[Rejected]]:
+def read(root: Path, category: str, frames: int = 10, seed: int = 0) -> tuple[list[Clip], list[Rejected]]:
     """The videos of a category under `root`, each with up to `frames` of its usable frames, sampled by seed and video.
 
     The second value lists the videos, frames and further objects that cannot be used, but not frames that were merely
@@ -58,11 +55,9 @@ def read(
     clips: list[Clip] = []
     rejected: list[Rejected] = []
     videos = {path: within(path.with_suffix(""), root / "annotations") for path in records}
-    for path, video in bar(progress, iterable=videos.items(), desc="records", unit="video"):
-        try:
+    for path, video in videos.items():
+        with rejecting(rejected, video, within(path, root)):
             clips.append(_clip(root, video, category, _split(listed, video), frames, seed, rejected))
-        except ViewnetError as error:
-            rejected.append((video, within(path, root), str(error)))
     there = set(videos.values())
     for place in sorted((root / "videos" / name).glob("*/*"), key=lambda path: natural(path.as_posix())):
         video = within(place, root / "videos")
@@ -91,10 +86,8 @@ def _clip(root: Path, video: str, category: str, split: str, count: int, seed: i
             break
         if view.number in missing:
             continue
-        try:
+        with rejecting(rejected, f"{video}/{view.number}", where):
             sampled.append(_frame(view, images))
-        except ViewnetError as error:
-            rejected.append((f"{video}/{view.number}", where, str(error)))
     if not sampled:
         raise ViewnetError("no usable frame")
     frames = tuple(sorted(sampled, key=lambda frame: frame.number))
@@ -169,7 +162,7 @@ def _count(root: Path, contents: Contents) -> None:
             with contents.error_is_problem():
                 clips, rejected = read(root, category, sys.maxsize)
                 found = [(f"videos to {clip.split}", clip) for clip in clips]
-                contents.add_clips(root, category, found, "videos", [reason for *_, reason in rejected])
+                contents.add_clips(root, category, found, "videos", rejected)
 
 
 READER = Reader(

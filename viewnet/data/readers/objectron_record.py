@@ -19,6 +19,7 @@ place again: a frame in which the two disagree is not used.
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,15 +116,14 @@ def interpret(sequence: Any) -> Record:
 
 def _main_object(frames: Iterable[Any]) -> tuple[int, tuple[int, ...]]:
     """The id of the object that covers most of the images, and those of all others."""
-    covered: dict[int, float] = {}
+    covered = defaultdict[int, float](float)
     for frame in frames:
         for annotation in frame.annotations:
             if len(annotation.keypoints) != len(UNIT_BOX):
                 continue
             points = _in_image(annotation).clip(0, 1)
             area = float(np.prod(points.max(axis=0) - points.min(axis=0)))
-            before = covered.get(annotation.object_id, 0.0)
-            covered[annotation.object_id] = before + (area if math.isfinite(area) else 0.0)
+            covered[annotation.object_id] += area if math.isfinite(area) else 0.0
     if not covered:
         raise ViewnetError("record without an annotated object")
     main = min(covered, key=lambda name: (-covered[name], name))

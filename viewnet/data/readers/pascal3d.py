@@ -24,7 +24,7 @@ from viewnet.data.crop import Box, clipped
 from viewnet.data.photo_store import Photograph, Photographs
 from viewnet.data.readers import matlab
 from viewnet.data.readers.reader import Contents, Reader, no_usable, read_text
-from viewnet.data.store import Rejected, tally, within
+from viewnet.data.store import Rejected, rejecting, tally, within
 from viewnet.errors import ViewnetError
 from viewnet.runtime import image_files
 
@@ -156,7 +156,7 @@ def _read_image(
     photographs = []
     for place, (number, item) in enumerate(mine):
         corrections: list[str] = []
-        try:
+        with rejecting(report.rejected, f"{name}/{number}", where):
             if keep == "first" and place:
                 raise ViewnetError("not the first of its image")
             # Pixels are counted from 1, and the last one belongs to the box.
@@ -165,11 +165,8 @@ def _read_image(
             hard = [_number(item, flag, 0.0) for flag in ("truncated", "occluded", "difficult")]
             if keep == "easy" and any(hard):
                 raise ViewnetError("truncated, occluded or difficult")
-        except ViewnetError as error:
-            report.rejected.append((f"{name}/{number}", where, str(error)))
-            continue
-        photographs.append(Photograph(f"{name}/{number}", category, split, image_path, box, azimuth, elevation))
-        report.mended += [(f"{name}/{number}", what) for what in corrections]
+            photographs.append(Photograph(f"{name}/{number}", category, split, image_path, box, azimuth, elevation))
+            report.mended += [(f"{name}/{number}", what) for what in corrections]
     return photographs
 
 
@@ -203,12 +200,10 @@ def mended_box(
     Raises ViewnetError for a box that is not four numbers, or has no part in the image.
     """
     array = np.asarray(box)
-    corners = (
-        [float(value) for value in array.ravel().tolist()] if array.dtype.kind in "fiu" and array.size == 4 else []
-    )
-    if not corners or not all(abs(value) < 1e9 for value in corners):  # no NaN either
+    corners = array.ravel().astype(np.float64) if array.dtype.kind in "fiu" else np.zeros(0)
+    if len(corners) != 4 or not (np.abs(corners) < 1e9).all():  # no NaN either
         raise ViewnetError("box is not four numbers")
-    x0, y0, x1, y1 = corners
+    x0, y0, x1, y1 = corners.tolist()
     if x0 > x1 or y0 > y1:
         corrections.append("box with exchanged corners")
         x0, x1, y0, y1 = *sorted((x0, x1)), *sorted((y0, y1))
@@ -286,14 +281,14 @@ def _count(root: Path, contents: Contents) -> None:
         files = {subset: [list_file(root, category, subset, split) for split in SPLITS] for subset in SUBSETS}
         there = [subset for subset in SUBSETS if any(file.is_file() for file in files[subset])]
         found: list[tuple[str, Photograph]] = []
-        reasons: list[str] = []
+        rejected: list[Rejected] = []
         for subset, (split, use) in itertools.product(there, USES.items()):
             with contents.error_is_problem():
                 photographs, report = read(root, category, subset, split)
                 found += [(f"{subset} objects", replace(photo, split=use)) for photo in photographs]
-                reasons += [reason for _, _, reason in report.rejected]
+                rejected += report.rejected
         if there:
-            contents.add_photographs(category, found, False, reasons)
+            contents.add_photographs(category, found, False, rejected)
     if not contents.counts:
         contents.problems.append(f"{root / LISTS}: no list of any category: expected PASCAL3D+ release 1.1")
 

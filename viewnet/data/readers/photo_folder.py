@@ -128,7 +128,8 @@ def _count(root: Path, contents: Contents) -> None:
     # The list does not name the objects' category, and any will do here.
     photographs = read(root, CATEGORIES[0])
     found = [("objects", photo) for photo in photographs if photo.image_path.is_file()]
-    contents.add_photographs("", found, True, ["no such image"] * (len(photographs) - len(found)))
+    missing = [(photo.id, LIST, "no such image") for photo in photographs if not photo.image_path.is_file()]
+    contents.add_photographs("", found, True, missing)
     if not any(photograph.split == "test" for photograph in photographs):
         contents.problems.append(f"{LIST}: no row of split test")
 

@@ -1,6 +1,7 @@
 """What every reader of a data set provides, for training, for scoring and for `viewnet data` alike."""
 
 import contextlib
+import itertools
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -37,7 +38,7 @@ class Contents:
     notes: list[str] = field(default_factory=list)
     deep: bool = False
 
-    def add(self, category: str, usable: Iterable[str], reasons: Iterable[str] = ()) -> None:
+    def add(self, category: str, usable: Iterable[str], reasons: Iterable[str]) -> None:
         """Count what can be used, by kind, and what cannot, by reason."""
         self.counts[category] = dict(Counter(usable))
         name = f"{category}: " if category else ""
@@ -55,7 +56,7 @@ class Contents:
         return numbers
 
     def add_photographs(
-        self, category: str, found: Sequence[tuple[str, "Photograph"]], upright: bool, reasons: Iterable[str] = ()
+        self, category: str, found: Sequence[tuple[str, "Photograph"]], upright: bool, rejected: Iterable[Rejected]
     ) -> None:
         """Count photographs by kind and use, but for those that would not become a view; see `add`."""
         from viewnet.data import photo_store
@@ -67,10 +68,10 @@ class Contents:
         lost = {n: str(crop) for n, crop in zip(opened, crops, strict=True) if isinstance(crop, ViewnetError)}
         uses = {"val": "calibrate", "test": "score"}
         usable = [f"{kind} to {uses[photo.split]}" for number, (kind, photo) in enumerate(found) if number not in lost]
-        self.add(category, usable, [*reasons, *lost.values()])
+        self.add(category, usable, [*(reason for *_, reason in rejected), *lost.values()])
 
     def add_clips(
-        self, root: Path, category: str, found: Sequence[tuple[str, "Clip"]], what: str, reasons: Iterable[str] = ()
+        self, root: Path, category: str, found: Sequence[tuple[str, "Clip"]], what: str, rejected: Iterable[Rejected]
     ) -> None:
         """Count clips and their frames but for what would not become views; see `add`.
 
@@ -89,7 +90,7 @@ class Contents:
             if clip.id not in mine:
                 usable += [kind, *["frames"] * (len(clip.frames) - len(mine))]
                 usable += [f"{what} with masks"] * (clip.masks is not None)
-        self.add(category, usable, [*reasons, *(reason for each in lost.values() for *_, reason in each)])
+        self.add(category, usable, (reason for *_, reason in itertools.chain(rejected, *lost.values())))
 
     @contextlib.contextmanager
     def error_is_problem(self) -> Iterator[None]:
@@ -104,8 +105,8 @@ class Contents:
 class Reader:
     """A data set that the project reads, by the data set's folder and a configuration."""
 
-    recognises: Callable[[Path], bool] = lambda folder: False  # whether a folder has its layout
-    count: Callable[[Path, Contents], None] = lambda folder, contents: None  # adds what a folder holds to its contents
+    recognises: Callable[[Path], bool]  # whether a folder has its layout
+    count: Callable[[Path, Contents], None]  # adds what a folder holds to its contents
     photographs: "Callable[[PhotoConfig, Path], Photographs] | None" = None  # annotated ones
     # Clips and what cannot be used, and whether a folder is read so where a configuration does not name its layout.
     videos: "Callable[[VideoConfig, Path], tuple[list[Clip], list[Rejected]]] | None" = None

@@ -99,12 +99,11 @@ def take(models: Sequence[ModelFile], count: int, seed: int = 0) -> list[ModelFi
     """
     if count <= 0 or count >= len(models):
         return list(models)
-    sizes = Counter(model.split for model in models)
+    ranked = sorted(models, key=lambda model: seeded_rank(seed, "take", model.id))
     chosen: set[str] = set()
-    for split, size in sizes.items():
-        ids = [model.id for model in models if model.split == split]
-        ids.sort(key=lambda name: seeded_rank(seed, "take", name))
-        chosen.update(ids[: max(1, round(count * size / len(models)))])
+    for split in SPLITS:
+        ids = [model.id for model in ranked if model.split == split]
+        chosen.update(ids[: max(1, round(count * len(ids) / len(models)))])
     return [model for model in models if model.id in chosen]
 
 

@@ -45,11 +45,10 @@ def read(
 
 def _sequences(root: Path, category: str) -> tuple[dict[str, Path], dict[str, Path], list[Rejected]]:
     """Videos and masks by clip, and the sequences without a video."""
-    folders = sorted(path for path in root.glob(f"*/{CLASSES[category]}/*") if path.is_dir())
-    of = {name: {within(path, root): path / name for path in folders} for name in (VIDEO, MASKS)}
-    lost = [(clip, clip, f"no {VIDEO}") for clip, path in of[VIDEO].items() if not path.is_file()]
-    videos, masks = ({clip: path for clip, path in files.items() if path.is_file()} for files in of.values())
-    return videos, masks, lost
+    folders = {within(path, root): path for path in sorted(root.glob(f"*/{CLASSES[category]}/*")) if path.is_dir()}
+    videos = {clip: file for clip, folder in folders.items() if (file := folder / VIDEO).is_file()}
+    masks = {clip: file for clip, folder in folders.items() if (file := folder / MASKS).is_file()}
+    return videos, masks, [(clip, clip, f"no {VIDEO}") for clip in folders if clip not in videos]
 
 
 def _count(root: Path, contents: Contents) -> None:

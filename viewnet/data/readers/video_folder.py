@@ -13,7 +13,7 @@ Nothing is left out silently: whatever is not used is listed with the reason.
 from collections.abc import Mapping
 from pathlib import Path
 
-from viewnet.config import known, known_category
+from viewnet.config import known_category
 from viewnet.data.clips import Clip, Frame, Pick, frame_count, is_video, masks_in, pick_frames
 from viewnet.data.readers.reader import Contents, Reader
 from viewnet.data.store import Rejected, within
@@ -100,7 +100,7 @@ def as_clips(
         if one_form(name) not in chosen:
             rejected.append((name, within(sources[name], root), "in no split"))
             continue
-        split = known(chosen[one_form(name)], SPLITS, "split")
+        split = chosen[one_form(name)]
         clips.append(Clip(name, category, split, sources[name], tuple(map(Frame, numbers)), masks.get(name)))
     return clips, rejected
 
@@ -110,9 +110,8 @@ def _listed(root: Path) -> dict[str, str]:
     path = root / LIST
     if not path.is_file():
         return {}
-    table = read_list(path, ("clip", "split"))
     listed: dict[str, str] = {}
-    for row in table.itertuples():
+    for row in read_list(path, ("clip", "split")).itertuples():
         if row.split not in SPLITS:
             raise ViewnetError(
                 f"{path}: line {row.Index}: split {row.split[:60]!r}: expected one of {', '.join(SPLITS)}"
@@ -125,7 +124,7 @@ def _listed(root: Path) -> dict[str, str]:
 
 def _count(root: Path, contents: Contents) -> None:
     clips, rejected = read(root, "own", None)
-    contents.add_clips(root, "", [("clips", clip) for clip in clips], "clips", [reason for *_, reason in rejected])
+    contents.add_clips(root, "", [("clips", clip) for clip in clips], "clips", rejected)
 
 
 READER = Reader(
