@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from viewnet import paths
+from viewnet.errors import ViewnetError
 
 
 @pytest.mark.parametrize("name", ["root", "data", "runs", "tables"])
@@ -18,3 +19,10 @@ def test_a_variable_moves_its_folder_and_an_empty_one_moves_nothing(name, monkey
     assert getattr(paths, name)() == usual != Path()
     monkeypatch.setenv(variable, str(tmp_path))
     assert getattr(paths, name)() == tmp_path
+
+
+def test_a_path_is_named_from_home_or_refused():
+    assert paths.named("~/runs", "start") == Path.home() / "runs"
+    for name in ("a" * 300, "a\0", "~nobody-of-that-name/runs"):
+        with pytest.raises(ViewnetError, match=r"start '.*: not the name of a file or folder"):
+            paths.named(name, "start")

@@ -29,6 +29,16 @@ def tables() -> Path:
     return Path(os.environ.get("VIEWNET_TABLES") or root() / "paper_tables")
 
 
+def named(value: str | os.PathLike[str], what: str) -> Path:
+    """A path that a user gave, "~" expanded. Raises ViewnetError, which says `what` it is, for what cannot be one."""
+    try:
+        path = Path(value).expanduser()
+        path.resolve().exists()
+    except (OSError, ValueError, RuntimeError, TypeError):  # too long, a null byte, an unknown user's home, no text
+        raise ViewnetError(f"{what} {value!r:.300}: not the name of a file or folder") from None
+    return path
+
+
 def part(*names: str) -> Path:
     """A folder of the project beside the package: under `root`, else in this package's checkout.
 

@@ -55,8 +55,11 @@ def test_errors_of_loading(run, tmp_path):
     (unfinished / "checkpoint.safetensors").unlink()
     with pytest.raises(ViewnetError, match="nor a finished run"):
         load(unfinished)
-    for where in ("ba9876543210", tmp_path / "nowhere", tmp_path, "cars", "a" * 300):
+    for where in ("ba9876543210", tmp_path / "nowhere", tmp_path, "cars"):
         with pytest.raises(ViewnetError, match=r"no model there"):
+            load(where)
+    for where in ("a" * 300, "~nobody-of-that-name/model"):
+        with pytest.raises(ViewnetError, match=r"model .*: not the name of a file or folder"):
             load(where)
     with pytest.raises(ViewnetError, match="device gpu: not available here"):
         load(run.folder, device="gpu")

@@ -79,6 +79,7 @@ def test_parameters_reach_videos_photographs_and_training(tmp_path, freiburg):
     assert request.photo_config("car").root == freiburg
     assert request.configs[0].data.backgrounds == freiburg
     assert [config.seed for config in request.starts] == [0, 1]
+    assert "VpDR-Net (trained here)" in request.unmeasured_rows  # it cannot start from ViewNet's weights
     first, second = request.starts[0], request.configs[0]
     assert (first.data.root, first.data.video, first.model) == (freiburg, None, second.model)
     assert first.train.search.share > 0 == second.train.search.share

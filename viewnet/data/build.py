@@ -242,7 +242,7 @@ def _clips(config: VideoConfig, root: Path) -> tuple[list[Clip], list[Rejected]]
         if config.masks != "files":
             raise ViewnetError(f"mask_folder {config.mask_folder}: only used with masks=files (not {config.masks})")
         # A clip's id is its place below the folder, whatever the data set.
-        folder = root / Path(config.mask_folder).expanduser()
+        folder = root / paths.named(config.mask_folder, "mask_folder")
         clips = [replace(clip, masks=masks_in(folder, clip.id)) for clip in clips]
         if not any(clip.masks for clip in clips):
             first = folder / clips[0].id

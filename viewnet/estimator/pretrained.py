@@ -22,6 +22,7 @@ import numpy as np
 import torch
 from safetensors.torch import save_file
 
+from viewnet import paths
 from viewnet.config import RunConfig, nearest
 from viewnet.errors import ViewnetError
 from viewnet.estimator import hub, model_card
@@ -68,11 +69,7 @@ def load(where: str | os.PathLike[str], **hub_options: Any) -> Pretrained:
 
     `hub_options` are those of viewnet.estimator.hub.download. ViewnetError where there is no model of any kind.
     """
-    place, name = Path(where).expanduser(), os.fspath(where)
-    try:
-        place.exists()
-    except OSError as error:  # too long a name
-        raise ViewnetError(f"{name:.40}...: no model there ({error.strerror})") from None
+    place, name = paths.named(where, "model"), os.fspath(where)
     if (place / WEIGHTS).is_file() or ((place / CONFIG).is_file() and not (place / checkpoint.CHECKPOINT).is_file()):
         return _from_folder(place)
     if name in shipped():
@@ -193,7 +190,7 @@ def _without_places(config: RunConfig) -> RunConfig:
 
     data, train = config.data, config.train
     if (video := data.video) is not None:
-        video = replace(video, root=last(video.root), mask_folder=last(video.mask_folder))
+        video = replace(video, root=last(video.root), mask_folder=Path(video.mask_folder).name)
     places: dict[str, Any] = {name: last(getattr(data, name)) for name in ("root", "splits", "extra", "backgrounds")}
     return replace(config, data=replace(data, **places, video=video), train=replace(train, start=last(train.start)))
 

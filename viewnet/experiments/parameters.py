@@ -59,19 +59,9 @@ class Parameter:
 
 def folder_named(value: str, what: str) -> str | None:
     """The full path of a folder, None for "". Raises ViewnetError where there is none."""
-    if value and not (folder := _path(value, what).resolve()).is_dir():
+    if value and not (folder := paths.named(value, what).resolve()).is_dir():
         raise ViewnetError(f"{what} {value}: no such folder")
     return str(folder) if value else None
-
-
-def _path(value: str, what: str) -> Path:
-    """A path with "~" expanded. Raises ViewnetError for what cannot be one."""
-    try:
-        path = Path(value).expanduser()
-        path.resolve().exists()
-    except (OSError, ValueError, RuntimeError, TypeError):  # too long, a null byte, an unknown user's home, no text
-        raise ViewnetError(f"{what} {value!r:.300}: not the name of a file or folder") from None
-    return path
 
 
 def _is_whole(value: Any, least: int = 0) -> bool:
@@ -197,7 +187,7 @@ PARAMETERS: dict[str, Parameter] = {
                        "weights to start from; empty: random; shapenet: trained on CAD models; else a run's key or "
                        "folder",
                        "{}", lambda start: start if start == SHAPENET else f"start_{Path(start).parent.name}"),
-    "viewpoints": Parameter("", lambda value, what: _path(value, what) if value else None,
+    "viewpoints": Parameter("", lambda value, what: paths.named(value, what) if value else None,
                             "a CSV of viewpoints (viewnet.data.annotated_viewpoints); empty: a stand-in", "viewpoints"),
     "backgrounds": Parameter("", lambda value, what: folder_named("" if value == "drawn" else value, what) or "drawn",
                              "a folder of images (SUN397) to composite training views over; empty: generated ones",
@@ -212,11 +202,11 @@ PARAMETERS: dict[str, Parameter] = {
                      "ridge{:g}"),
     "calibration": _count(4, " from 4, or 0 for all", "photographs to align and fit on; 0: all there are",
                           "calibration{}"),
-    "output": Parameter("", lambda value, what: _path(value, what) if value else paths.tables(),
+    "output": Parameter("", lambda value, what: paths.named(value, what) if value else paths.tables(),
                         "for tables; empty: paper_tables"),
     "workers": _count(1, ", 0 for what the machine has room for",
                       "parallel trainings; 0: as many as the machine has room for"),
-    "image": Parameter("", lambda value, what: _path(value, what) if value else None,
+    "image": Parameter("", lambda value, what: paths.named(value, what) if value else None,
                        "a file with an image of your own; empty: docs/car.jpg, a drawn car"),
     "box": Parameter("", _box, "of the object in your image, in pixels: 40,60,380,250; empty: all of it"),
     "model": Parameter("car", lambda value, what: value, "car, chair, aeroplane; a run's key, a folder, a hub's name"),

@@ -137,7 +137,8 @@ class PhotoExperiment(Experiment):
     @property
     def unmeasured_rows(self) -> tuple[str, ...]:
         """As Experiment.unmeasured_rows, of all variants: not all are runs."""
-        return tuple(r.label for r in LAYOUTS[self.name].rows if r.variant and r.variant not in self.variants)
+        measured = {*self.trained_variants, *self._untrained_variants}
+        return tuple(r.label for r in LAYOUTS[self.name].rows if r.variant and r.variant not in measured)
 
     @property
     def renamed_rows(self) -> dict[str, str]:

@@ -153,7 +153,7 @@ def _support(support: dict[str, float | None]) -> tuple[str, str]:
 def _run(where: str, cad_root: str | None, folder: Path) -> Run:
     """The finished run of a key or folder, or a saved model laid out as one in `folder`."""
     keyed = sorted(paths.runs().glob(f"*/{where}")) if re.fullmatch("[0-9a-f]{12}", where) else []
-    for place in (Path(where).expanduser(), *keyed):
+    for place in (paths.named(where, "model"), *keyed):
         if (place / "result.json").is_file():
             return Run(moved(RunConfig.from_dict(read_json(place / "config.json")), cad_root), place)
     model = pretrained.load(where)  # no finished run, so a saved model

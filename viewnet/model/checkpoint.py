@@ -31,7 +31,7 @@ LARGEST_VOLUME = 256
 
 def locate(start: str) -> Path:
     """The full path of the checkpoint that a run's key, a run's folder or a file names. ViewnetError for none."""
-    named = Path(start).expanduser()  # a file, or a run's folder
+    named = paths.named(start, "start")  # a file, or a run's folder
     keyed = sorted(paths.runs().glob(f"*/{start}/{CHECKPOINT}")) if re.fullmatch("[0-9a-f]{12}", start) else []
     for place in (named, named / CHECKPOINT, *keyed):  # a path that exists wins over a key spelt like it
         if place.is_file():

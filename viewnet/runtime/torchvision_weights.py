@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import nn
 
+from viewnet import paths
 from viewnet.errors import ViewnetError
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -28,7 +29,7 @@ def variable(network: str) -> str:
 def weights_file(network: str) -> Path:
     """Where a network's weights are expected, `~` expanded. ViewnetError for networks without ImageNet weights."""
     if named := os.environ.get(variable(network)):
-        return Path(named).expanduser()
+        return paths.named(named, variable(network))
     return Path(torch.hub.get_dir()) / "checkpoints" / published(network).url.rsplit("/", 1)[1]
 
 
