@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -13,6 +16,17 @@ from viewnet.model.kernels import numba_call
 from viewnet.model.networks import HoloGANDecoder
 from viewnet.recipes import make_config
 
+# A sum of bits; lines of 32 channels are vectorised.
+BITS = """
+import torch
+from viewnet.model.kernels.rotation_numba import rotated
+generator = torch.Generator().manual_seed(0)
+features = torch.randn(2, 32, 8, 8, 8, generator=generator).requires_grad_()
+frames = torch.linalg.qr(torch.randn(4, 3, 3, generator=generator))[0].requires_grad_()
+out = rotated(features, frames)
+out.square().sum().backward()
+print([value.detach().view(torch.int32).long().sum().item() for value in (out, features.grad, frames.grad)])
+"""
 SMALL = dataclasses.replace(make_config(profile="smoke").model, decoder="hologan", generator_channels=(12, 5))
 
 
@@ -68,3 +82,12 @@ def test_threads_do_not_change_bits():
     finally:
         torch.set_num_threads(before)
     assert all(torch.allclose(one, two, atol=1e-5) for one, two in zip(*found, strict=True))
+
+
+@pytest.mark.slow
+def test_kernels_have_the_same_bits_whether_compiled_or_loaded(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-c", BITS]
+    runs = [subprocess.run(command, env=environment, capture_output=True, text=True, check=True) for _ in range(2)]
+    assert next(tmp_path.rglob("*.nbc"), None)
+    assert runs[0].stdout == runs[1].stdout

@@ -95,7 +95,7 @@ def configurations(options: Options, seed: int = 0) -> list[RunConfig]:
         how = (options.variant, category, options.profile, options.recipe, seed, None if filmed else root, splits)
         found, usual = make_config(*how, **given), make_config(profile=options.profile, recipe=options.recipe).data
         setting, wanted = "epochs" if filmed else "views", usual.models * usual.views  # 0 models: all that there are
-        if not root or not wanted or options.profile == "smoke" or setting in settings:
+        if not root or not wanted or options.profile == "smoke" or {setting, "video"} & settings.keys():
             return found
         share = build.count_views(found.data) / wanted
         value = found.train.epochs if filmed else found.data.views

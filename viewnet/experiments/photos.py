@@ -137,8 +137,7 @@ class PhotoExperiment(Experiment):
     @property
     def unmeasured_rows(self) -> tuple[str, ...]:
         """As Experiment.unmeasured_rows, of all variants: not all are runs."""
-        measured = {*self.trained_variants, *self._untrained_variants}
-        return tuple(r.label for r in LAYOUTS[self.name].rows if r.variant and r.variant not in measured)
+        return tuple(r.label for r in LAYOUTS[self.name].rows if r.variant and r.variant not in self.variants)
 
     @property
     def renamed_rows(self) -> dict[str, str]:

@@ -74,6 +74,13 @@ class VideoExperiment(PhotoExperiment):
         return [variant for variant in super().trained_variants if not (self.start and variant in PEERS)]
 
     @property
+    def unmeasured_rows(self) -> tuple[str, ...]:
+        """As PhotoExperiment.unmeasured_rows, and those of variants that are not trained."""
+        left_out = {*super().trained_variants} - {*self.trained_variants}
+        rows = (row.label for variant in left_out for row in LAYOUTS[self.name].rows_of(variant))
+        return (*super().unmeasured_rows, *rows)
+
+    @property
     def configs(self) -> list[RunConfig]:
         """One configuration a training on videos; with start "shapenet" without the weights, which `run` fills in."""
         return self._configs(dict.fromkeys(self.seeds, self.start or None))

@@ -80,7 +80,9 @@ def _rotate(features, frames, out):
         _view(features[n // share].reshape(-1, features.shape[4]), frames[n], out[n])
 
 
-@njit(nogil=True, **FLAGS)
+# Inlined: a function of its own is optimised on its own, and again in what calls it; which of the two runs depends on
+# whether this process compiled it or loaded it, and their sums differ in the last bits.
+@njit(forceinline=True, nogil=True, **FLAGS)
 def _view(voxels, frame, out):
     size, channels = out.shape[0], out.shape[3]
     row, plane = np.uintp(size), np.uintp(size * size)
@@ -109,7 +111,7 @@ def _rotate_backward(features, frames, grad, grad_features, grad_frames):
         )
 
 
-@njit(nogil=True, **FLAGS)
+@njit(forceinline=True, nogil=True, **FLAGS)
 def _volume_backward(voxels, frames, grad, grad_voxels, grad_frames):
     size, channels = grad.shape[1], grad.shape[4]
     one, row, plane = np.uintp(1), np.uintp(size), np.uintp(size * size)
