@@ -16,7 +16,7 @@ from helpers.fake_steps import STEPS
 
 from viewnet import cli
 from viewnet.commands.options import NAMED, configurations
-from viewnet.config import RunConfig, settings
+from viewnet.config import RunConfig, VideoConfig, settings
 from viewnet.data import build
 from viewnet.data.store import ViewStore
 from viewnet.experiments import notebooks
@@ -144,6 +144,12 @@ def test_train_lists_every_setting_as_it_takes_it(capsys):
     assert {line.partition("=")[0] for line in lines} == {name for name, _ in settings()} - {*NAMED}
     words = [word for line in lines for word in ("-s", line)]
     assert configurations(cli.parser().parse_args(["train", "car", *words])) == [make_config()]
+
+
+def test_the_stand_in_for_videos_is_no_folder(tmp_path):
+    words = ["train", "car", "--data", str(tmp_path), "-s", 'video={"category": "car"}']
+    (config,) = configurations(cli.parser().parse_args(words))
+    assert (config.data.root, config.data.video) == (str(tmp_path), VideoConfig("car"))
 
 
 WRONG = (
