@@ -108,7 +108,7 @@ def render_views(
         azimuth, elevation, light = sample_viewpoints(models, how)
         jobs = []
         for rows, file in todo:
-            cameras = look_from(azimuth[rows].ravel(), elevation[rows].ravel()).reshape(-1, how.views, 3, 3)
+            cameras = look_from(azimuth[rows], elevation[rows])  # (M, V, 3, 3)
             lights = np.einsum("mvij,mvj->mvi", cameras, light[rows])  # (M, V, 3), in world coordinates
             jobs.append(Chunk(tuple(models[rows]), cameras, lights, how, file))
         _render(jobs, len(models), workers, progress, executor)

@@ -102,13 +102,13 @@ class Prepared:
     @property
     def background(self) -> Tensor:
         """(N, 3, S, S) the background that the appearance network sees."""
-        return torch.where(self.cutout[:, None, None, None], self.backdrop, self.whole[:, :3])
+        return torch.where(self.cutout[:, None, None, None], self.backdrop, self.whole[:, :3])  # (N, 3, S, S)
 
     @property
     def images(self) -> Tensor:
         """(N, 4, S, S) to show to people: cut-out objects stay transparent, others keep their background."""
         whole = torch.cat([self.background, torch.ones_like(self.background[:, :1])], 1)  # (N, 4, S, S)
-        return torch.where(self.cutout[:, None, None, None], self.appearance, whole)
+        return torch.where(self.cutout[:, None, None, None], self.appearance, whole)  # (N, 4, S, S)
 
 
 def crop_to_object(given: InputImage, framing: "Framing") -> CroppedImage:

@@ -185,12 +185,12 @@ def save(model: Pretrained, folder: Path, license: str | None, half: bool, score
 def _without_places(config: RunConfig) -> RunConfig:
     """A configuration that keeps only the last part of each path: folders of this machine are nobody else's."""
 
-    def last(place: str | None) -> str | None:
-        return None if place is None else Path(place).name or place
+    def last(place: Any) -> Any:
+        return place and (Path(place).name or place)
 
     data, train = config.data, config.train
     if (video := data.video) is not None:
-        video = replace(video, root=last(video.root), mask_folder=Path(video.mask_folder).name)
+        video = replace(video, root=last(video.root), mask_folder=last(video.mask_folder))
     places: dict[str, Any] = {name: last(getattr(data, name)) for name in ("root", "splits", "extra", "backgrounds")}
     return replace(config, data=replace(data, **places, video=video), train=replace(train, start=last(train.start)))
 

@@ -12,7 +12,7 @@ RADIUS = 0.5  # no vertex of a normalised mesh is farther from the origin, so ev
 
 
 def look_from(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
-    """world_from_camera (V, 3, 3), columns right, up, back, of viewpoints (V,) in degrees (geometry.look_at)."""
+    """world_from_camera (..., 3, 3), columns right, up, back, of viewpoints (...) in degrees (geometry.look_at)."""
     # torch is slow to import, and processes that only render are handed cameras.
     import torch
 
