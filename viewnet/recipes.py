@@ -267,7 +267,7 @@ STARTED: Changes = {"train": {"search": {"share": 0.0}}}
 COLLECTED: Changes = {"data": {"models": 0}}
 """What changes for CAD models in files, at every profile but the smallest: all of them are used."""
 
-FILMED: dict[str, Changes] = {
+FILMED: dict[str | tuple[str, str], Changes] = {
     # All frames of the 48 Freiburg cars, 5800 views: with and without cycles side by side in about ten minutes.
     "tiny": {"train": {"epochs": 14}},
     # Few objects, filmed at eye level: a wide code has room for a frame of its own for each of them, and from the front
@@ -276,8 +276,10 @@ FILMED: dict[str, Changes] = {
         "model": {"appearance_size": 8},
         "train": {"pixel_weight": 1.0, "mask_weight": 0.3, "photo": {"cut_out": False}},
     },
+    # As long as ViewNet: relative rotations teach nothing for some thousand steps, and then nearly all.
+    ("tiny", "peer_photos"): {"train": {"epochs": 42, "patience": 42}},
 }
-"""What a profile, or a recipe that does not start from other weights, changes only for videos."""
+"""What a profile, a recipe that does not start from other weights, or both together change only for videos."""
 
 
 def make_config(
@@ -317,6 +319,7 @@ def make_config(
         TOGETHER.get((profile, recipe), {}),
         FILMED.get(profile, {}) if filmed else {},
         FILMED.get(recipe, {}) if filmed and not started else {},
+        FILMED.get((profile, recipe), {}) if filmed else {},
         STARTED if started else {},
         (VARIANTS | PEERS)[variant],
         BRIEF if "epochs" in (VARIANTS | PEERS)[variant].get("train", {}) and profile == "smoke" else {},

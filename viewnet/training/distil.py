@@ -23,7 +23,7 @@ from viewnet.evaluation.alignment import Robust
 from viewnet.model.losses import pull_loss
 from viewnet.model.viewnet import ViewNet, ViewpointNetwork
 from viewnet.runtime.progress import bar
-from viewnet.training.optimisers import make_optimisers, set_learning_rates
+from viewnet.training.optimisers import descend, make_optimisers, set_learning_rates
 
 KEPT = (0.7, 0.8)
 """The share of the images, those with the most confident answers, that is learned from in each round."""
@@ -226,13 +226,11 @@ def learn(
             wanted = torch.where(mirrored[:, None], wanted @ mirror, wanted)  # its inverse: rows times it
             said = model.viewpoint(model.composite(images))
             closest = said.closest(wanted)  # (B,)
-            loss = pull_loss(said.of_heads(closest), wanted) + F.cross_entropy(said.logits, closest)
-            if not loss.isfinite():
-                raise ViewnetError(f"{title}: the loss is not finite at step {step}")
-            model.zero_grad(set_to_none=True)
-            loss.backward()
-            for optimiser in optimisers:  # Adam, and perhaps Muon
-                optimiser.step()
+            terms = {
+                "pull": pull_loss(said.of_heads(closest), wanted),
+                "selection": F.cross_entropy(said.logits, closest),
+            }
+            descend(model, optimisers, terms, step, title)
             shown.update()
     model.eval()
 

@@ -113,17 +113,17 @@ def set_learning_rates(optimisers: Sequence[Optimizer], config: OptimiserConfig,
 
 
 def descend(
-    model: nn.Module, optimisers: Sequence[Optimizer], terms: dict[str, Tensor], step: int, folder: Path
+    model: nn.Module, optimisers: Sequence[Optimizer], terms: dict[str, Tensor], step: int, what: Path | str
 ) -> dict[str, float]:
     """One step of training along the sum of a loss's weighted terms; returns the terms, means over all processes.
 
-    ViewnetError, naming the run's folder, for a loss that is not finite: the weights then are as they were.
+    ViewnetError, naming `what` is trained, for a loss that is not finite: the weights then are as they were.
     """
     values = torch.stack(list(terms.values()))  # (terms,)
     logged = dict(zip(terms, distributed.mean(values.detach()).tolist(), strict=True))  # one copy to the CPU
     if not math.isfinite(sum(logged.values())):
         names = ", ".join(f"{name} {value:.3g}" for name, value in logged.items())
-        raise ViewnetError(f"{folder}: the loss is not finite at step {step} ({names}): lower the learning rate")
+        raise ViewnetError(f"{what}: the loss is not finite at step {step} ({names}): lower the learning rate")
     model.zero_grad(set_to_none=True)
     values.sum().backward()  # the sum: terms stay apart only in the log
     distributed.average_gradients(model.parameters())

@@ -17,8 +17,6 @@ from viewnet.data.boxes import boxes_of
 from viewnet.data.pairs import Views, model_views, sample_pairs, step_generator
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.alignment import Identity, Procrustes, Robust
-from viewnet.evaluation.metrics import accuracy, folded, geodesic_error
 from viewnet.geometry import look_at, view_vector
 from viewnet.model.checkpoint import CHECKPOINT
 from viewnet.peers import registry
@@ -27,7 +25,7 @@ from viewnet.runtime import distributed, memory
 from viewnet.runtime.progress import bar
 from viewnet.training.history import keep_best, resume, write
 from viewnet.training.optimisers import descend, set_learning_rates
-from viewnet.training.validation import VALIDATION_VIEWS
+from viewnet.training.validation import accuracies, validation_rows
 
 
 def train_peer(
@@ -118,14 +116,12 @@ class _Source:
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
-        """Scores of up to VALIDATION_VIEWS views, named as viewnet.training.validation.validate has them.
+        """Scores of `validation_rows`, named as viewnet.training.validation.validate has them.
 
         reconstruction is the mean of the method's `judged` terms, the rest is of the selected hypotheses' viewpoints.
         """
         views, generator = self.validation, torch.Generator().manual_seed(0)  # the same draws each time
-        each = int(views.count.min())
-        starts = views.first[: VALIDATION_VIEWS // each]  # (O,)
-        rows = starts[:, None] + torch.arange(each)  # (O, each)
+        rows = validation_rows(views)  # (O, V)
         self.model.eval()
         error, vectors = 0.0, []
         for part in rows.split(16):
@@ -135,13 +131,6 @@ class _Source:
             found = self.model.viewpoint(self.model.composite(batch.images))
             vectors.append(found.of_heads(found.logits.argmax(1)))
         self.model.train()
-        predicted = torch.cat(vectors).cpu().double().numpy()  # (N, 3)
-        truth = views.truth[rows.flatten()].double()  # (N, 2)
-        scores = {"reconstruction": error, "accuracy": math.nan, "folded": math.nan, "robust": math.nan}
-        if not truth.isnan().any():
-            true = view_vector(*truth.unbind(1)).numpy()  # (N, 3)
-            kinds = (Identity, Identity) if self.model.absolute else (Procrustes, Robust)
-            errors, others = (geodesic_error(kind.fit(predicted, true).apply(predicted), true) for kind in kinds)
-            scores |= {"accuracy": accuracy(errors, 30), "folded": accuracy(folded(errors), 30)}
-            scores |= {"robust": accuracy(others, 30)}
+        truth = views.truth[rows.flatten()]  # (N, 2)
+        scores = {"reconstruction": error} | accuracies(torch.cat(vectors), truth, self.model.absolute)
         return scores | {"least_used": math.nan, "focal": math.nan}
