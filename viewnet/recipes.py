@@ -276,7 +276,7 @@ FILMED: dict[str | tuple[str, str], Changes] = {
         "model": {"appearance_size": 8},
         "train": {"pixel_weight": 1.0, "mask_weight": 0.3, "photo": {"cut_out": False}},
     },
-    # As long as ViewNet: relative rotations teach nothing for some thousand steps, and then nearly all.
+    # Relative rotations may teach nothing for some thousand steps, and then nearly all.
     ("tiny", "peer_photos"): {"train": {"epochs": 42, "patience": 42}},
 }
 """What a profile, a recipe that does not start from other weights, or both together change only for videos."""

@@ -220,6 +220,19 @@ def test_errors_of_writing(tmp_path):
         untrained().save_pretrained(tmp_path / "file")
 
 
+def test_a_folder_of_other_files_is_left_as_it_is(tmp_path):
+    notes = tmp_path / "project" / "README.md"
+    notes.parent.mkdir()
+    notes.write_text("notes")
+    with pytest.raises(ViewnetError, match="holds files and no saved model"):
+        untrained().save_pretrained(notes.parent)
+    assert [path.name for path in notes.parent.iterdir()] == ["README.md"] and notes.read_text() == "notes"
+    notes.rename(notes.with_name(".gitattributes"))  # as in a clone from the hub
+    for _ in range(2):  # the second time over the first
+        untrained().save_pretrained(notes.parent)
+    assert load(notes.parent, device="cpu").config.category == untrained().config.category
+
+
 def test_half_precision_is_half_the_size_and_answers_alike(tmp_path, images):
     estimator = untrained()
     for half in (False, True):

@@ -83,11 +83,16 @@ def test_another_network_is_no_start(store, first, tmp_path):
 def test_a_start_is_named_by_key_folder_or_file(first, tmp_path, monkeypatch):
     monkeypatch.setenv("VIEWNET_RUNS", str(first.parent.parent))
     file = first / "checkpoint.safetensors"
-    for name in (first.name, str(first), str(file)):
+    for name in (first.name, first.name[:6], str(first), str(file)):
         assert checkpoint.locate(name) == file
     for name in ("0123456789ac", str(tmp_path), "*", "shapenet"):
         with pytest.raises(ViewnetError, match="no finished run of that key or folder"):
             checkpoint.locate(name)
+    twin = file.parents[1] / f"{first.name[:6]}{'0' * 6}" / file.name
+    twin.parent.mkdir()
+    twin.write_bytes(file.read_bytes())
+    with pytest.raises(ViewnetError, match="no finished run of that key or folder"):
+        checkpoint.locate(first.name[:6])
     (tmp_path / "checkpoint.safetensors").write_bytes(b"?")
     with pytest.raises(ViewnetError, match="not a whole file of weights"):
         checkpoint.identity(str(tmp_path))

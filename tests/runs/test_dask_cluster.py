@@ -5,12 +5,14 @@ import signal
 import sys
 import threading
 import time
+from concurrent.futures import CancelledError
 
 import pytest
 from helpers.fake_steps import STEPS, config, plan
 
 from viewnet.errors import ViewnetError
 from viewnet.runs import dask_cluster
+from viewnet.runs.make_run import one_line
 from viewnet.runs.run_store import ensure
 from viewnet.runtime import parallel
 
@@ -36,6 +38,18 @@ def test_schedulers_that_do_not_answer_are_named(folders):
     with pytest.raises(ViewnetError, match="no scheduler answers there"):  # noqa: SIM117
         with dask_cluster.executor("tcp://127.0.0.1:9", timeout=1):
             pass
+
+
+def test_a_scheduler_that_is_gone_is_named():
+    assert "the cluster's scheduler is gone: the same command goes on" in one_line(CancelledError())
+
+
+@pytest.mark.slow
+def test_a_scheduler_without_workers_is_said_to_wait_for_one(capfd):
+    dask = pytest.importorskip("distributed", reason="Dask is not installed")
+    with dask.LocalCluster(n_workers=0, dashboard_address=None) as alone:  # noqa: SIM117
+        with dask_cluster.executor(alone.scheduler_address):
+            assert "no worker is connected yet" in capfd.readouterr().err
 
 
 @pytest.mark.slow

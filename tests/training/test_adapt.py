@@ -119,6 +119,9 @@ def test_what_cannot_be_adapted_is_refused_and_a_failure_leaves_the_model_as_it_
     black = make_config(profile="smoke", recipe="matting")
     with pytest.raises(ViewnetError, match="train one with the recipe photos"):
         adapt(model, black, store, photographs, progress=False)
+    tilted = dataclasses.replace(CONFIG, model=dataclasses.replace(CONFIG.model, in_plane=True))
+    with pytest.raises(ViewnetError, match=r"adapt: .* in_plane=false"):
+        adapt(model, tilted, store, photographs, progress=False)
 
     def fail(*_):
         raise KeyboardInterrupt

@@ -35,7 +35,7 @@ def run(options: Options) -> None:
     lines = [
         f"{part['table']}: {part['kept']} of {part['runs']} runs kept" + _left(part["core_hours"]) for part in parts
     ]
-    print_results(options, {"parts": parts, "core_hours": total}, *lines, f"all{_left(total)}")
+    print_results(options, {"parts": parts, "core_hours": total}, *lines, f"all{_left(total) or ', nothing left'}")
     if not options.plan:
         queue.train(options.workers)
 
@@ -44,4 +44,4 @@ def _left(hours: float) -> str:
     """How long it takes, in words."""
     if math.isnan(hours):
         return ", how long the others take is not known yet"
-    return f", about {hours:.1f} core-hours left" if hours else ", nothing left"
+    return f", about {hours:.1f} core-hours left" if hours else ""

@@ -154,11 +154,10 @@ def _rotation(alignment: dict[str, Any] | None, path: Path) -> np.ndarray | None
 def save(model: Pretrained, folder: Path, license: str | None, half: bool, scores: Sequence[dict[str, Any]]) -> None:
     """Write the three files of a model, see ViewpointEstimator.save_pretrained.
 
-    ViewnetError where the folder cannot be written, for scores of another run, and for weights that half precision
-    cannot hold.
+    ViewnetError as `check_place`, where the folder cannot be written, for scores of another run, and for weights that
+    half precision cannot hold.
     """
-    if folder.is_file():
-        raise ViewnetError(f"{folder}: is a file: name a folder")
+    check_place(folder)
     model.require_viewnet(f"saving to {folder}")
     config, about, rotation = _without_places(model.config), dict(model.about), model.annotated_from_model
     if scores:
@@ -180,6 +179,14 @@ def save(model: Pretrained, folder: Path, license: str | None, half: bool, score
         save_file(weights, temporary, metadata={"config": _digest(values)})
     write_json(folder / CONFIG, values)
     write_text(folder / CARD, model_card.card(config, model.aligned, about, license))
+
+
+def check_place(folder: Path) -> None:
+    """ViewnetError for a file, and for a folder of other files, some of which a model's might replace."""
+    if folder.is_file():
+        raise ViewnetError(f"{folder}: is a file: name a folder")
+    if not (folder / WEIGHTS).is_file() and folder.is_dir() and any(p.name[0] != "." for p in folder.iterdir()):
+        raise ViewnetError(f"{folder}: holds files and no saved model: name a new or an empty folder")
 
 
 def _without_places(config: RunConfig) -> RunConfig:

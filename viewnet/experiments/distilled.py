@@ -55,11 +55,10 @@ def make(
 
 
 def check_place(folder: Path, seed: int) -> None:
-    """ViewnetError for what is no folder to write a model to, and for no seed."""
+    """ViewnetError as pretrained.check_place, and for no seed."""
     if not 0 <= seed < 2**32:
         raise ViewnetError(f"seed {seed}: expected 0 to {2**32 - 1}")
-    if folder.is_file():
-        raise ViewnetError(f"{folder}: is a file: name a folder")
+    pretrained.check_place(folder)
 
 
 def loaded(where: str, what: str) -> Pretrained:

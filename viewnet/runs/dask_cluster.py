@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from pathlib import Path
@@ -37,5 +38,7 @@ def executor(address: str | None = None, timeout: float = 30) -> Iterator[Execut
     except (OSError, ValueError) as error:
         raise ViewnetError(f"cluster {address}: no scheduler answers there ({error}): is it running?") from error
     with client:
+        if not client.scheduler_info()["workers"]:
+            print(f"cluster {address}: no worker is connected yet: waits for one", file=sys.stderr)
         # Not pure: a job submitted again must run again, since only its folder knows whether it is done.
         yield client.get_executor(pure=False)

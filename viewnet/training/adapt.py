@@ -57,7 +57,9 @@ def adapt(
     trained over backgrounds or has in-plane rotation, for fewer than LEAST photographs, and for a loss that is not
     finite.
     """
-    if config.model.in_plane or config.data.backgrounds is None:
+    if config.model.in_plane:
+        raise ViewnetError("adapt: answers are viewpoints without in-plane rotation: train with in_plane=false")
+    if config.data.backgrounds is None:
         raise ViewnetError("adapt: expected a network for photographs: train one with the recipe photos")
     if len(photographs) < LEAST:
         raise ViewnetError(f"adapt: {len(photographs)} photographs: needs {LEAST} or more")
