@@ -134,7 +134,8 @@ def moved(words: list[str], world: Path) -> list[str]:
         f"runs/viewnet/{KEY}": f"runs/viewnet/{KEY}",
     }
     places["docs/car.jpg"] = str(ROOT / "docs" / "car.jpg")
-    return [places.get(word, word.replace("/data/", f"{world}/data/")) for word in words]
+    found = [places.get(word, word.replace("/data/", f"{world}/data/")) for word in words]
+    return [*found[:2], "written", *found[3:]] if words[0] == "save" else found
 
 
 def run_command(words: list[str], world: Path, monkeypatch) -> None:
