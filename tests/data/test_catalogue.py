@@ -59,7 +59,7 @@ def test_cad_models_are_counted_by_category_and_split(tmp_path):
     assert set(found.counts) == {"car", "chair"}
     assert sum(found.counts["car"].values()) == 20
     assert all(kind.startswith("v1 models to ") for kind in found.counts["car"])
-    assert found.problems == ["car: 2 left out: no such file"]
+    assert found.problems == ["car: 2 left out: no such file: 020 and 1 more"]
     (tmp_path / f"{SYNSETS['boat']}.zip").touch()
     assert any(f"{SYNSETS['boat']}.zip is: unpack it" in problem for problem in check(tmp_path).problems)
 
@@ -80,11 +80,11 @@ def test_freiburg_and_lists_and_images(tmp_path):
     (tmp_path / "freiburg" / "annotations" / "9_annot.txt").write_text("")
     found = check(tmp_path / "freiburg")
     assert (found.key, found.counts) == ("freiburg", {"car": {"sequences": 2, "frames": 6}})
-    assert found.problems == ["car: 1 left out: no frames of the sequence"]
+    assert found.problems == ["car: 1 left out: no frames of the sequence: car009"]
     photographs(tmp_path / "mine")
     found = check(tmp_path / "mine")
     assert (found.key, found.counts) == ("photographs", {"": {"objects to calibrate": 1, "objects to score": 1}})
-    assert found.problems == ["1 left out: no such image"]
+    assert found.problems == ["1 left out: no such image: lost.png"]
     photographs(tmp_path / "half", ("val",))
     assert "viewpoints.csv: no row of split test" in check(tmp_path / "half").problems
     for name in ("a/abbey/1.jpg", "a/abbey/2.jpg", "b/bar/3.jpg"):
@@ -93,7 +93,7 @@ def test_freiburg_and_lists_and_images(tmp_path):
     (tmp_path / "sun" / "ClassName.txt").write_text("/a/abbey\n/b/bar\n/c/cave\n")
     found = check(tmp_path / "sun")
     assert (found.counts, found.problems) == (
-        {"": {"images": 3, "classes": 2}}, ["1 left out: no such class folder"]
+        {"": {"images": 3, "classes": 2}}, ["1 left out: no such class folder: /c/cave"]
     )  # fmt: skip
 
 

@@ -224,7 +224,7 @@ def test_a_check_says_what_rendering_would(tmp_path: Path) -> None:
     collection(tmp_path)
     (tmp_path / "data" / MODEL / "model_normalized.mtl").unlink()
     found = catalogue.check(tmp_path / "data")
-    assert found.problems == ["car: 1 left out: missing material library 'model_normalized.mtl'"]
+    assert found.problems == ["car: 1 left out: missing material library 'model_normalized.mtl': m0"]
     assert sum(found.counts["car"].values()) == 2 and found.notes == []
 
 
@@ -291,7 +291,9 @@ def test_a_deep_check_says_of_images_and_masks_what_views_say(tmp_path: Path, da
     else:
         store = photo_views(PhotoConfig("car", str(root), size=8), 1, progress=False)
         views = sum(found.counts[""].values())
-    assert sorted(problem.rpartition(": ")[2] for problem in found.problems) == sorted(tally(store.rejected["reason"]))
+    assert sorted(problem.split("left out: ")[1].split(": ")[0] for problem in found.problems) == sorted(
+        tally(store.rejected["reason"])
+    )
     assert views == len(store) and found.problems and found.notes == []
 
 
@@ -306,11 +308,13 @@ def test_of_many_images_and_clips_some_are_opened(tmp_path: Path) -> None:
         cut_off(tmp_path / f"p/images/{number:02d}.png")
     some, every = (catalogue.check(tmp_path / "p", deep) for deep in (False, True))
     assert some.notes == ["15 of 45 objects opened: --deep opens all"] and every.notes == []
-    assert some.problems == ["1 left out: image does not decode"]
-    assert every.problems == ["2 left out: image does not decode"]
+    assert some.problems == ["1 left out: image does not decode: 03.png"]
+    assert every.problems == ["2 left out: image does not decode: 03.png and 1 more"]
     some, every = (catalogue.check(tmp_path / "p/images", deep) for deep in (False, True))
     assert some.notes == ["15 of 45 images opened: --deep opens all"] and some.counts[""]["images"] == 44
-    assert every.problems == ["2 left out: image does not decode"] and every.counts[""]["images"] == 43
+    assert (
+        every.problems == ["2 left out: image does not decode: 03.png and 1 more"] and every.counts[""]["images"] == 43
+    )
 
 
 def test_a_clip_is_opened_until_it_can_be_used(tmp_path: Path) -> None:
@@ -321,8 +325,8 @@ def test_a_clip_is_opened_until_it_can_be_used(tmp_path: Path) -> None:
     assert found.counts["car"] == {"sequences": 1, "frames": 3, "sequences with masks": 1}
     assert found.notes == ["car: 2 of 2 sequences opened, each up to its second usable frame: --deep opens all"]
     assert sorted(found.problems) == [
-        "car: 1 left out: fewer than two usable frames",
-        "car: 4 left out: frame does not decode",
+        "car: 1 left out: fewer than two usable frames: car002",
+        "car: 4 left out: frame does not decode: car001/0 and 3 more",
     ]
 
 
@@ -333,7 +337,7 @@ def test_a_model_that_is_no_regular_file_is_left_out_alike(tmp_path: Path, make:
     (odd := tmp_path / "data" / CAR / "odd/model.obj").unlink()
     make(odd)
     found = catalogue.check(tmp_path / "data")
-    assert found.problems == ["car: 1 left out: not a regular file"]
+    assert found.problems == ["car: 1 left out: not a regular file: odd"]
     config = DataConfig("car", root=str(tmp_path / "data"), views=1, image_size=8, models=0)
     store = view_store(config, 1, progress=False)
     assert set(store.index["model_id"]) == {"m0", "m1"}
@@ -346,5 +350,5 @@ def test_a_deep_check_opens_every_model(tmp_path: Path) -> None:
     (tmp_path / CAR / "m49/models/model_normalized.obj").write_text("v 0 0 0\n")
     some, every = catalogue.check(tmp_path), catalogue.check(tmp_path, deep=True)
     assert some.notes == ["car: 17 of 50 models opened: --deep opens all"] and some.problems == []
-    assert every.notes == [] and every.problems == ["car: 1 left out: no faces"]
+    assert every.notes == [] and every.problems == ["car: 1 left out: no faces: m49"]
     assert sum(every.counts["car"].values()) == 49

@@ -209,10 +209,10 @@ def test_a_copy_is_checked_and_named(root):
     found = check(root)
     assert (found.key, found.counts) == ("imagenet3d", {"car": {"objects to calibrate": 2, "objects to score": 2}})
     assert found.problems == [
-        "car: 1 left out: distance of 0 or less",
-        "car: 1 left out: no such image",
-        "car: 1 left out: object without a status",
-        "car: 1 left out: status_bad",
+        "car: 1 left out: distance of 0 or less: n1_3/1",
+        "car: 1 left out: no such image: n1_2",
+        "car: 1 left out: object without a status: n1_3/2",
+        "car: 1 left out: status_bad: n1_1/1",
     ]
     assert len(found.notes) == 1 and "bed" in found.notes[0]
     (root / "lists/car_imagenet_val.txt").unlink()

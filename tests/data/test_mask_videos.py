@@ -189,4 +189,4 @@ def test_a_check_says_what_a_copy_of_uco3d_holds(tmp_path):
     assert found.notes == ["car: 2 of 4 videos opened: --deep opens all", "folders of other categories: stool"]
     found = check(root, deep=True)
     assert found.counts["car"] == {"videos": 3, "videos with masks": 2}
-    assert found.problems == ["car: 1 left out: video of masks shows no object"]
+    assert found.problems == ["car: 1 left out: video of masks shows no object: personal_vehicles/car__automobile_/3-3"]

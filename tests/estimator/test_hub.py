@@ -58,7 +58,7 @@ def test_models_go_to_the_hub(tmp_path, monkeypatch, images):
 
     monkeypatch.setattr(huggingface_hub, "HfApi", Api)
     estimator = untrained()
-    (tmp_path / "cars").mkdir()
+    estimator.save_pretrained(tmp_path / "cars")
     (tmp_path / "cars" / "private.txt").write_text("stays here")
     options = {"push_to_hub": True, "private": True, "token": "secret"}
     address = estimator.save_pretrained(tmp_path / "cars", repo_id="someone/cars", **options)

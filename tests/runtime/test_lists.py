@@ -80,7 +80,7 @@ def test_lists_that_are_none_are_refused_by_name(tmp_path):
     with pytest.raises(ViewnetError, match=r"not a readable CSV file .*: save it as CSV UTF-8"):
         photo_folder.read(tmp_path, "car")
     (tmp_path / "viewpoints.csv").write_bytes("\n".join(PLAIN).replace(".jpg", ".png").encode())
-    assert check(tmp_path).problems == ["2 left out: no such image"]
+    assert check(tmp_path).problems == ["2 left out: no such image: été.png and 1 more"]
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no /dev/zero here")

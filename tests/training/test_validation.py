@@ -1,9 +1,14 @@
 """Which views training is validated on."""
 
+from dataclasses import replace
+
 import torch
 
 from viewnet.data.pairs import Views
-from viewnet.training.validation import VALIDATION_VIEWS, validation_rows
+from viewnet.model.viewnet import ViewNet
+from viewnet.recipes import make_config
+from viewnet.training import validation
+from viewnet.training.validation import VALIDATION_VIEWS, validate, validation_rows
 
 
 def views_of(counts: list[int]) -> Views:
@@ -28,3 +33,22 @@ def test_videos_are_not_judged_by_the_frames_of_the_first_few():
 
 def test_of_objects_with_few_views_all_are_seen():
     assert validation_rows(views_of([3, 3])).tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+def test_each_frame_is_reconstructed_from_the_next_one_of_its_video(monkeypatch, one_thread):
+    config = make_config(profile="smoke")
+    views, seen = views_of([30, 31]), []
+    pixels = torch.zeros(61, 4, 32, 32, dtype=torch.uint8)
+    pixels[:] = torch.arange(61)[:, None, None, None]  # a view's grey level is its row
+    views = replace(views, pixels=pixels)
+
+    def reconstruct(model, appearance, target, *rest):
+        seen.append([(255 * images[:, 0, 0, 0]).round().long() for images in (appearance, target)])
+        return actual(model, appearance, target, *rest)
+
+    actual = validation.reconstruct
+    monkeypatch.setattr(validation, "reconstruct", reconstruct)
+    validate(ViewNet(config.model), views, config.train, torch.device("cpu"))
+    appearance, target = (torch.cat(each) for each in zip(*seen, strict=True))
+    assert torch.equal(target, validation_rows(views).flatten())
+    assert torch.equal(appearance, views.next_views(target)) and target.max() > 50

@@ -38,7 +38,7 @@ from viewnet.runtime.parallel import MOST_THREADS, cores, pool
 
 # fmt: off
 TRAINING = (
-    "geometry.py", "data/augment.py", "data/pairs.py", "evaluation/alignment.py",
+    "geometry.py", "data/augment.py", "data/pairs.py", "evaluation/alignment.py", "evaluation/metrics.py",
     *(f"model/{name}.py" for name in (
         "checkpoint", "fast_layers", "losses", "networks", "precision", "reconstruction", "viewnet", "volume")),
     *(f"model/kernels/{name}.py" for name in (

@@ -44,13 +44,13 @@ def validate(
     """
     model.eval()  # running statistics: a view's result depends on no other view
     rows = validation_rows(views).flatten()  # (N,)
-    appearance_rows = views.next_views(rows)  # equation 1 needs another view's appearance
     error, vectors, used = 0.0, [], torch.zeros(model.config.heads)
     generator = torch.Generator().manual_seed(0)  # the same backgrounds each epoch: scores compare
     size, small = model.config.input_size, model.config.render_size
     for part in rows.split(64):  # in parts: less memory
-        appearance, target = (views.images(each, size, device) for each in (appearance_rows[part], rows[part]))
-        viewpoint_input = views.viewpoint_input(rows[part], size, device)
+        # Equation 1 needs another view's appearance.
+        appearance, target = (views.images(each, size, device) for each in (views.next_views(part), part))
+        viewpoint_input = views.viewpoint_input(part, size, device)
         if backgrounds is not None:
             viewpoint_input = augment.photograph(viewpoint_input, backgrounds, config.photo, generator)
             appearance = augment.appearance(appearance, backgrounds, config.photo, generator)

@@ -57,16 +57,15 @@ def _walk(folder: Path, seen: set[Path]) -> Iterator[Path]:
 
 
 def _count(root: Path, contents: Contents) -> None:
-    images, missing = list_images(root)
-    reasons = [reason for _, reason in missing]
+    images, lost = list_images(root)
     left = dict(images)
     for path, _ in (images[number] for number in contents.opened("", len(images), "images")):
         try:
             image_files.read(root / path)
         except ViewnetError as error:
-            reasons.append(str(error))
+            lost.append((path, str(error)))
             del left[path]
-    contents.add("", ["images"] * len(left) + ["classes"] * len(set(left.values())), reasons)
+    contents.add("", ["images"] * len(left) + ["classes"] * len(set(left.values())), lost)
 
 
 READER = Reader(recognises=lambda folder: (folder / CLASSES).is_file(), count=_count)

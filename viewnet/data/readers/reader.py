@@ -38,11 +38,14 @@ class Contents:
     notes: list[str] = field(default_factory=list)
     deep: bool = False
 
-    def add(self, category: str, usable: Iterable[str], reasons: Iterable[str]) -> None:
-        """Count what can be used, by kind, and what cannot, by reason."""
+    def add(self, category: str, usable: Iterable[str], lost: Iterable[tuple[str, str]]) -> None:
+        """Count what can be used, by kind, and what cannot, (name, reason): the first is named for each reason."""
         self.counts[category] = dict(Counter(usable))
-        name = f"{category}: " if category else ""
-        self.problems += [f"{name}{count} left out: {reason}" for reason, count in sorted(tally(reasons).items())]
+        name, lost = f"{category}: " if category else "", list(lost)
+        for reason, count in sorted(tally(why for _, why in lost).items()):
+            first = next(what for what, why in lost if reason in tally([why]))
+            more = f" and {count - 1} more" if count > 1 else ""
+            self.problems.append(f"{name}{count} left out: {reason}: {first}{more}")
 
     def opened(self, category: str, count: int, what: str, part: str = "", most: int = SAMPLE) -> range:
         """The numbers of those to open of a category's `count` models, images or clips; a note says so if not all.
@@ -65,10 +68,11 @@ class Contents:
             photo_store.check_apart([photograph for _, photograph in found])
         opened = self.opened(category, len(found), "objects")
         crops = photo_store.crops([found[number][1] for number in opened], Crop(), upright)
-        lost = {n: str(crop) for n, crop in zip(opened, crops, strict=True) if isinstance(crop, ViewnetError)}
+        cut = zip(opened, crops, strict=True)
+        lost = {n: (found[n][1].id, str(crop)) for n, crop in cut if isinstance(crop, ViewnetError)}
         uses = {"val": "calibrate", "test": "score"}
         usable = [f"{kind} to {uses[photo.split]}" for number, (kind, photo) in enumerate(found) if number not in lost]
-        self.add(category, usable, [*(reason for *_, reason in rejected), *lost.values()])
+        self.add(category, usable, [*((what, reason) for what, _, reason in rejected), *lost.values()])
 
     def add_clips(
         self, root: Path, category: str, found: Sequence[tuple[str, "Clip"]], what: str, rejected: Iterable[Rejected]
@@ -90,7 +94,7 @@ class Contents:
             if clip.id not in mine:
                 usable += [kind, *["frames"] * (len(clip.frames) - len(mine))]
                 usable += [f"{what} with masks"] * (clip.masks is not None)
-        self.add(category, usable, (reason for *_, reason in itertools.chain(rejected, *lost.values())))
+        self.add(category, usable, ((what, reason) for what, _, reason in itertools.chain(rejected, *lost.values())))
 
     @contextlib.contextmanager
     def error_is_problem(self) -> Iterator[None]:

@@ -227,15 +227,15 @@ def _count(root: Path, contents: Contents) -> None:
     for category in [name for name, synset in SYNSETS.items() if _synset_there(root, synset)] or [""]:
         with contents.error_is_problem():
             models = find_models(root, category or "own")
-            reasons = {model.id: reason for model in models if (reason := unread(model.path))}
+            lost = {model.id: reason for model in models if (reason := unread(model.path))}
             for model in (models[number] for number in contents.opened(category, len(models), "models")):
                 try:
                     load_model(model)
                 except UnusableModel as error:
-                    reasons.setdefault(model.id, error.reason)
+                    lost.setdefault(model.id, error.reason)
             layout = {name: f"{name} models" if category else "models" for name in LAYOUTS}
-            usable = [f"{layout[model.layout]} to {model.split}" for model in models if model.id not in reasons]
-            contents.add(category, usable, reasons.values())
+            usable = [f"{layout[model.layout]} to {model.split}" for model in models if model.id not in lost]
+            contents.add(category, usable, lost.items())
 
 
 def _recognises(folder: Path) -> bool:

@@ -69,7 +69,7 @@ def _count(root: Path, contents: Contents) -> None:
         usable = [name for name in videos if name not in reasons]
         if usable or reasons:
             kinds = ["videos"] * len(usable) + ["videos with masks"] * sum(name in masks for name in usable)
-            contents.add(category, kinds, reasons.values())
+            contents.add(category, kinds, reasons.items())
     if others := sorted({path.name for path in root.glob("*/*") if path.is_dir()} - set(CLASSES.values())):
         contents.notes.append(f"folders of other categories: {', '.join(others)}")
 
