@@ -33,8 +33,8 @@ def locate(start: str) -> Path:
     """The full path of the checkpoint that a run's key or its beginning, a folder or a file names; or ViewnetError."""
     named = paths.named(start, "start")  # a file, or a run's folder
     keyed = sorted(paths.runs().glob(f"*/{start}*/{CHECKPOINT}")) if re.fullmatch("[0-9a-f]{6,12}", start) else []
-    keyed = keyed if len(keyed) == 1 else []  # the beginning of several keys is none
-    for place in (named, named / CHECKPOINT, *keyed):  # a path that exists wins over a key spelt like it
+    only = keyed if len(keyed) == 1 else ()  # the beginning of several keys is none
+    for place in (named, named / CHECKPOINT, *only):  # a path that exists wins over a key spelt like it
         if place.is_file():
             return place.absolute()  # stays right when the working directory changes
     raise ViewnetError(f"start {start}: no finished run of that key or folder, and no {CHECKPOINT}: train it first")

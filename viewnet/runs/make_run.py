@@ -6,7 +6,6 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -90,8 +89,6 @@ def attempt(job: Job, steps: Steps, threads: int | None, progress: bool = False)
 
 def one_line(error: BaseException) -> str:
     """The type of an error and the first line of its message."""
-    if isinstance(error, CancelledError):  # without a message
-        return "the cluster's scheduler is gone: the same command goes on with what its workers have done"
     return f"{type(error).__name__}: {(str(error).strip().splitlines() or [''])[0]}"
 
 

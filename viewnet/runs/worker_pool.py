@@ -133,6 +133,8 @@ def _failure(future: Future[str | None], job: Job) -> str | BrokenExecutor | Non
     except BrokenExecutor as error:
         reason = str(error) if isinstance(error, WorkerDied) else f"its worker died ({one_line(error)})"
         return WorkerDied(f"{job.name}: {reason}: run again to resume it")
+    except futures.CancelledError:  # what is collected was not cancelled here
+        return f"{job.name}: the cluster's scheduler is gone: the same command goes on with what its workers have done"
     except Exception as error:
         return f"{job.name}: {one_line(error)}"
 

@@ -131,6 +131,5 @@ class _Source:
             found = self.model.viewpoint(self.model.composite(batch.images))
             vectors.append(found.of_heads(found.logits.argmax(1)))
         self.model.train()
-        truth = views.truth[rows.flatten()]  # (N, 2)
-        scores = {"reconstruction": error} | accuracies(torch.cat(vectors), truth, self.model.absolute)
-        return scores | {"least_used": math.nan, "focal": math.nan}
+        accurate = accuracies(torch.cat(vectors), views.truth[rows.flatten()], self.model.absolute)
+        return {"reconstruction": error, **accurate, "least_used": math.nan, "focal": math.nan}

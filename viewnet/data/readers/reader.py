@@ -41,11 +41,13 @@ class Contents:
     def add(self, category: str, usable: Iterable[str], lost: Iterable[tuple[str, str]]) -> None:
         """Count what can be used, by kind, and what cannot, (name, reason): the first is named for each reason."""
         self.counts[category] = dict(Counter(usable))
-        name, lost = f"{category}: " if category else "", list(lost)
-        for reason, count in sorted(tally(why for _, why in lost).items()):
-            first = next(what for what, why in lost if reason in tally([why]))
-            more = f" and {count - 1} more" if count > 1 else ""
-            self.problems.append(f"{name}{count} left out: {reason}: {first}{more}")
+        name, alike = f"{category}: " if category else "", dict[str, list[str]]()
+        for what, reason in lost:
+            (plain,) = tally([reason])
+            alike.setdefault(plain, []).append(what)
+        for reason, (first, *others) in sorted(alike.items()):
+            more = f" and {len(others)} more" if others else ""
+            self.problems.append(f"{name}{1 + len(others)} left out: {reason}: {first}{more}")
 
     def opened(self, category: str, count: int, what: str, part: str = "", most: int = SAMPLE) -> range:
         """The numbers of those to open of a category's `count` models, images or clips; a note says so if not all.
