@@ -14,7 +14,7 @@ from PIL import Image
 
 from viewnet import cli
 from viewnet.config import LIMITS, RunConfig
-from viewnet.data import build
+from viewnet.data import build, catalogue
 from viewnet.data.readers.shapenet import find_models
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator
@@ -157,6 +157,8 @@ def test_models_in_other_formats_are_named(folders):
         (folders / "own" / name).touch()
     with pytest.raises(ViewnetError, match=r"it has \.glb, \.stl: export these as \.obj"):
         find_models(folders / "own", "teapot")
+    with pytest.raises(ViewnetError, match=r"layouts that are read; it has \.glb, \.stl: export these as \.obj"):
+        catalogue.check(folders / "own")
 
 
 def test_built_in_data_have_built_in_categories_alone(capsys):

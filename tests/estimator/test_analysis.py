@@ -46,6 +46,7 @@ def test_notes_say_why_a_prediction_may_be_wrong():
     mask = np.ones(photograph().shape[:2], bool)
     assert "whole image" in notes(photos)
     assert notes(photos, box=BOX) == notes(photos, mask=mask) == ""
+    assert "outside of the image" in notes(photos, box=(40, 0, 160, 60))
     assert "cut-out" in notes(cutouts, box=BOX)
     assert notes(cutouts, mask=mask) == ""
     assert "rendering camera" in notes(whole, mask=mask)

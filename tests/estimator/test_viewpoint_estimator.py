@@ -234,6 +234,14 @@ def test_images_unlike_those_of_training_are_named(caplog):
     assert [record.message.partition(" is not")[0] for record in caplog.records] == ["image 1"]
 
 
+def test_the_first_box_that_lies_mostly_outside_of_its_image_is_named(caplog):
+    boxes = [(0, 0, 90, 100), (40, 0, 160, 60), (-90, -60, 90, 60)]  # a third more, 50 of 120 columns, a quarter inside
+    untrained(**PHOTOS).predict([photograph()] * 3, boxes=boxes, batch_size=1)
+    assert [record.message for record in caplog.records] == [
+        "image 1: most of its box lies outside of it: is the box of this image, and in its pixels?"
+    ]
+
+
 def test_networks_that_see_whole_views_say_so_of_what_is_cut(caplog):
     dark, box = photograph() // 30, (5, 5, 50, 50)
     untrained().predict(dark)

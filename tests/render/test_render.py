@@ -29,13 +29,18 @@ BACKENDS = ("raycast", "pyrender")
 STRAIGHT = {"front": (0, 0), "left": (90, 0), "back": (180, 0), "right": (270, 0), "top": (0, 90), "bottom": (0, -90)}
 
 
+@pytest.fixture
+def opengl_draws() -> None:
+    try:
+        opengl.check()
+    except Exception as error:
+        pytest.skip(f"OpenGL cannot draw here: {type(error).__name__}: {error}")
+
+
 @pytest.fixture(params=BACKENDS)
 def backend(request: pytest.FixtureRequest) -> str:
     if request.param == "pyrender":
-        try:
-            opengl.check()
-        except Exception as error:
-            pytest.skip(f"OpenGL cannot draw here: {type(error).__name__}: {error}")
+        request.getfixturevalue("opengl_draws")
     return request.param
 
 
@@ -70,6 +75,25 @@ sys.exit("trimesh" in sys.modules or "pyrender" in sys.modules)
 def test_the_ray_caster_does_not_load_the_libraries_of_the_other() -> None:
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     subprocess.run([sys.executable, "-c", ALONE], env=environment, check=True)
+
+
+WITHOUT_X11 = """
+import ctypes
+load = ctypes.CDLL.__init__
+def load_no_x11(self, name, *arguments, **options):
+    if "libX" in str(name):
+        raise OSError(f"{name}: not here")
+    load(self, name, *arguments, **options)
+ctypes.CDLL.__init__ = load_no_x11
+from viewnet.render import opengl
+opengl.check()
+"""
+
+
+@pytest.mark.usefixtures("opengl_draws")
+def test_on_a_server_without_x11_opengl_draws_by_egl() -> None:
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PYOPENGL_PLATFORM": "egl"}
+    subprocess.run([sys.executable, "-c", WITHOUT_X11], env=environment, check=True)
 
 
 # Geometry

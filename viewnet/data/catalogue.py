@@ -11,6 +11,7 @@ from typing import Any
 from viewnet.data import masks
 from viewnet.data.readers.reader import Contents
 from viewnet.data.readers.registry import READERS
+from viewnet.data.readers.shapenet import other_formats
 from viewnet.data.store import in_words
 from viewnet.errors import ViewnetError
 from viewnet.runtime import torchvision_weights
@@ -56,7 +57,7 @@ def recognise(folder: Path) -> str:
     if any(path.suffix.lower() in SUFFIXES for path in folder.rglob("*")):
         return "backgrounds"
     expected = "; ".join(f"{key}: {data['layout']}" for key, data in DATA_SETS.items())
-    raise ViewnetError(f"{folder}: none of the layouts that are read ({expected})")
+    raise ViewnetError(f"{folder}: none of the layouts that are read{other_formats(folder)} ({expected})")
 
 
 def check(folder: Path, deep: bool = False) -> Contents:

@@ -74,6 +74,12 @@ def clipped(box: Box, size: tuple[int, int]) -> Box:
     return x0, y0, x1, y1
 
 
+def reaches_far_beyond(box: Box, size: tuple[int, int]) -> bool:
+    """Whether most of a box's area lies outside an image of this width and height: it may be another image's."""
+    x0, y0, x1, y1 = clipped(box, size)
+    return (x1 - x0) * (y1 - y0) < (box[2] - box[0]) * (box[3] - box[1]) / 2
+
+
 def shrunk(view: np.ndarray, share: float) -> np.ndarray:
     """A crop (S, S, 4) uint8 resized to `share` of its side about its centre; transparent around it."""
     size = len(view)

@@ -15,7 +15,7 @@ from PIL import Image
 from torch import Tensor
 
 from viewnet.config import RunConfig
-from viewnet.data.crop import Crop, bounds, cut
+from viewnet.data.crop import Crop, bounds, cut, reaches_far_beyond
 from viewnet.errors import ViewnetError
 from viewnet.estimator.inputs import ImageLike, ImagesLike, InputImage, as_list, boxes_of, masks_of, read_image
 from viewnet.runtime import parallel
@@ -198,10 +198,11 @@ def computed(
     """The results of `work` on images as the networks of `framing` are shown them, those of a batch at once.
 
     Every thread (viewnet.runtime.parallel.threads) takes some images at a time, from files to results. Warns of the
-    first image that is unlike those of training. ViewnetError names an image that cannot be used; where there are
-    `failures`, such images are left out and their positions and errors added there. `progress` shows a bar.
+    first image that is unlike those of training, and of the first box that is mostly outside its image. ViewnetError
+    names an image that cannot be used; where there are `failures`, such images are left out and their positions and
+    errors added there. `progress` shows a bar.
     """
-    listed, warned = as_list(images), False
+    listed, warned, beyond = as_list(images), False, list[int]()
     masks, boxes, threads = masks_of(masks, len(listed)), boxes_of(boxes, len(listed)), parallel.threads()
     if framing.rendered and any(value is not None for value in (*masks, *boxes)):
         views = "the network was trained on whole views as a rendering camera frames them: its predictions for images"
@@ -211,7 +212,10 @@ def computed(
         cropped: dict[int, CroppedImage] = {}
         for row in rows:
             try:
-                cropped[row] = crop_to_object(read_image(listed[row], masks[row], boxes[row]), framing)
+                given = read_image(listed[row], masks[row], boxes[row])
+                cropped[row] = crop_to_object(given, framing)
+                if boxes[row] and reaches_far_beyond(boxes[row], given.image.size):
+                    beyond.append(row)
             except ViewnetError as error:
                 if failures is None:
                     raise ViewnetError(f"{_name(listed[row], row)}: {error}") from None
@@ -236,6 +240,9 @@ def computed(
                     shown.update(len(part))
             warned = warned or _warn(framing, unlike)
             yield results
+    if beyond:
+        name = _name(listed[min(beyond)], min(beyond))
+        log.warning("%s: most of its box lies outside of it: is the box of this image, and in its pixels?", name)
 
 
 @contextmanager

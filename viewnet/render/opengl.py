@@ -66,6 +66,10 @@ def _pyrender() -> Any:
     # Triton, which PyTorch's optimisers load, crashes where Mesa's LLVM came first; the other order is harmless.
     with contextlib.suppress(ImportError):
         importlib.import_module("triton")
+    if os.environ.get("PYOPENGL_PLATFORM") == "egl":
+        import pyglet
+
+        pyglet.options["headless"] = True  # pyrender imports its windows too, and those of X11 need X11's libraries
     import pyrender
     from OpenGL.arrays.ctypesparameters import CtypesParameterHandler
 

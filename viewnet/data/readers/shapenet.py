@@ -160,7 +160,7 @@ def _scan(root: Path, synset: str, category: str) -> list[ModelFile]:
         if files := sorted(folder.glob("[!.]*.obj")):
             return [ModelFile(file.stem, category, file, "v1", "") for file in files]
         places = f"<id>/{LAYOUTS['v2']} (v2), <id>/{LAYOUTS['v1']} (v1) or <id>.obj"
-        raise ViewnetError(f"{folder}: no models: expected {places}{_others(folder)}")
+        raise ViewnetError(f"{folder}: no models: expected {places}{other_formats(folder)}")
     usual: Layout = "v2" if counts["v2"] >= counts["v1"] else "v1"
     pairs = [(name, (*layouts, usual)[0]) for name, layouts in zip(names, there, strict=True)]
     return [ModelFile(name, category, folder / name / LAYOUTS[layout], layout, "") for name, layout in pairs]
@@ -176,10 +176,10 @@ def _no_collection(root: Path, synset: str, category: str) -> ViewnetError:
     if synset != category:
         return ViewnetError(f"{root}: not a ShapeNetCore collection: expected a folder {synset} ({category}) in it")
     expected = f"expected .obj files in it or in a folder {category} of it, or videos, or folders of frames"
-    return ViewnetError(f"{root}: no models of {category}: {expected}{_others(root)}{nearest(category, SYNSETS)}")
+    return ViewnetError(f"{root}: no models of {category}: {expected}{other_formats(root)}{nearest(category, SYNSETS)}")
 
 
-def _others(folder: Path) -> str:
+def other_formats(folder: Path) -> str:
     """The end of a message: models in other formats, if there are any."""
     found = sorted({path.suffix.lower() for path in folder.rglob("*")} & {*OTHER_FORMATS})
     return f"; it has {', '.join(found)}: export these as .obj" if found else ""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from viewnet.data.crop import reaches_far_beyond
 from viewnet.estimator import ViewpointEstimator, inputs, preprocess, templating
 from viewnet.estimator.viewpoints import ALIKE, Viewpoint
 from viewnet.geometry import look_at, view_vector
@@ -44,6 +45,8 @@ def analyse(estimator: ViewpointEstimator, image: inputs.ImageLike, mask: Any = 
     notes = []
     if box is None and not prepared.masked[0]:
         notes.append("Neither box nor mask was given: the whole image is taken for the object.")
+    if box is not None and reaches_far_beyond(inputs.box_of(box), given.image.size):
+        notes.append("Most of the box lies outside of the image: only what lies in it is used.")
     if framing.cutout and not prepared.cutout[0]:
         notes.append("This model has only seen cut-out objects on black: give a mask or a transparent image.")
     elif framing.rendered and (mask is not None or box is not None):
