@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from viewnet.config import SHAPENET_CATEGORIES
 from viewnet.errors import ViewnetError
-from viewnet.recipes import ABLATIONS
+from viewnet.recipes import ABLATIONS, RECIPES, make_config
 from viewnet.tables.columns import HEADLINE, upper_bound
 
 ADDED = "method"
@@ -16,6 +16,8 @@ MARKS = {None: "", "linear": "*", "robust": " (robust)"}
 
 PAIRS = "pairs + masks"
 """What ViewNet knows of its training images: which show the same object, and where in them it is."""
+_RANGE = f"{PAIRS}, range of elevations"
+"""And with our recipes, which limit predictions to the elevations of the views. The paper does not know them."""
 CALIBRATION = "viewpoints of calibration images"
 TRAINING = "viewpoints of training images"
 IMAGENET = "ImageNet labels"
@@ -37,8 +39,10 @@ class Row:
         """The name with the mark of the alignment."""
         return self.name + MARKS[self.alignment]
 
-    def supervision_as(self, label: str) -> str:
-        """What is known in training where a table calls the row `label`: features of pixels need no network."""
+    def supervision_as(self, label: str, recipe: str = "") -> str:
+        """What is known in training by `recipe`, in a row shown as `label`: features of pixels need no labels."""
+        if self.variant and recipe in RECIPES and self.supervision == PAIRS:
+            return _RANGE if make_config(self.variant, recipe=recipe).model.elevation_limits else PAIRS
         return self.supervision.removeprefix(f"{IMAGENET}, ") if label.endswith("(pixels)") else self.supervision
 
 
@@ -179,8 +183,8 @@ LAYOUTS = {
         "Photographs: what is lost where",
         (
             Row("ViewNet", "viewnet", "robust"), Row("ViewNet over black", "over_black", "robust"),
-            Row("Student of ViewNet", "student", "robust"),
-            Row("Student of ViewNets over black", "student_of_black", "robust"),
+            Row("Student of ViewNet", "student", "robust", _RANGE),
+            Row("Student of ViewNets over black", "student_of_black", "robust", _RANGE),
             Row("ViewNet, 128 pixels", "larger_input", "robust"),
             Row("ViewNet, backgrounds behind both", "behind_both", "robust"),
             Row("VGG view", "view_regression", supervision=f"{IMAGENET}, {CALIBRATION}"),

@@ -167,7 +167,7 @@ class Table:
             variant = "" if row.variant is None or label in unmeasured else row.variant
             shown = renamed.get(label, label)
             about = {"row": named(shown, recipe), "variant": variant, "recipe": recipe}
-            about |= {"supervision": row.supervision_as(shown), "category": category}
+            about |= {"supervision": row.supervision_as(shown, recipe), "category": category}
             row_metrics = (layout.own[label],) if label in layout.own else layout.metrics
             measured = _measure(mine, row_metrics) if mine else {}
             for metric in row_metrics:
