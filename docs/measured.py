@@ -218,8 +218,8 @@ def printed_recipe() -> str:
     """What the paper's own recipe has on cars, by the released code's error and truly."""
     cars = definitions.of_seeds(kept("tiny-paper-viewnet/table2_ablation.json")).query("category == 'car'")
     folded, true = (", ".join(f"{x:.0f}" for x in cars[f"{name}_acc30"]) for name in ("folded", "geodesic"))
-    return f"""By the paper's own recipe (tiny networks, SqueezeNet's features instead of VGG16's, a million images) three
-seeds have {folded} % of cars right if opposite sides count as one, and {true} % if not (reported: 89;
+    return f"""By the paper's own recipe (tiny networks, SqueezeNet's features instead of VGG16's, a million images)
+three seeds have {folded} % of cars right if opposite sides count as one, and {true} % if not (reported: 89;
 [why](docs/recipes.md#the-recipe-paper))."""
 
 
@@ -235,10 +235,10 @@ def what_is_lost() -> str:
             (views, "Liao (trained here)"),
         )
     )
-    return f"""ViewNet, trained on renderings, has {ours} of 700 photographs of cars right; the same encoder trained with
-viewpoints has {labelled}, which is what having no labels costs, and a student of ViewNets' answers, which needs none,
-{student} ([study](docs/photographs.md)). Of renderings training with viewpoints has {drawn}: having no photographs
-costs the rest ([more](docs/peers.md#what-they-reach))."""
+    return f"""ViewNet, trained on renderings, has {ours} of 700 photographs of cars right; the same encoder trained
+with viewpoints {labelled} (the price of having no labels), a student of ViewNets' answers, without any, {student}
+([study](docs/photographs.md)). Of renderings training with viewpoints has {drawn} (the price of having no photographs;
+[more](docs/peers.md#what-they-reach))."""
 
 
 def claims_by_verdict() -> str:
