@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -35,7 +36,8 @@ from viewnet.runs.other_views import on_photographs
 from viewnet.runs.run_store import ensure
 from viewnet.tables import definitions
 from viewnet.tables.columns import DASH
-from viewnet.tables.table import Entry, Table, named
+from viewnet.tables.layouts import ADDED
+from viewnet.tables.table import CHOSEN_ROBUSTLY, Entry, Table, named
 
 SCORES = ("measured", "low", "high", "images", "objects")
 
@@ -139,7 +141,7 @@ def on_cars(name="table3_pascal3d", **options):
 
 def alone(name, *submissions):
     """The table of cars with nothing measured but these."""
-    return Table.of(name, [], ["car"], added=own_method.entries(of_cars(name), submissions))
+    return Table.of(name, own_method.entries(of_cars(name), submissions), ["car"])
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
@@ -232,8 +234,9 @@ def test_rows_stand_in_everything_a_reader_sees(photographs, tmp_path):
 
 
 def test_many_categories_have_the_row_in_one_line():
-    added = [Entry("Mine", c, 0, "procrustes", c, noisy(make_index(20, 2, c)), {}) for c in CATEGORIES[:5]]
-    text = Table.of("table3_pascal3d", [], CATEGORIES[:5], added=added).latex()
+    origin = {"variant": ADDED}
+    added = [Entry("Mine", c, 0, "procrustes", c, noisy(make_index(20, 2, c)), origin) for c in CATEGORIES[:5]]
+    text = Table.of("table3_pascal3d", added, CATEGORIES[:5]).latex()
     assert_tabular(text)
     assert "Mine, \\textit{ours} &  & \\textit{" in text
 
@@ -421,15 +424,22 @@ class TestTheNotebook:
         mine = [Submission("Mine", Says(straight))]
         trained_now = request.score(finished(request), mine)
         for table in request.tables.values():
-            definitions.write_with(table.table(finished(table)), table.folder)
+            found = table.table(finished(table))
+            if table.name == "table1_shapenet":  # as by the recipe paper: its rows are taken, too
+                ours = next(entry for entry in found.entries if entry.row == "ViewNet")
+                chosen = dataclasses.replace(ours, row=ours.row + CHOSEN_ROBUSTLY, key=f"{ours.key}-robust")
+                found = table.table_of([*found.entries, chosen])
+            definitions.write_with(found, table.folder)
         again = experiment("your_method", categories="car")
         monkeypatch.setenv("VIEWNET_RUNS", str(trained / "empty"))
         assert again.to_run == [] == again.run()
         assert not again.needs().runs
         for name, table in again.score([], mine).items():
-            assert table.rows == trained_now[name].rows
+            ours = table.cells[~table.cells["row"].str.contains(CHOSEN_ROBUSTLY)]
+            assert (len(ours) < len(table.cells)) == (name == "table1_shapenet")
+            assert list(ours["row"]) == list(trained_now[name].cells["row"])
             numbers = ["measured", "low", "high"]
-            assert np.allclose(table.cells[numbers], trained_now[name].cells[numbers], atol=5e-3, equal_nan=True)
+            assert np.allclose(ours[numbers], trained_now[name].cells[numbers], atol=5e-3, equal_nan=True)
         assert len(experiment("your_method", categories="car", seeds=2).to_run) == len(request.configs)
 
     def test_its_tables_go_where_no_other_does(self, tmp_path):

@@ -18,6 +18,7 @@ from helpers.fake_steps import STEPS, calls, config, plan
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.evaluate import evaluate
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.run import ROBUST_PREDICTIONS
 from viewnet.model.checkpoint import ROBUST
 from viewnet.runs import other_views, run_store
 from viewnet.runs.run_store import ensure
@@ -123,11 +124,11 @@ def test_a_second_choice_of_weights_has_predictions_of_its_own(folders):
         (folder / ROBUST).write_bytes(b"other weights")
 
     (run,) = ensure([config()], workers=1, steps=replace(STEPS, train=trained))
-    assert run.robust_predictions.ids.equals(run.predictions.ids)
-    assert not np.array_equal(run.robust_predictions.hypotheses, run.predictions.hypotheses)
+    robust = Predictions.from_parquet(run.folder / ROBUST_PREDICTIONS)
+    assert robust.ids.equals(run.predictions.ids)
+    assert not np.array_equal(robust.hypotheses, run.predictions.hypotheses)
     (without,) = ensure([config(1)], workers=1, steps=STEPS)
-    with pytest.raises(ViewnetError, match=r"predictions_robust\.parquet: no such file"):
-        _ = without.robust_predictions
+    assert not (without.folder / ROBUST_PREDICTIONS).exists()
 
 
 def test_parquet_of_a_run_opens_with_pandas():

@@ -60,11 +60,12 @@ def run(options: Options) -> int:
         for outcome in notebooks.run_all(planned):
             done.append(outcome)
             if not options.json:
-                print(outcome, flush=True)
+                ending = f"failed: {outcome['error']}" if outcome["error"] else outcome["copy"]
+                print(f"{outcome['name']}: {outcome['seconds']:.0f} s: {ending}", flush=True)
     written = page.write(paths.tables())
-    failed = [outcome.name for outcome in done if outcome.error]
+    failed = [outcome["name"] for outcome in done if outcome["error"]]
     failures = [f"{len(failed)} of {len(done)} notebooks failed: {', '.join(failed)}"] if failed else []
-    values = {"notebooks": [outcome.as_dict() for outcome in done], "page": str(written)}
+    values = {"notebooks": done, "page": str(written)}
     print_results(options, values, written, *failures)
     return 1 if failed else 0
 

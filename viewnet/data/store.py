@@ -130,7 +130,7 @@ def in_words(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {reason}" for reason, count in counts.items())
 
 
-def identity_of(made_by: dict[str, Any]) -> str:
+def identity_of(made_by: Any) -> str:
     """16 hex digits that name what `made_by` (JSON values) describes."""
     return hashlib.sha256(json.dumps(made_by, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -8,9 +8,7 @@ Files and methods are named as in huggingface_hub's ModelHubMixin, which folders
 """
 
 import contextlib
-import hashlib
 import importlib.metadata
-import json
 import os
 import re
 from collections.abc import Sequence
@@ -24,6 +22,7 @@ from safetensors.torch import save_file
 
 from viewnet import paths
 from viewnet.config import RunConfig, nearest
+from viewnet.data.store import identity_of
 from viewnet.errors import ViewnetError
 from viewnet.estimator import hub, model_card
 from viewnet.model import checkpoint
@@ -136,7 +135,7 @@ def _from_folder(folder: Path) -> Pretrained:
         raise ViewnetError(f"{path} is of another version of viewnet ({error}): install that one") from error
     weights, metadata = checkpoint.read(file, "save the model again")
     network = cast(ViewNet, registry.build(config, weights, file))  # as in _from_run
-    if metadata.get("config") != _digest(values):
+    if metadata.get("config") != identity_of(values):
         raise ViewnetError(f"{folder}: {WEIGHTS} was not saved with this {CONFIG}: save the model again")
     return Pretrained(network, config, _rotation(values["alignment"], path), values["about"])
 
@@ -176,7 +175,7 @@ def save(model: Pretrained, folder: Path, license: str | None, half: bool, score
             if not weights[name].isfinite().all():
                 raise ViewnetError(f"{name} holds values that half precision cannot: save the model without half")
     with replacing(folder / WEIGHTS) as temporary:
-        save_file(weights, temporary, metadata={"config": _digest(values)})
+        save_file(weights, temporary, metadata={"config": identity_of(values)})
     write_json(folder / CONFIG, values)
     write_text(folder / CARD, model_card.card(config, model.aligned, about, license))
 
@@ -200,7 +199,3 @@ def _without_places(config: RunConfig) -> RunConfig:
         video = replace(video, root=last(video.root), mask_folder=last(video.mask_folder))
     places: dict[str, Any] = {name: last(getattr(data, name)) for name in ("root", "splits", "extra", "backgrounds")}
     return replace(config, data=replace(data, **places, video=video), train=replace(train, start=last(train.start)))
-
-
-def _digest(values: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]

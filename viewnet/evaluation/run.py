@@ -74,14 +74,6 @@ class Run:
         return Predictions.from_parquet(self.folder / "predictions.parquet")
 
     @property
-    def robust_predictions(self) -> Predictions:
-        """The same by the weights with the best validation accuracy after the robust alignment.
-
-        ViewnetError where none are kept: where the weights are not chosen by accuracy.
-        """
-        return Predictions.from_parquet(self.folder / ROBUST_PREDICTIONS)
-
-    @property
     def log(self) -> pd.DataFrame:
         """The training log, see `read_log`. ViewnetError where there is none."""
         if not (path := self.folder / "log.csv").is_file():

@@ -26,7 +26,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from viewnet.errors import ViewnetError
-from viewnet.evaluation.predictions import UNIT_TOLERANCE, Floats, Predictions
+from viewnet.evaluation.predictions import UNIT_TOLERANCE, Floats, Predictions, read_parquet
 from viewnet.runtime.lists import read_list
 
 IMAGE = ["category", "model_id", "view"]
@@ -70,12 +70,7 @@ def _frame(path: Path) -> pd.DataFrame:
     if path.suffix == ".csv":
         frame = read_list(path, (*IMAGE, "h0_x"), lambda name: name not in ("category", "model_id", "split"))
     else:
-        try:
-            frame = pd.read_parquet(path)
-        except FileNotFoundError:
-            raise ViewnetError(f"{path}: no such file") from None
-        except (OSError, ValueError) as error:  # the readers' own errors are ValueErrors
-            raise ViewnetError(f"{path}: not a readable parquet file ({type(error).__name__})") from error
+        frame = read_parquet(path)
     return frame.set_axis(pd.RangeIndex(1, len(frame) + 1))  # as a reader of the file counts them
 
 

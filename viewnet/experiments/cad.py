@@ -99,12 +99,12 @@ class Experiment(Request):
             return transferred(run, build.view_store(self.eval_data(run.config))) if self.eval_root else run.predictions
 
         robust = [] if self.eval_root else by_robust_weights(self.name, runs)
-        return self.table_of(entries(self.name, runs, predictions), [*added, *robust], remarks)
+        return self.table_of([*entries(self.name, runs, predictions), *added, *robust], remarks)
 
-    def table_of(self, own: Sequence[Entry], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
+    def table_of(self, given: Sequence[Entry], remarks: Sequence[str] = ()) -> Table:
         """The table of these entries; see `table`."""
         rows = (self.renamed_rows, self.unmeasured_rows)
-        return Table.of(self.name, own, self.categories, self.note, remarks, *rows, added)
+        return Table.of(self.name, given, self.categories, self.note, remarks, *rows)
 
     @property
     def unmeasured_rows(self) -> tuple[str, ...]:

@@ -9,7 +9,6 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -154,23 +153,6 @@ def _raise_in_one_line(error: Exception, path: Path) -> NoReturn:
     raise ViewnetError(f"{path.stem} failed: {kind}: {message} (see {path})")
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """The executed copy of a notebook, or its error in one line."""
-
-    name: str
-    seconds: float
-    copy: Path | None
-    error: str | None
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.seconds:.0f} s: {f'failed: {self.error}' if self.error else self.copy}"
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON values."""
-        return asdict(self) | {"copy": None if self.copy is None else str(self.copy), "seconds": round(self.seconds, 1)}
-
-
 def plan(only: Sequence[str] | None = None, profile: str | None = None, seeds: str | None = None) -> dict[str, Values]:
     """The notebooks to run, all or `only` these, in the order of ORDER -> their checked parameters.
 
@@ -194,12 +176,15 @@ def needs(planned: dict[str, Values]) -> Needs:
     return found
 
 
-def run_all(planned: dict[str, Values]) -> Iterator[Outcome]:
-    """Run notebooks one after the other; each outcome as soon as it is known. Failures do not stop it."""
+def run_all(planned: dict[str, Values]) -> Iterator[dict[str, Any]]:
+    """Run notebooks one after the other; of each name, seconds, executed copy and error as soon as they are known.
+
+    Failures do not stop it.
+    """
     for name, values in planned.items():
         start, copy, error = time.monotonic(), None, None
         try:
-            copy = run(name, values)
+            copy = str(run(name, values))
         except ViewnetError as problem:
             error = str(problem)
-        yield Outcome(name, time.monotonic() - start, copy, error)
+        yield {"name": name, "seconds": round(time.monotonic() - start, 1), "copy": copy, "error": error}

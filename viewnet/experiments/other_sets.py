@@ -52,7 +52,7 @@ class OtherSetsExperiment(Experiment):
                 elif (store := stores[entry.category].get(entry.row)) is not None:
                     key = f"{entry.key}-{store.identity}"  # its predictions are kept beside the run's own
                     own.append(replace(entry, key=key, predictions=transferred(run, store)))
-        return self.table_of(own, added, remarks)
+        return self.table_of([*own, *added], remarks)
 
     @property
     def unmeasured_rows(self) -> tuple[str, ...]:

@@ -197,7 +197,7 @@ def with_methods(
     known_runs = {entry.origin["settings"] for entry in kept}
     others = [run for run in runs if run.config.settings_key() not in known_runs]
     own = [*table.untrained(), *kept, *(entry for run in others for entry in table.entries_of(run))]
-    return table.table_of(own, added, remarks)
+    return table.table_of([*own, *added], remarks)
 
 
 def entries(table: Experiment, submissions: Sequence[Submission]) -> list[Entry]:

@@ -3,8 +3,6 @@
 Of the photographs, predictions are aligned and untrained predictors fitted on the split "val"; "test" is scored.
 """
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
@@ -14,7 +12,7 @@ from typing import Any
 from viewnet.config import PhotoConfig, RunConfig
 from viewnet.data import build, photo_store
 from viewnet.data.readers.registry import READERS
-from viewnet.data.store import ViewStore
+from viewnet.data.store import ViewStore, identity_of
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import baselines, features
 from viewnet.evaluation.predictions import Predictions
@@ -48,7 +46,7 @@ def photographs(category: str, root: str | None, square: bool, smoke: bool, **se
 
 def content_key(name: str, content: Any) -> str:
     """The key of a table's entry that is no run: its `name`, and 12 hex digits of what decides it, a JSON value."""
-    return f"{name}-{hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]}"
+    return f"{name}-{identity_of(content)[:12]}"
 
 
 class PhotoExperiment(Experiment):
@@ -98,14 +96,13 @@ class PhotoExperiment(Experiment):
 
     def table(self, runs: Sequence[Run], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
         """The table of these runs and of the untrained predictors; `added` and `remarks` as in Experiment."""
-        stores = self.stores()
-        return super().table_of(self.entries(runs, stores), added, [*self.remarks(stores), *remarks])
+        return self.table_of([*self.entries(runs, self.stores()), *added], remarks)
 
-    def table_of(self, own: Sequence[Entry], added: Sequence[Entry] = (), remarks: Sequence[str] = ()) -> Table:
+    def table_of(self, given: Sequence[Entry], remarks: Sequence[str] = ()) -> Table:
         """The table of these entries; see `table`. Raises ViewnetError for those on photographs of another version."""
         stores = self.stores()
-        self.check_photographs(own, stores)
-        return super().table_of(own, added, [*self.remarks(stores), *remarks])
+        self.check_photographs([entry for entry in given if not entry.beside], stores)
+        return super().table_of(given, [*self.remarks(stores), *remarks])
 
     def check_photographs(self, own: Sequence[Entry], stores: dict[str, ViewStore]) -> None:
         """Raise ViewnetError for entries on photographs of another version."""

@@ -26,8 +26,7 @@ from viewnet.runs.make_run import Steps
 from viewnet.runs.run_store import ensure
 from viewnet.runtime.files import read_csv, read_json, write_csv
 from viewnet.tables import definitions, kept_predictions, plots
-from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.table import CHOSEN_ROBUSTLY, Entry
+from viewnet.tables.table import Entry
 
 ALL_TWELVE = {
     "categories": "everything", "seeds": "1", "rows": "constant,constant_rotation,view_regression,viewnet,viewnet_cycle"
@@ -130,10 +129,8 @@ class Replication:
 
     def _write(self, request: Experiment) -> None:
         found = [entry for config in request.configs for entry in self._kept(request, config).values()]
-        labels = {row.label for row in LAYOUTS[request.name].rows}
-        own = [entry for entry in found if entry.row in labels]
-        chosen = [entry for entry in found if entry.row.endswith(CHOSEN_ROBUSTLY)]
-        table = request.table_of([*self._untrained(request), *own], chosen, _uneven(own))
+        own = [entry for entry in found if not entry.beside]
+        table = request.table_of([*self._untrained(request), *found], _uneven(own))
         definitions.write_with(table, request.folder)
 
     def _untrained(self, request: Experiment) -> list[Entry]:

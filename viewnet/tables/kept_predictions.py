@@ -62,10 +62,7 @@ def remade(path: Path) -> Table:
     if not path.with_suffix(".parquet").is_file():
         raise ViewnetError(f"{path.with_suffix('.parquet')}: no such file: make the table again")
     table = read(path)
-    labels = {row.label for row in LAYOUTS[table.name].rows}
-    own, added = ([e for e in table.entries if (e.row in labels) == ours] for ours in (True, False))
-    about = (table.categories, table.note, table.remarks, table.renamed)
-    return Table.of(table.name, own, *about, added=added)
+    return Table.of(table.name, table.entries, table.categories, table.note, table.remarks, table.renamed)
 
 
 def differences(path: Path) -> pd.DataFrame:

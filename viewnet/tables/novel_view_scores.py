@@ -18,7 +18,6 @@ novel_views.parquet    a row for each run and test view: RUN, model_id, view, SC
 novel_views.csv        what they come to, a line for each row, category and metric; novel_views.tex as a table
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -200,10 +199,25 @@ def cells(kept: pd.DataFrame, draws: int = DRAWS) -> pd.DataFrame:
     lines: list[dict[str, object]] = []
     for (category, variant), rows in kept.groupby(["category", "variant"], sort=False):
         seeds = [seed for _, seed in rows.groupby("seed")]
+        objects = [seed["model_id"].to_numpy() for seed in seeds]
+        means = {metric: [seed[metric].to_numpy(np.float64) for seed in seeds] for metric in columns.FIDELITY}
         errors = {kind: [seed[kind].to_numpy(np.float64) for seed in seeds] for kind in ERRORS}
-        known = {kind: values for kind, values in errors.items() if not np.isnan(values[0]).any()}
+        errors = {kind: each for kind, each in errors.items() if not np.isnan(each[0]).any()}
+        if "reconstructing" in errors:
+            means["misled"] = [100.0 * (seed["reconstructing"] > seed["closest"]).to_numpy() for seed in seeds]
+        values: dict[str, tuple[list[float], tuple[float, float] | None]] = {
+            metric: ([float(e.mean()) for e in each], metrics.mean_interval(each, objects, draws))
+            for metric, each in means.items()
+        }
+        for kind, each in errors.items():
+            bounds = metrics.bootstrap_intervals(each, objects, draws)
+            for statistic in columns.HEADLINE:
+                values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in each], bounds[statistic]
         about = {"row": LABELS.get(variant, COPY), "variant": variant, "category": category}
-        lines += _lines(about, " ".join(filter(None, rows["run"].unique())), seeds, known, draws)
+        keys = " ".join(filter(None, rows["run"].unique()))
+        for metric in columns.NOVEL_VIEWS:
+            part = columns.measured(*values.get(metric, ([np.nan], None)), objects)
+            lines.append({**about, "metric": metric, **part, "runs": keys})
     return pd.DataFrame(lines)
 
 
@@ -217,23 +231,3 @@ def write(cells: pd.DataFrame, folder: Path, note: str = "") -> list[Path]:
     tex = folder / "novel_views.tex"
     write_text(tex, latex.measured(cells, columns.NOVEL_VIEWS, note))
     return [tex, write_csv(folder / "novel_views.csv", cells.round(4))]
-
-
-def _lines(
-    about: dict[str, str], keys: str, scored: Sequence[pd.DataFrame], errors: dict[str, list[Floats]], draws: int
-) -> list[dict[str, object]]:
-    """Every metric of a row: `scored` is `fidelity` of each seed, `errors` its `consistency` by kind of network."""
-    objects = [seed["model_id"].to_numpy() for seed in scored]
-    values: dict[str, tuple[list[float], tuple[float, float] | None]] = {}
-    for metric in columns.FIDELITY:
-        each = [seed[metric].to_numpy(np.float64) for seed in scored]
-        values[metric] = [float(e.mean()) for e in each], metrics.mean_interval(each, objects, draws)
-    for kind, seeds in errors.items():
-        bounds = metrics.bootstrap_intervals(seeds, objects, draws)
-        for statistic in columns.HEADLINE:
-            values[f"{kind}_{statistic}"] = [metrics.STATISTICS[statistic](e) for e in seeds], bounds[statistic]
-    if "reconstructing" in errors:
-        misled = [100.0 * (seed["reconstructing"] > seed["closest"]).to_numpy() for seed in scored]
-        values["misled"] = [float(m.mean()) for m in misled], metrics.mean_interval(misled, objects, draws)
-    parts = {m: columns.measured(*values.get(m, ([np.nan], None)), objects) for m in columns.NOVEL_VIEWS}
-    return [{**about, "metric": metric, **part, "runs": keys} for metric, part in parts.items()]

@@ -22,7 +22,7 @@ from viewnet.recipes import VARIANTS
 from viewnet.runtime.files import write_csv, write_json, write_text
 from viewnet.tables import columns, latex, reported
 from viewnet.tables.columns import DASH, HEADLINE, METRICS, text
-from viewnet.tables.layouts import LAYOUTS, Layout
+from viewnet.tables.layouts import ADDED, LAYOUTS, Layout
 
 DRAWS = 1000
 DEGENERATE = "in brackets: of some seed the predictions have too little spread for an alignment, so this is no score"
@@ -50,6 +50,11 @@ class Entry:
     def recipe(self) -> str:
         """How a trained predictor was trained; "" for others."""
         return self.origin.get("recipe", "") if self.origin.get("variant") in VARIANTS else ""
+
+    @property
+    def beside(self) -> bool:
+        """Whether no layout has its row: a method of the user's, or weights that a robust alignment chose."""
+        return self.origin.get("variant") == ADDED or self.row.endswith(CHOSEN_ROBUSTLY)
 
     def aligned(self, kind: str | None = None) -> Aligned:
         """The test predictions, aligned by its own alignment or another `kind`. Each is fitted once."""
@@ -100,7 +105,7 @@ def by_robust_weights(name: str, runs: Sequence[Run]) -> list[Entry]:
     """
     found = []
     for run in (run for run in runs if (run.folder / ROBUST_PREDICTIONS).is_file()):
-        for entry in entries(name, [run], operator.attrgetter("robust_predictions")):
+        for entry in entries(name, [run], lambda run: Predictions.from_parquet(run.folder / ROBUST_PREDICTIONS)):
             if entry.alignment == run.alignment:
                 origin = entry.origin | {"weights": "best robust accuracy"}
                 label, key = entry.row + CHOSEN_ROBUSTLY, f"{run.key}-robust"
@@ -132,24 +137,24 @@ class Table:
     def of(
         cls,
         name: str,
-        own: Sequence[Entry],
+        entries: Sequence[Entry],
         categories: Sequence[str] | None = None,
         note: str = "",
         remarks: Sequence[str] = (),
         renamed: dict[str, str] | None = None,
         unmeasured: Collection[str] = (),
-        added: Sequence[Entry] = (),
     ) -> "Table":
         """From entries. Several of one row and category are seeds and are averaged; `renamed`: label -> new label.
 
-        Rows in `unmeasured` have reported numbers only. Entries in `added` are of other methods, without reported
-        numbers: their rows stand below the layout's. Raises ViewnetError for entries that have no place in the table,
-        for two of the same row, category and seed, and for an added row with the label of another.
+        Rows in `unmeasured` have reported numbers only. Those of entries `beside` have none, and stand below the
+        layout's. Raises ViewnetError for entries that have no place in the table, for two of the same row, category and
+        seed, and for a row beside with the label of another.
         """
-        others, renamed = tuple(dict.fromkeys(entry.row for entry in added)), renamed or {}
+        given = sorted(entries, key=lambda entry: entry.beside)  # stable
+        others, renamed = tuple(dict.fromkeys(entry.row for entry in given if entry.beside)), renamed or {}
         layout = LAYOUTS[known(name, LAYOUTS, "table")].extended(others)
         layout.extended(renamed.values())
-        categories, given = tuple(categories or layout.categories), [*own, *added]
+        categories = tuple(categories or layout.categories)
         for entry in given:
             known(entry.row, (row.label for row in layout.rows if row.variant), f"row of {name}")
             known(entry.category, categories, f"column of {name}")
