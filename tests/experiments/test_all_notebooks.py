@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from viewnet import cli
+from viewnet import cli, paths
 from viewnet.errors import ViewnetError
 from viewnet.experiments import notebooks
 from viewnet.experiments.page import page
@@ -35,7 +35,7 @@ def ran(tmp_path, monkeypatch):
 
 
 def test_every_notebook_has_its_turn():
-    assert sorted(notebooks.ORDER) == sorted(path.stem for path in notebooks.folder().glob("*.ipynb"))
+    assert sorted(notebooks.ORDER) == sorted(path.stem for path in paths.part("notebooks").glob("*.ipynb"))
     assert sorted(notebooks.ORDER) == sorted(DESIGNS)
 
 

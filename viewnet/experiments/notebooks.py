@@ -33,14 +33,9 @@ Values = Sequence[tuple[str, str]]
 """Parameters as text: name and value."""
 
 
-def folder() -> Path:
-    """Where the notebooks are: under the project's root, else in the checkout this package lies in."""
-    return paths.part("notebooks")
-
-
 def find(name: str) -> Path:
     """The file of a notebook, given with or without its ending. Raises ViewnetError naming those there are."""
-    files = {path.stem: path for path in sorted(folder().glob("*.ipynb"))}
+    files = {path.stem: path for path in sorted(paths.part("notebooks").glob("*.ipynb"))}
     return files[known(name.removesuffix(".ipynb"), files, "notebook")]
 
 
@@ -128,7 +123,7 @@ def refresh(names: Sequence[str] = ORDER) -> list[Path]:
         client = NotebookClient(together, kernel_name="python3", startup_timeout=START_TIMEOUT, record_timing=False)
         client.execute(env=dict(os.environ, TQDM_DISABLE="1"))
     except Exception as error:
-        _raise_in_one_line(error, folder())
+        _raise_in_one_line(error, paths.part("notebooks"))
     for cell, ran in zip(run_cells, together.cells, strict=True):
         cell.outputs = [output for output in ran.outputs if output.get("name") != "stderr"]
         for output in cell.outputs:
