@@ -22,6 +22,7 @@ from viewnet.estimator import ViewpointEstimator, templating, volume_mesh
 from viewnet.estimator.demo import analysis, compass_svg
 from viewnet.estimator.demo.box_picker import BoxPicker, format_box, parse_box
 from viewnet.estimator.demo.examples import Example
+from viewnet.model.kernels import volume_cpu
 from viewnet.model.reconstruction import Encoded
 
 LIFETIME = 3600  # seconds after which files that visitors sent, and what was made of them, are deleted
@@ -61,6 +62,7 @@ class Page:
 
     def __init__(self, estimator: ViewpointEstimator, examples: Sequence[Example] = ()):
         self.estimator, self.examples = estimator, list(examples)
+        volume_cpu.warm_up()  # before the first visitor: a new installation compiles its kernels
         self.folder = tempfile.TemporaryDirectory(prefix="viewnet-demo-")  # of the examples' files, as long as the page
         title = f"From where is this {estimator.config.category} seen?"
         with _Blocks(title=title, analytics_enabled=False, delete_cache=(LIFETIME, LIFETIME)) as self.blocks:
