@@ -237,8 +237,8 @@ def what_is_lost() -> str:
     )
     return f"""ViewNet, trained on renderings, has {ours} of 700 photographs of cars right; the same encoder trained
 with viewpoints {labelled} (the price of having no labels), a student of ViewNets' answers, without any, {student}
-([study](docs/photographs.md)). Of renderings training with viewpoints has {drawn} (the price of having no photographs;
-[more](docs/peers.md#what-they-reach))."""
+([study](docs/photographs.md)). Of renderings over black training with viewpoints has {drawn} (the price of no
+photographs; [more](docs/peers.md#what-they-reach))."""
 
 
 def claims_by_verdict() -> str:

@@ -285,7 +285,7 @@ def test_commands_within_sentences_exist():
 
 
 def test_every_block_is_of_a_kind_that_is_checked():
-    checked = {"viewnet", "torchrun", "papermill", "python", "make", ".", *FOREIGN}  # ".": an environment is entered
+    checked = {"viewnet", "torchrun", "papermill", "python", "make", *FOREIGN}
     for page, block in BLOCKS:
         assert block.language in ("", "text", "python", "bibtex", "mermaid"), page.name
         if is_commands(block):

@@ -128,7 +128,8 @@ def test_a_second_choice_of_weights_has_predictions_of_its_own(folders):
     assert robust.ids.equals(run.predictions.ids)
     assert not np.array_equal(robust.hypotheses, run.predictions.hypotheses)
     (without,) = ensure([config(1)], workers=1, steps=STEPS)
-    assert not (without.folder / ROBUST_PREDICTIONS).exists()
+    with pytest.raises(ViewnetError, match=r"predictions_robust\.parquet: no such file"):
+        Predictions.from_parquet(without.folder / ROBUST_PREDICTIONS)
 
 
 def test_parquet_of_a_run_opens_with_pandas():
