@@ -2,8 +2,9 @@
 
 Each is a dictionary of changes to the base configuration, so Table 2 is literally `VARIANTS`. A setting has its value
 from the last of these layers that changes it: the recipe, the profile, both together (`TOGETHER`), videos (`FILMED`),
-weights to start from (`STARTED`), the variant, its length at the smallest profile (`BRIEF`), a collection of files
-(`COLLECTED`), and what the user sets. Methods of other papers have recipes of their own (`PEERS`, `PEER_RECIPES`).
+weights to start from (`STARTED`), the variant, labels (`LABELLED`), its length at the smallest profile (`BRIEF`), a
+collection of files (`COLLECTED`), and what the user sets. Methods of other papers have recipes of their own (`PEERS`,
+`PEER_RECIPES`).
 
 >>> config = make_config("single_head", "chair", profile="smoke", epochs=3)
 >>> config.model.heads, config.train.epochs, config.data.models, config.recipe
@@ -168,6 +169,12 @@ PEERS: dict[str, Changes] = {
     },
 }
 """Methods of other papers (viewnet.peers) -> what they change of their recipe: rows of the tables as well."""
+LABELLED: Changes = {"train": {"epochs": 80, "patience": 80, "select_by": "accuracy", "augment": True}}
+"""What methods that learn from viewpoints change on views of CAD models.
+
+They go on getting better long after they know the training views by heart, if no image is seen twice alike. Then they
+are ever surer of what they get wrong, so that their loss on validation views rises: accuracy chooses the weights.
+"""
 ABSOLUTE = tuple(name for name in PEERS if name.startswith(("spherical_regression", "box_corners")))
 """Peers that learn from viewpoints and predict them in the annotated frame: no alignment is fitted."""
 BRIEF: Changes = {"train": {"epochs": 2, "patience": 2}}
@@ -312,6 +319,7 @@ def make_config(
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
         raise ViewnetError(f"seed {seed!r}: expected a whole number of 0 or more")
     filmed, started = (overrides.get(name) is not None for name in ("video", "start"))
+    own, labelled = (VARIANTS | PEERS)[variant], variant in ABSOLUTE and recipe == "peer"
     changes = [
         {"data": {"category": category, "root": data_root, "splits": splits}, "model": {}, "train": {}},
         (RECIPES | PEER_RECIPES)[recipe],
@@ -321,8 +329,9 @@ def make_config(
         FILMED.get(recipe, {}) if filmed and not started else {},
         FILMED.get((profile, recipe), {}) if filmed else {},
         STARTED if started else {},
-        (VARIANTS | PEERS)[variant],
-        BRIEF if "epochs" in (VARIANTS | PEERS)[variant].get("train", {}) and profile == "smoke" else {},
+        own,
+        LABELLED if labelled else {},
+        BRIEF if profile == "smoke" and (labelled or "epochs" in own.get("train", {})) else {},
         COLLECTED if data_root is not None and profile != "smoke" else {},
         overridden(overrides),
     ]

@@ -13,6 +13,7 @@ from helpers.imported_code import imports
 from safetensors.torch import load_file
 
 from viewnet.config import RunConfig
+from viewnet.data.pairs import step_generator
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator
@@ -29,6 +30,7 @@ from viewnet.training import train_peer as training
 from viewnet.training.train_peer import train_peer
 
 pytestmark = pytest.mark.usefixtures("one_thread")
+CPU = torch.device("cpu")
 every = pytest.mark.parametrize("variant", list(registry.METHODS))
 HARMLESS = {
     # Settings, views and backgrounds are in the key by themselves; the others read and write, count and score.
@@ -96,6 +98,40 @@ def test_a_killed_training_goes_on_as_if_nothing_had_been(variant, store, tmp_pa
     torch.manual_seed(12345)  # whatever else has been going on
     assert same(trained(variant, store, tmp_path / "killed"), whole)
     assert predict(tmp_path / "killed", store).hypotheses.shape == (25, 1, 3) or config(variant).model.heads > 1
+
+
+@pytest.mark.parametrize("variant", ABSOLUTE)
+def test_labels_that_a_method_learns_from_choose_its_weights_too(variant, store, tmp_path, possible, monkeypatch):
+    settings = make_config(variant).train
+    assert (settings.select_by, make_config(variant, recipe="photos").train.select_by) == ("accuracy", "reconstruction")
+    assert make_config("relative_pose").train.select_by == "reconstruction"  # it knows no absolute viewpoint
+    scores = [{"reconstruction": 0.1, "accuracy": 10.0}, {"reconstruction": 0.2, "accuracy": 20.0}]
+    blank = dict.fromkeys(("folded", "robust", "least_used", "focal"), float("nan"))
+    left = iter(scores * 2)
+    monkeypatch.setattr(training._Source, "validate", lambda self: blank | next(left))
+    by_labels, by_loss = (
+        trained(variant, store, tmp_path / rule, select_by=rule) for rule in ("accuracy", "reconstruction")
+    )
+    assert not same(by_labels, by_loss)
+    assert not list(tmp_path.rglob("checkpoint_robust.safetensors"))  # nothing is aligned, so there is one accuracy
+
+
+def test_views_are_cut_and_rotated_in_training_alone(store, possible, tmp_path):
+    source = training._Source(
+        config("box_corners"), store, registry.make("box_corners", config("box_corners").model), CPU
+    )
+    plain = dataclasses.replace(source.config.train, augment=False)
+    batches = {}
+    for augmented in (True, False):
+        source.config = dataclasses.replace(source.config, train=dataclasses.replace(plain, augment=augmented))
+        batches[augmented] = source.batch(3, step_generator(0, 3)).images
+    assert batches[True].shape == batches[False].shape and not torch.equal(batches[True], batches[False])
+    assert 0 < (batches[True] - batches[False]).abs().mean() < 0.3  # the same views
+    scores = []
+    for augmented in (True, False):
+        source.config = dataclasses.replace(source.config, train=dataclasses.replace(plain, augment=augmented))
+        scores.append(source.validate()["reconstruction"])
+    assert scores[0] == scores[1]
 
 
 @every

@@ -36,14 +36,12 @@ class History:
         """Whether the last `patience` epochs brought no improvement by a rule."""
         return bool(self.log) and self.log[-1]["epoch"] - 1 - self.best[by]["epoch"] >= patience  # `best` counts from 0
 
-    def add(self, model: ViewNet, step: int, by: str, scores: dict[str, float], means: dict[str, float]) -> None:
-        """Adds a row to the log, and keeps the weights where they are the best by a rule.
-
-        Accuracy by least squares goes up and down with the rotation where predictions have two modes, and would choose
-        by chance; so by "accuracy" the best weights by "robust" are kept as well.
-        """
+    def add(
+        self, model: ViewNet, step: int, rules: tuple[str, ...], scores: dict[str, float], means: dict[str, float]
+    ) -> None:
+        """Adds a row to the log, and keeps the weights where they are the best by one of `rules`."""
         weights: dict[str, Tensor] = {}
-        for rule in ("accuracy", "robust") if by == "accuracy" else (by,):
+        for rule in rules:
             score = -scores[rule] if rule == "reconstruction" else scores[rule]  # higher is better
             if rule not in self.best or score > self.best[rule]["score"]:  # a first score of NaN counts
                 weights = weights or {  # copied, as training goes on; contiguous, as safetensors wants them

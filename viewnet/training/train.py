@@ -73,10 +73,13 @@ def train(
         if history.epoch % settings.validate_every and history.epoch < settings.epochs:
             continue  # the last epoch is validated whatever its number
         _check_weights(run, history.epoch * run.steps, folder)  # no broken weights among the best
-        # Labels are used for the choice of weights only where the recipe says so (section 4.1).
+        # Labels are used for the choice of weights only where the recipe says so (section 4.1). Accuracy by least
+        # squares goes up and down with the rotation where predictions have two modes, and would choose by chance: so
+        # the best weights by a robust alignment are kept as well.
+        rules = ("accuracy", "robust") if settings.select_by == "accuracy" else (settings.select_by,)
         scores = distributed.first(lambda: validate(run.model, run.validation, settings, run.device, run.backgrounds))
         history.seconds = time.perf_counter() - begun
-        history.add(run.model, history.epoch * run.steps, settings.select_by, scores, means)
+        history.add(run.model, history.epoch * run.steps, rules, scores, means)
         shown.set_postfix(loss=f"{history.log[-1]['loss']:.4f}", acc=f"{scores['accuracy']:.0f}%", refresh=False)
         if writes:
             write(run.model, run.optimisers, history, folder)  # an interrupted run goes on from the last validation

@@ -74,7 +74,7 @@ def train_peer(
         if history.epoch % settings.validate_every == 0 or history.epoch == settings.epochs:
             scores = source.validate()
             history.seconds = time.perf_counter() - begun
-            history.add(model, history.epoch * steps, settings.select_by, scores, sums)  # type: ignore[arg-type]
+            history.add(model, history.epoch * steps, (settings.select_by,), scores, sums)  # type: ignore[arg-type]
             write(model, [adam], history, folder)  # type: ignore[arg-type]  # goes on from here
             shown.set_postfix(acc=f"{scores['accuracy']:.0f}%", refresh=False)
     shown.close()
@@ -105,6 +105,8 @@ class _Source:
     ) -> Batch:
         size = self.config.model.input_size
         images = tuple(views.viewpoint_input(each, size, self.device) for each in (first, rows))
+        if self.config.train.augment and views is self.training:
+            images = tuple(augment.crop_and_rotate(each, generator) for each in images)
         if self.backgrounds is not None:
             photo = self.config.train.photo
             images = tuple(augment.photograph(each, self.backgrounds, photo, generator) for each in images)
