@@ -169,14 +169,17 @@ PEERS: dict[str, Changes] = {
     },
 }
 """Methods of other papers (viewnet.peers) -> what they change of their recipe: rows of the tables as well."""
-LABELLED: Changes = {"train": {"epochs": 80, "patience": 80, "select_by": "accuracy", "augment": True}}
-"""What methods that learn from viewpoints change on views of CAD models.
-
-They go on getting better long after they know the training views by heart, if no image is seen twice alike. Then they
-are ever surer of what they get wrong, so that their loss on validation views rises: accuracy chooses the weights.
-"""
 ABSOLUTE = tuple(name for name in PEERS if name.startswith(("spherical_regression", "box_corners")))
 """Peers that learn from viewpoints and predict them in the annotated frame: no alignment is fitted."""
+_LABELLED: Changes = {"train": {"epochs": 80, "patience": 80, "select_by": "accuracy", "augment": True}}
+LABELLED = dict.fromkeys(ABSOLUTE, _LABELLED)
+LABELLED |= dict.fromkeys(
+    ("box_corners", "box_corners_imagenet"), merged(_LABELLED, {"train": {"epochs": 120, "patience": 120}})
+)
+"""What methods that learn from viewpoints change on views of CAD models.
+
+They get better for long if no image is seen twice alike, but ever surer of what they get wrong: the loss on validation
+views rises, and accuracy chooses the weights."""
 BRIEF: Changes = {"train": {"epochs": 2, "patience": 2}}
 """What the profile smoke changes of peers and variants that have a length of training of their own."""
 PEER_RECIPES: dict[str, Changes] = {
@@ -319,7 +322,7 @@ def make_config(
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
         raise ViewnetError(f"seed {seed!r}: expected a whole number of 0 or more")
     filmed, started = (overrides.get(name) is not None for name in ("video", "start"))
-    own, labelled = (VARIANTS | PEERS)[variant], variant in ABSOLUTE and recipe == "peer"
+    own, labelled = (VARIANTS | PEERS)[variant], LABELLED.get(variant, {}) if recipe == "peer" else {}
     changes = [
         {"data": {"category": category, "root": data_root, "splits": splits}, "model": {}, "train": {}},
         (RECIPES | PEER_RECIPES)[recipe],
@@ -330,7 +333,7 @@ def make_config(
         FILMED.get((profile, recipe), {}) if filmed else {},
         STARTED if started else {},
         own,
-        LABELLED if labelled else {},
+        labelled,
         BRIEF if profile == "smoke" and (labelled or "epochs" in own.get("train", {})) else {},
         COLLECTED if data_root is not None and profile != "smoke" else {},
         overridden(overrides),

@@ -95,7 +95,7 @@ def evaluate(
     alignment          the fitted map, and the images and objects it was fitted on
     """
     aligned = align(predictions, alignment, calibration, seed)
-    test, errors = aligned.predictions, aligned.selected_errors
+    test, errors, fitted_on = aligned.predictions, aligned.selected_errors, aligned.calibration
     azimuths = test.ids["azimuth"].to_numpy()
     statistics = ("acc30", "median", "dva")
     intervals = metrics.bootstrap_intervals([errors], [test.objects], draws, statistics, [azimuths], seed)
@@ -115,13 +115,9 @@ def evaluate(
             for m in range(test.heads)
         ],
         "audit": {name: _headline(values) for name, values in audit.items()},
-        "alignment": aligned.alignment.to_dict() | _counts(aligned.calibration) | {"seed": seed},
+        "alignment": aligned.alignment.to_dict()
+        | {"images": len(fitted_on or ()), "objects": len(set(fitted_on.objects)) if fitted_on else 0, "seed": seed},
     }
-
-
-def _counts(calibration: Predictions | None) -> dict[str, int]:
-    images, objects = (0, ()) if calibration is None else (len(calibration), calibration.objects)
-    return {"images": images, "objects": len(set(objects))}
 
 
 def _headline(errors: Floats) -> dict[str, float]:

@@ -1,6 +1,5 @@
 """A saved model whose viewpoint network is trained on answers (viewnet.training.distil), scored and with its card."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from viewnet.evaluation.evaluate import evaluate
 from viewnet.evaluation.predict import predict
 from viewnet.evaluation.run import LEARNED_ALIGNMENTS, can_be_scored
 from viewnet.experiments.parameters import folder_named
-from viewnet.model.viewnet import ViewNet
+from viewnet.model import checkpoint
 from viewnet.runtime import parallel, provenance
 from viewnet.training.distil import KEPT, distil
 
@@ -89,16 +88,8 @@ def save_scored(
         metrics = {kind: evaluate(predictions, kind) for kind in LEARNED_ALIGNMENTS}
         rotation = np.array(metrics["procrustes"]["alignment"]["rotation"])
     about: dict[str, Any] = {name: getattr(config, name) for name in ("variant", "category", "profile", "recipe")}
-    about |= {"key": _identity(model.network), "seed": seed, "views": store.identity, "git": provenance.commit()}
-    about |= {"metrics": metrics, **how}
+    key = checkpoint.fingerprint(model.network.state_dict())[:12]  # no run of the store has one
+    about |= {"key": key, "seed": seed, "views": store.identity, "git": provenance.commit(), "metrics": metrics, **how}
     result = Pretrained(model.network, replace(model.config, seed=seed), rotation, about)
     pretrained.save(result, folder, None, half, [])
     return result
-
-
-def _identity(network: ViewNet) -> str:
-    """12 hex digits of the weights: the key of a model that no run of the store has."""
-    digest = hashlib.sha256()
-    for name, value in sorted(network.state_dict().items()):
-        digest.update(name.encode() + value.cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()[:12]

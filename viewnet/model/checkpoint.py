@@ -41,11 +41,16 @@ def locate(start: str) -> Path:
 
 
 def identity(start: str) -> str:
-    """16 hex digits of the weights of the checkpoint `locate` names, independent of where it lies."""
+    """`fingerprint` of the weights of the checkpoint `locate` names, independent of where it lies."""
+    return fingerprint(read(locate(start))[0])
+
+
+def fingerprint(weights: dict[str, Tensor]) -> str:
+    """16 hex digits of weights by name."""
     digest = hashlib.sha256()
-    for name, weight in sorted(read(locate(start))[0].items()):  # by name: the order in the file does not count
+    for name, weight in sorted(weights.items()):  # by name: the order in the file does not count
         digest.update(f"{name} {weight.dtype} {list(weight.shape)}\n".encode())  # or equal bytes of two shapes were one
-        digest.update(weight.contiguous().numpy().tobytes())
+        digest.update(weight.cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()[:16]
 
 

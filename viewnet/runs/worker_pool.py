@@ -67,7 +67,7 @@ def run_all(
 
 def make_together(jobs: Sequence[Job], steps: Steps, progress: bool) -> None:
     """Make one job after another, each trained by all processes of a torchrun; the first failure ends all."""
-    threads = parallel.threads(distributed.local_size())
+    threads = parallel.threads(int(os.environ.get("LOCAL_WORLD_SIZE", distributed.size())))  # those of this machine
 
     def train(*arguments: Any, **options: Any) -> None:
         distributed.first(lambda: True)

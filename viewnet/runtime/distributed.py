@@ -61,11 +61,6 @@ def rank() -> int:
     return dist.get_rank() if _joined() else 0
 
 
-def local_size() -> int:
-    """How many of them run on this machine."""
-    return int(os.environ.get("LOCAL_WORLD_SIZE", size())) if size() > 1 else 1
-
-
 def _joined() -> bool:
     return dist.is_available() and dist.is_initialized()
 
