@@ -172,10 +172,8 @@ PEERS: dict[str, Changes] = {
 ABSOLUTE = tuple(name for name in PEERS if name.startswith(("spherical_regression", "box_corners")))
 """Peers that learn from viewpoints and predict them in the annotated frame: no alignment is fitted."""
 _LABELLED: Changes = {"train": {"epochs": 80, "patience": 80, "select_by": "accuracy", "augment": True}}
-LABELLED = dict.fromkeys(ABSOLUTE, _LABELLED)
-LABELLED |= dict.fromkeys(
-    ("box_corners", "box_corners_imagenet"), merged(_LABELLED, {"train": {"epochs": 120, "patience": 120}})
-)
+_LONGER = merged(_LABELLED, {"train": {"epochs": 120, "patience": 120}})
+LABELLED = dict.fromkeys(ABSOLUTE, _LABELLED) | dict.fromkeys(("box_corners", "box_corners_imagenet"), _LONGER)
 """What methods that learn from viewpoints change on views of CAD models.
 
 They get better for long if no image is seen twice alike, but ever surer of what they get wrong: the loss on validation

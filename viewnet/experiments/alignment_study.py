@@ -22,7 +22,6 @@ from viewnet.evaluation.alignment import Linear
 from viewnet.evaluation.evaluate import Aligned, align
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import Run
-from viewnet.experiments.cad import up_to
 from viewnet.experiments.photos import PhotoExperiment
 from viewnet.runtime.files import write_csv
 from viewnet.tables import kept_predictions
@@ -143,9 +142,9 @@ class AlignmentStudy(PhotoExperiment):
         return [*self.kept, *super().trained_entries(runs, stores)]
 
     @property
-    def seeds_in_words(self) -> str:
-        """The most seeds of a predictor."""
-        return up_to({*self.seeds, *(entry.seed for entry in self.kept)})
+    def kept_seeds(self) -> set[int]:
+        """The seeds of the runs that are kept."""
+        return {entry.seed for entry in self.kept}
 
 
 def study_alignment(experiment: PhotoExperiment, runs: Sequence[Run]) -> Study:

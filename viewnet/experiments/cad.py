@@ -69,12 +69,14 @@ class Experiment(Request):
     def settings(self) -> str:
         """Profile, recipes and number of seeds, in words."""
         recipes = f"recipe{'s' if len(self.recipes) > 1 else ''} {' and '.join(self.recipes)}"
-        return f"profile {self.profile}, {recipes}, {self.seeds_in_words}"
+        seeds = len({*self.seeds, *self.kept_seeds})
+        several = f"mean of {'up to ' if self.kept_seeds else ''}{seeds} seeds"
+        return f"profile {self.profile}, {recipes}, {'1 seed' if seeds == 1 else several}"
 
     @property
-    def seeds_in_words(self) -> str:
-        """The number of seeds."""
-        return "1 seed" if len(self.seeds) == 1 else f"mean of {len(self.seeds)} seeds"
+    def kept_seeds(self) -> Collection[int]:
+        """The seeds of runs that are kept, which not every row may have."""
+        return ()
 
     @property
     def to_run(self) -> list[RunConfig]:
@@ -159,8 +161,3 @@ class Experiment(Request):
                 raise ViewnetError(f"{self.eval_root}: model {min(both)} is in the collection trained on as well")
             views["test"] = (other, np.arange(len(other)))
         return views
-
-
-def up_to(seeds: Collection[int]) -> str:
-    """The number of seeds where some rows have fewer, in words."""
-    return "1 seed" if len(seeds) == 1 else f"mean of up to {len(seeds)} seeds"

@@ -4,7 +4,7 @@ import pandas as pd
 
 from viewnet.config import RunConfig
 from viewnet.evaluation.run import Run
-from viewnet.experiments.cad import Experiment, up_to
+from viewnet.experiments.cad import Experiment
 from viewnet.runs.needs import needs
 from viewnet.runs.run_store import ensure
 from viewnet.tables import novel_view_scores
@@ -31,9 +31,9 @@ class NovelViews(Experiment):
         return [c for c in self._first_seed() if c.variant == "viewnet" and c.category in wanted]
 
     @property
-    def seeds_in_words(self) -> str:
-        """The most seeds of a row."""
-        return up_to({*self.seeds, *self.kept["seed"]})
+    def kept_seeds(self) -> set[int]:
+        """The seeds of the runs that are kept."""
+        return set(self.kept["seed"])
 
     @property
     def to_run(self) -> list[RunConfig]:
