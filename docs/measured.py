@@ -186,8 +186,8 @@ def trainings() -> pd.DataFrame:
 def methods(table: str = "table1_shapenet") -> str:
     """A Markdown table of what each trained row of a table knows in training, and of what its trainings cost.
 
-    Means over categories and seeds; minutes are of one thread of the processor named. Where no log is kept, target
-    images are those of all epochs.
+    Means over categories and seeds; minutes and steps are of one thread of the processor named, with other trainings
+    beside it. Where no log is kept, target images are those of all epochs.
     """
     runs = json.loads((TABLES / f"{table}.json").read_text("utf-8"))["runs"].values()
     logs = frame(f"{table}_logs.csv")
@@ -200,11 +200,21 @@ def methods(table: str = "table1_shapenet") -> str:
         config = make_config(own[0]["variant"], profile=own[0]["profile"], recipe=own[0]["recipe"])
         network = registry.make(config.variant, config.model) if config.variant in PEERS else ViewNet(config.model)
         targets = seen.get(row.label, config.train.epochs * an_epoch)
-        minutes = sum(run["training"]["seconds"] for run in own) / len(own) / 60
+        seconds = sum(run["training"]["seconds"] for run in own) / len(own)
+        rate = targets / config.train.batch_size / seconds
         machines = ", ".join(sorted({run["training"]["hardware"]["processor"] for run in own}))
-        cost = [f"{parameters(network):,}", f"{targets:,.0f}", f"{minutes:.1f}", machines, len(own)]
+        cost = [f"{parameters(network):,}", f"{targets:,.0f}", f"{seconds / 60:.1f}", f"{rate:.1f}", machines, len(own)]
         rows.append([row.label, row.supervision_as(row.label, own[0]["recipe"]), *cost])
-    header = ["", "known in training", "parameters", "target images", "minutes", "processor", "trainings"]
+    header = [
+        "",
+        "known in training",
+        "parameters",
+        "target images",
+        "minutes",
+        "steps a second",
+        "processor",
+        "trainings",
+    ]
     return markdown(header, rows)
 
 
