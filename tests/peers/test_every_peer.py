@@ -108,7 +108,7 @@ def test_labels_that_a_method_learns_from_choose_its_weights_too(variant, store,
     scores = [{"reconstruction": 0.1, "accuracy": 10.0}, {"reconstruction": 0.2, "accuracy": 20.0}]
     blank = dict.fromkeys(("folded", "robust", "least_used", "focal"), float("nan"))
     left = iter(scores * 2)
-    monkeypatch.setattr(training._Source, "validate", lambda self: blank | next(left))
+    monkeypatch.setattr(training.Source, "validate", lambda self: blank | next(left))
     by_labels, by_loss = (
         trained(variant, store, tmp_path / rule, select_by=rule) for rule in ("accuracy", "reconstruction")
     )
@@ -117,7 +117,7 @@ def test_labels_that_a_method_learns_from_choose_its_weights_too(variant, store,
 
 
 def test_views_are_cut_and_rotated_in_training_alone(store, possible, tmp_path):
-    source = training._Source(
+    source = training.Source(
         config("box_corners"), store, registry.make("box_corners", config("box_corners").model), CPU
     )
     plain = dataclasses.replace(source.config.train, augment=False)

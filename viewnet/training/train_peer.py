@@ -51,7 +51,7 @@ def train_peer(
     model.to(device)
     if "viewpoints" in model.needs:
         views.require_viewpoints(["train", "val"], f"{config.variant} learns from viewpoints: use an annotated store")
-    source = _Source(config, views, model, device)
+    source = Source(config, views, model, device)
     groups = model.parameter_groups(settings.optimiser.learning_rate)
     adam = torch.optim.Adam(groups, lr=settings.optimiser.learning_rate, betas=settings.optimiser.betas, fused=True)
     history = resume(model, [adam], folder)  # type: ignore[arg-type]  # it needs the state alone
@@ -81,7 +81,7 @@ def train_peer(
     keep_best(config, history, folder)  # only now: a checkpoint means finished
 
 
-class _Source:
+class Source:
     """Batches for training, and the scores of validation views."""
 
     def __init__(self, config: RunConfig, store: ViewStore, model: Peer, device: torch.device):
