@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import functools
 import json
+import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -186,7 +187,7 @@ def trainings() -> pd.DataFrame:
 def methods(table: str = "table1_shapenet") -> str:
     """A Markdown table of what each trained row of a table knows in training, and of what its trainings cost.
 
-    Means over categories and seeds; minutes and steps are of one thread of the processor named, with other trainings
+    Medians over categories and seeds; minutes and steps are of one thread of the processor named, with other trainings
     beside it. Where no log is kept, target images are those of all epochs.
     """
     runs = json.loads((TABLES / f"{table}.json").read_text("utf-8"))["runs"].values()
@@ -200,7 +201,7 @@ def methods(table: str = "table1_shapenet") -> str:
         config = make_config(own[0]["variant"], profile=own[0]["profile"], recipe=own[0]["recipe"])
         network = registry.make(config.variant, config.model) if config.variant in PEERS else ViewNet(config.model)
         targets = seen.get(row.label, config.train.epochs * an_epoch)
-        seconds = sum(run["training"]["seconds"] for run in own) / len(own)
+        seconds = statistics.median(run["training"]["seconds"] for run in own)
         rate = targets / config.train.batch_size / seconds
         machines = ", ".join(sorted({run["training"]["hardware"]["processor"] for run in own}))
         cost = [f"{parameters(network):,}", f"{targets:,.0f}", f"{seconds / 60:.1f}", f"{rate:.1f}", machines, len(own)]
@@ -247,8 +248,8 @@ def what_is_lost() -> str:
     )
     return f"""ViewNet, trained on renderings, has {ours} of 700 photographs of cars right; the same encoder trained
 with viewpoints {labelled} (the price of having no labels), a student of ViewNets' answers, without any, {student}
-([study](docs/photographs.md)). Of renderings over black training with viewpoints has {drawn} (the price of no
-photographs; [more](docs/peers.md#what-they-reach))."""
+([study](docs/photographs.md)). Of renderings over black three times as long a training has {drawn} (the price of no
+photographs, at most; [more](docs/peers.md#what-they-reach))."""
 
 
 def claims_by_verdict() -> str:
