@@ -248,7 +248,7 @@ def what_is_lost() -> str:
     )
     return f"""ViewNet, trained on renderings, has {ours} of 700 photographs of cars right; the same encoder trained
 with viewpoints {labelled} (the price of having no labels), a student of ViewNets' answers, without any, {student}
-([study](docs/photographs.md)). Of renderings over black three times as long a training has {drawn} (the price of no
+([study](docs/photographs.md)). Over black that encoder, trained three times as long, has {drawn} (the price of no
 photographs, at most; [more](docs/peers.md#what-they-reach))."""
 
 
