@@ -187,8 +187,8 @@ def trainings() -> pd.DataFrame:
 def methods(table: str = "table1_shapenet") -> str:
     """A Markdown table of what each trained row of a table knows in training, and of what its trainings cost.
 
-    Medians over categories and seeds; minutes and steps are of one thread of the processor named, with other trainings
-    beside it. Where no log is kept, target images are those of all epochs.
+    Minutes and steps are medians over categories and seeds, of one thread of the processor named, with other trainings
+    beside it; target images are means. Where no log is kept, they are those of all epochs.
     """
     runs = json.loads((TABLES / f"{table}.json").read_text("utf-8"))["runs"].values()
     logs = frame(f"{table}_logs.csv")
@@ -206,17 +206,8 @@ def methods(table: str = "table1_shapenet") -> str:
         machines = ", ".join(sorted({run["training"]["hardware"]["processor"] for run in own}))
         cost = [f"{parameters(network):,}", f"{targets:,.0f}", f"{seconds / 60:.1f}", f"{rate:.1f}", machines, len(own)]
         rows.append([row.label, row.supervision_as(row.label, own[0]["recipe"]), *cost])
-    header = [
-        "",
-        "known in training",
-        "parameters",
-        "target images",
-        "minutes",
-        "steps a second",
-        "processor",
-        "trainings",
-    ]
-    return markdown(header, rows)
+    costs = ["parameters", "target images", "minutes", "steps a second", "processor", "trainings"]
+    return markdown(["", "known in training", *costs], rows)
 
 
 @functools.cache
@@ -248,7 +239,7 @@ def what_is_lost() -> str:
     )
     return f"""ViewNet, trained on renderings, has {ours} of 700 photographs of cars right; the same encoder trained
 with viewpoints {labelled} (the price of having no labels), a student of ViewNets' answers, without any, {student}
-([study](docs/photographs.md)). Over black that encoder, trained three times as long, has {drawn} (the price of no
+([study](docs/photographs.md)). Over black, training three times as long with viewpoints has {drawn} (the price of no
 photographs, at most; [more](docs/peers.md#what-they-reach))."""
 
 
