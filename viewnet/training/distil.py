@@ -158,15 +158,11 @@ def ask(
         answers.append(torch.stack([each.of_heads(each.logits.argmax(1)) for each in found[:2]], 1))  # (n, 2, 3)
     said = torch.cat(vectors)  # (N, A, M, 3)
     if mirror is None:
-        mirror = _mirror(*torch.cat(answers).unbind(1))
+        plain, mirrored = torch.cat(answers).unbind(1)  # (N, 3) each
+        flip = torch.diag(plain.new_tensor([1.0, -1.0, 1.0]))
+        mirror = flip @ _rotation(mirrored, plain @ flip)  # takes most answers for mirrored images to the others
     said[:, 1::2] = said[:, 1::2] @ mirror.T  # back to what the unmirrored image shows
     return Hypotheses(said.flatten(1, 2), torch.cat(weights).flatten(1) / times, mirror)
-
-
-def _mirror(plain: Tensor, mirrored: Tensor) -> Tensor:
-    """The reflection (3, 3) that takes answers (N, 3) for mirrored images to those (N, 3) for the images themselves."""
-    flip = torch.diag(plain.new_tensor([1.0, -1.0, 1.0]))
-    return flip @ _rotation(mirrored, plain @ flip)
 
 
 def _rotation(vectors: Tensor, onto: Tensor) -> Tensor:
