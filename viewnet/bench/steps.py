@@ -87,7 +87,6 @@ def measure(configs: list[RunConfig], settings: Settings, progress: bool = True)
     """Everything, as `steps.json` has it: settings, machine, and rows with the columns COLUMNS."""
     os.environ.setdefault("KINETO_LOG_LEVEL", "99")  # the profiler tells of GPUs that are not there
     memory.keep_freed()  # as training does
-    torch.set_flush_denormal(True)  # likewise
     perceptual: dict[str, str] = {}
 
     def measured(device: torch.device, rates: Rates) -> list[Row]:
