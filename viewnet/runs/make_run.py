@@ -55,7 +55,7 @@ def train_any(config: RunConfig, *where: Any, **how: Any) -> None:
         from viewnet.training.train_peer import train_peer as train
     else:
         from viewnet.training.train import train
-    # Numbers below 1e-38, such as a blur's tails, would slow Intel's processors down, and change nothing.
+    # Numbers below 1e-38, such as a blur's tails, would slow Intel's processors down, and change nothing that counts.
     torch.set_flush_denormal(True)
     try:
         train(config, *where, **how)
