@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -29,3 +30,20 @@ def new_pages(first):
 @pytest.mark.skipif(sys.platform != "linux", reason="of glibc")
 def test_freed_memory_is_used_again():
     assert new_pages("memory.keep_freed()") < 100 < new_pages("pass")
+
+
+HUGE = """
+from viewnet.runtime import memory
+memory.keep_freed()
+block = bytearray(b"1" * 2**26)
+with open("/proc/self/smaps") as maps:
+    print(sum(int(line.split()[1]) for line in maps if line.startswith("AnonHugePages")))
+"""
+
+
+def test_memory_comes_in_huge_pages_where_the_system_has_them():
+    setting = Path("/sys/kernel/mm/transparent_hugepage/enabled")
+    if not setting.exists() or "[never]" in setting.read_text():
+        pytest.skip("the system has no huge pages for those who ask")
+    done = subprocess.run([sys.executable, "-c", HUGE], capture_output=True, text=True, check=True)
+    assert int(done.stdout) > 2**15  # KB: half of the block

@@ -211,8 +211,8 @@ def silhouette(grids: Tensor, scales: Tensor, sigma: float) -> Tensor:
 
     A ray's probabilities to stop at each voxel sum up to 1 less that of passing all.
     """
-    passed = 1 - blur(grids.clamp(0, 1), sigma) * scales[:, None, None, None]
-    return 1 - passed.clamp(1e-5, 1).prod(1)  # (N, n, n)
+    passed = 1 - blur(grids.clamp(max=1), sigma) * scales[:, None, None, None]
+    return 1 - passed.clamp(min=1e-5).prod(1)  # (N, n, n)
 
 
 def distance(points: Tensor, quaternions: Tensor, scales: Tensor, masks: Tensor, sigma: float) -> Tensor:

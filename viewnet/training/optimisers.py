@@ -18,6 +18,7 @@ from viewnet.runtime import distributed
 
 INNER_LAYERS = (nn.Conv2d, nn.ConvTranspose3d)
 BFLOAT16_FROM = 2**16  # numbers from which matrices are made orthogonal in bfloat16
+TINY = 1e-30  # beside squares of gradients: a gradient of zeros moves nothing
 POLYNOMIALS = ((7.711, -22.1138, 16.2487), (3.2153, -2.4112, 0.5013), (2.2183, -1.594, 0.4107))
 """Of degree five, a x + b x^3 + c x^5, one after the other: together they bring singular values in [0.02, 1] to within
 0.1 of 1. Each is the closest to 1 on the interval that the one before leaves (a linear program on a fine grid)."""
@@ -38,40 +39,53 @@ class Muon(Optimizer):
     def step(self, closure: Callable[[], float] | None = None) -> None:  # type: ignore[override]
         """One step along the gradients there are; `closure` is not called."""
         for group in self.param_groups:
-            for weight in (weight for weight in group["params"] if weight.grad is not None):
+            weights = [weight for weight in group["params"] if weight.grad is not None]
+            matrices = []
+            for weight in weights:
                 state = self.state[weight]
                 if not state:
                     state["momentum"] = torch.zeros_like(weight)
                 state["momentum"].lerp_(weight.grad, 1 - group["momentum"])  # a running mean of gradients
                 ahead = weight.grad.lerp(state["momentum"], group["momentum"])  # Nesterov's
-                last = ahead.movedim(1, -1)  # (first, ..., second): as channels-last weights lie in memory
-                direction = orthogonal(last.flatten(1), self.half)  # (first, all others)
+                # (first, all others), the second last of them: as channels-last weights lie in memory
+                matrices.append(ahead.movedim(1, -1).flatten(1))
+            for weight, direction in zip(weights, orthogonal(matrices, self.half), strict=True):
                 # A unit change of outputs, tall or wide.
                 rate = group["lr"] * max(1.0, direction.shape[0] / direction.shape[1]) ** 0.5
-                weight.add_(direction.view(last.shape).movedim(-1, 1), alpha=-rate)  # (first, second, ...)
+                last = weight.movedim(1, -1)  # (first, ..., second)
+                last.add_(direction.view(last.shape), alpha=-rate)
 
 
-def orthogonal(matrix: Tensor, half: bool = False) -> Tensor:
-    """The matrix (a, b) with its singular values brought near 1, by POLYNOMIALS of its Gram matrix."""
-    x = matrix.T if matrix.shape[0] > matrix.shape[1] else matrix  # a <= b: the smaller Gram matrix
-    x = x / (x.norm() + 1e-7)  # singular values of 1 at most: else it diverges
-    if half and x.numel() >= BFLOAT16_FROM:
-        x = x.bfloat16()
-    # Every step multiplies by a polynomial of the Gram matrix, and these commute: they are gathered first.
-    gram, product = x @ x.T, None  # (a, a)
-    # The Gram matrix's norm bounds the largest singular value more tightly than the matrix's, which is worth a step
-    # where there are many of one size.
-    size = gram.norm() + 1e-7
-    gram, x = gram / size, x / size.sqrt()
-    for step, (a, b, c) in enumerate(POLYNOMIALS, 1):
-        factor = torch.addmm(gram, gram, gram, beta=b, alpha=c)  # a I + b G + c G^2, with the next line
-        factor.diagonal().add_(a)
-        product = factor if product is None else factor @ product
-        if step < len(POLYNOMIALS):
-            gram = factor @ gram @ factor  # of what this step makes of x
-    assert product is not None
-    x = (product @ x).to(matrix.dtype)
-    return x.T if matrix.shape[0] > matrix.shape[1] else x  # (a, b), as it came
+def orthogonal(matrices: Sequence[Tensor], half: bool = False) -> list[Tensor]:
+    """The matrices (a, b) with their singular values brought near 1, by POLYNOMIALS of their Gram matrices.
+
+    Gram matrices of one size are worked on together: most of them are so small that calls take longer than products.
+    """
+    wide = [matrix.T if matrix.shape[0] > matrix.shape[1] else matrix for matrix in matrices]  # a <= b: smaller Grams
+    wide = [x.bfloat16() if half and x.numel() >= BFLOAT16_FROM else x for x in wide]
+    alike: dict[tuple[int, torch.dtype], list[int]] = {}
+    for k, x in enumerate(wide):
+        alike.setdefault((len(x), x.dtype), []).append(k)
+    found = list(matrices)
+    for members in alike.values():
+        gram, product = torch.stack([wide[k] @ wide[k].T for k in members]), None  # (K, a, a)
+        # Singular values of 1 at most, or it diverges: the Gram matrix's norm bounds the largest more tightly than the
+        # matrix's, which is worth a step where there are many of one size.
+        size = gram.flatten(1).norm(dim=1)[:, None, None] + TINY  # (K, 1, 1)
+        gram = gram / size
+        # Every step multiplies by a polynomial of the Gram matrix, and these commute: they are gathered first.
+        for step, (a, b, c) in enumerate(POLYNOMIALS, 1):
+            factor = torch.baddbmm(gram, gram, gram, beta=b, alpha=c)  # a I + b G + c G^2, with the next line
+            factor.diagonal(dim1=1, dim2=2).add_(a)
+            product = factor if product is None else factor @ product
+            if step < len(POLYNOMIALS):
+                gram = factor @ gram @ factor  # of what this step makes of x
+        assert product is not None
+        product = product / size.sqrt()
+        for k, by in zip(members, product, strict=True):
+            x = (by @ wide[k]).to(matrices[k].dtype)
+            found[k] = x.T if matrices[k].shape[0] > matrices[k].shape[1] else x  # (a, b), as it came
+    return found
 
 
 def make_optimisers(model: ViewNet, config: TrainConfig) -> list[Optimizer]:

@@ -109,7 +109,7 @@ class _Render(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> Any:
         voxels, cells, boxes, frames, focal = ctx.saved_tensors
         grad = grads[0].contiguous()  # (N, 4, S, S)
-        grad_voxels, grad_frames = torch.zeros_like(voxels), torch.empty_like(frames)
+        grad_voxels, grad_frames = torch.empty_like(voxels), torch.empty_like(frames)
         grad_focal = torch.zeros(len(voxels))  # one sum a volume, which one thread fills
         given = voxels, cells, boxes, ctx.shape, frames, focal, ctx.steps, grad
         _run("backward", *given, grad_voxels, grad_frames, grad_focal)

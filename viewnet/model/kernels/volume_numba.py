@@ -179,12 +179,13 @@ def _row_error(pixels, wanted, weights):
 
 
 def _backward(voxels, cells, boxes, shape, frames, focal, steps, grad, grad_voxels, grad_frames, grad_focal):
-    """For `grad` (N, 4, size, size): adds to `grad_voxels` (B, P, 4), `grad_focal` (B,); fills `grad_frames` (N, 3, 3).
+    """For `grad` (N, 4, size, size) fills `grad_voxels` (B, P, 4), `grad_frames` (N, 3, 3); adds to `grad_focal` (B,).
 
     Cells that `cells` (B, P) leaves out, and what is outside `boxes` (B, 6), get no gradient.
     """
     share = len(frames) // len(voxels)
     for b in prange(len(voxels)):  # one volume a thread, its views in turn: sums have one order
+        grad_voxels[b] = ZERO  # here, where it stays in the cache
         for n in range(b * share, (b + 1) * share):
             grad_focal[b] += _draw_backward(
                 voxels[b], cells[b], boxes[b], shape, frames[n], focal, steps, grad[n], grad_voxels[b], grad_frames[n]
