@@ -149,11 +149,8 @@ def test_a_process_pool_that_breaks_is_said_and_the_next_goes_on(folders):
 
 
 @pytest.mark.slow
-def test_the_local_pool_is_an_executor(folders, monkeypatch):
-    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+def test_the_local_pool_is_an_executor(folders):
     with LocalPool(1) as pool:
-        assert pool.submit(os.getenv, "GLIBC_TUNABLES").result() == "glibc.malloc.hugetlb=1"
-        assert "GLIBC_TUNABLES" not in os.environ
         assert list(pool.map(pow, [2, 3], [5, 2])) == [32, 9]
         assert isinstance(pool.submit(int, "x").exception(), ValueError)
         assert "pickle" in str(pool.submit(threading.Lock).exception())

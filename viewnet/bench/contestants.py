@@ -29,7 +29,7 @@ from viewnet.model import volume
 from viewnet.model.kernels import volume_cpu
 from viewnet.model.viewnet import ViewNet
 from viewnet.recipes import make_config
-from viewnet.training.optimisers import make_optimisers
+from viewnet.training.optimisers import descend, make_optimisers
 from viewnet.training.step import step_loss
 
 FORWARD, BOTH = "renderer, forward", "renderer, forward + backward"
@@ -171,11 +171,7 @@ def _step(work: Work, by_textbook: bool, device: torch.device) -> Call:
         losses = partial(step_loss, model, batch, settings, None, 0.5)
 
     def call() -> None:
-        terms = losses(torch.Generator().manual_seed(0))
-        net.zero_grad(set_to_none=True)
-        torch.stack(list(terms.values())).sum().backward()
-        for optimiser in optimisers:
-            optimiser.step()
+        descend(net, optimisers, losses(torch.Generator().manual_seed(0)), 0, "step")
 
     return call
 

@@ -40,7 +40,7 @@ from viewnet.recipes import make_config
 from viewnet.runtime import memory, torchvision_weights
 from viewnet.runtime.progress import bar
 from viewnet.training.matting import SECTORS, PoseSearch
-from viewnet.training.optimisers import make_optimisers
+from viewnet.training.optimisers import descend, make_optimisers
 from viewnet.training.step import step_loss
 
 IMAGES, CHOICE = "reading images", "choice of viewpoints"
@@ -151,12 +151,7 @@ class Step:
             batch = self.views.batch(*rows, size, self.device)
         generator = step_generator(config.seed, self.number)
         terms = step_loss(self.model, batch, settings, self.perceptual, progress, generator, self.backgrounds)
-        values = torch.stack(list(terms.values()))
-        values.tolist()  # for the log
-        self.model.zero_grad(set_to_none=True)
-        values.sum().backward()
-        for optimiser in self.optimisers:
-            optimiser.step()
+        descend(self.model, self.optimisers, terms, self.number, "step")
         self.number += 1
 
 

@@ -122,7 +122,6 @@ def write(request: Any, submissions: Sequence[Submission] = ()) -> list[Path]:
 def _parts(request: Any, submissions: Sequence[Submission]) -> Iterator[list[Path]]:
     """The files of one table or figure after another."""
     folder, runs = request.folder, request.run() if request.variants else []
-
     origins = [run.result for run in runs]
 
     def saved(

@@ -28,12 +28,11 @@ class Stride2Conv(nn.Conv2d):
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, n, n) -> (N, outputs, n / 2, n / 2)."""
-        device = x.device.type
-        if torch.is_autocast_enabled(device):
-            x = x.to(torch.get_autocast_dtype(device))
-        with torch.autocast(device, enabled=False):  # which would pad in float32, there and back
+        if torch.is_autocast_enabled(x.device.type):
+            x = x.to(torch.get_autocast_dtype(x.device.type))
+        with torch.autocast(x.device.type, enabled=False):  # which would pad in float32, there and back
             x = F.pad(x, (1, 0, 1, 0), mode="replicate")  # (N, C, n + 1, n + 1); strides never reach the other edges
-        if not self.training or device != "cpu" or x.shape[-1] > 9:
+        if not self.training or x.device.type != "cpu" or x.shape[-1] > 9:
             return super().forward(x)
         result: Tensor = _Stride2Conv.apply(x, self.weight.to(x.dtype))
         return result

@@ -15,17 +15,11 @@ def keep_freed() -> None:
     64 volumes of 32 voxels a side, waits for fresh pages, zeroed one by one. With pages as large as the system has, a
     walk through volumes needs fewer of them: a training step takes some 5 % less.
     """
-    if sys.platform != "linux":
-        return
-    libc = ctypes.CDLL(None)
-    if not hasattr(libc, "mallopt"):
+    if sys.platform != "linux" or not hasattr(libc := ctypes.CDLL(None), "mallopt"):
         return
     libc.mallopt(MMAP_MAX, 0)  # no block gets pages of its own
     libc.mallopt(TRIM_THRESHOLD, -1)  # and what is free at the end stays
-    libc.malloc.restype = ctypes.c_void_p
-    block = libc.malloc(ctypes.c_size_t(HUGE_PAGES))  # only addresses: nothing is touched
-    if block:
-        start = -(-block // mmap.PAGESIZE) * mmap.PAGESIZE
-        size = ctypes.c_size_t(HUGE_PAGES - mmap.PAGESIZE)
-        libc.madvise(ctypes.c_void_p(start), size, mmap.MADV_HUGEPAGE)  # one that cannot refuses, and nothing changes
+    libc.valloc.restype = ctypes.c_void_p
+    if block := libc.valloc(ctypes.c_size_t(HUGE_PAGES)):  # only addresses, of whole pages: nothing is touched
+        libc.madvise(ctypes.c_void_p(block), ctypes.c_size_t(HUGE_PAGES), mmap.MADV_HUGEPAGE)  # refused: as before
         libc.free(ctypes.c_void_p(block))

@@ -18,7 +18,6 @@ from viewnet.runtime import distributed
 
 INNER_LAYERS = (nn.Conv2d, nn.ConvTranspose3d)
 BFLOAT16_FROM = 2**16  # numbers from which matrices are made orthogonal in bfloat16
-TINY = 1e-30  # beside squares of gradients: a gradient of zeros moves nothing
 POLYNOMIALS = ((7.711, -22.1138, 16.2487), (3.2153, -2.4112, 0.5013), (2.2183, -1.594, 0.4107))
 """Of degree five, a x + b x^3 + c x^5, one after the other: together they bring singular values in [0.02, 1] to within
 0.1 of 1. Each is the closest to 1 on the interval that the one before leaves (a linear program on a fine grid)."""
@@ -63,15 +62,13 @@ def orthogonal(matrices: Sequence[Tensor], half: bool = False) -> list[Tensor]:
     """
     wide = [matrix.T if matrix.shape[0] > matrix.shape[1] else matrix for matrix in matrices]  # a <= b: smaller Grams
     wide = [x.bfloat16() if half and x.numel() >= BFLOAT16_FROM else x for x in wide]
-    alike: dict[tuple[int, torch.dtype], list[int]] = {}
-    for k, x in enumerate(wide):
-        alike.setdefault((len(x), x.dtype), []).append(k)
     found = list(matrices)
-    for members in alike.values():
+    for rows, dtype in {(len(x), x.dtype) for x in wide}:
+        members = [k for k, x in enumerate(wide) if (len(x), x.dtype) == (rows, dtype)]
         gram, product = torch.stack([wide[k] @ wide[k].T for k in members]), None  # (K, a, a)
         # Singular values of 1 at most, or it diverges: the Gram matrix's norm bounds the largest more tightly than the
         # matrix's, which is worth a step where there are many of one size.
-        size = gram.flatten(1).norm(dim=1)[:, None, None] + TINY  # (K, 1, 1)
+        size = gram.flatten(1).norm(dim=1)[:, None, None] + 1e-30  # (K, 1, 1), not 0
         gram = gram / size
         # Every step multiplies by a polynomial of the Gram matrix, and these commute: they are gathered first.
         for step, (a, b, c) in enumerate(POLYNOMIALS, 1):

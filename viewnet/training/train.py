@@ -63,7 +63,8 @@ def train(
     history = resume(run.model, run.optimisers, folder)
     board = board_of(folder) if writes else None
     title = f"{config.variant} {config.category} seed {config.seed}"
-    shown = bar(progress and writes, total=run.total, initial=history.epoch * run.steps, desc=title, unit="step")
+    total, done = settings.epochs * run.steps, history.epoch * run.steps
+    shown = bar(progress and writes, total=total, initial=done, desc=title, unit="step")
     begun = time.perf_counter() - history.seconds  # what came before a resume counts
     run.model.train()
 
@@ -105,11 +106,6 @@ class _Training:
     optimisers: list[torch.optim.Optimizer]
     steps: int  # an epoch: as many targets as there are views
 
-    @property
-    def total(self) -> int:
-        """Steps of the whole training."""
-        return self.config.train.epochs * self.steps
-
 
 def _set_up(config: RunConfig, views: ViewStore) -> _Training:
     settings, device = config.train, torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -136,7 +132,7 @@ def _train_epoch(run: _Training, epoch: int, folder: Path, shown: Any) -> dict[s
     config, settings, size = run.config, run.config.train, run.config.model.input_size
     sums: dict[str, float] = {}
     for step in range(epoch * run.steps, (epoch + 1) * run.steps):
-        progress = step / run.total
+        progress = step / (settings.epochs * run.steps)
         set_learning_rates(run.optimisers, settings.optimiser, progress)  # by progress alone: nothing to resume
         rows = sample_pairs(run.training, settings.objects, settings.targets_per_object, config.seed, step)
         appearance_rows, target_rows = map(distributed.share, rows)  # this process's part
