@@ -16,7 +16,7 @@ from PIL import Image
 
 from viewnet import cli
 from viewnet.errors import ViewnetError
-from viewnet.experiments.page import page
+from viewnet.experiments.page import images, page
 from viewnet.runtime.files import write_json
 from viewnet.tables import claims
 from viewnet.tables.columns import METRICS
@@ -215,13 +215,12 @@ def test_the_same_files_make_the_same_page(folder):
     assert page.write(folder).read_bytes() == first
 
 
-def test_figures_shrink_until_the_page_is_small_enough(folder, monkeypatch):
+def test_a_wide_figure_is_shrunk(folder, monkeypatch):
     rng = np.random.default_rng(0)
     noise = Image.fromarray(rng.integers(0, 256, (300, 600, 3), dtype=np.uint8))
     noise.save(folder / "figure3_azimuth.png")
-    monkeypatch.setattr(page, "WIDTHS", (600, 150, 60))
     whole = page.write(folder).stat().st_size
-    monkeypatch.setattr(page, "LIMIT", whole - 1)
+    monkeypatch.setattr(images, "WIDEST", 150)
     assert page.write(folder).stat().st_size < whole / 4
 
 

@@ -10,16 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from viewnet.bench import steps
-from viewnet.bench.contestants import BOTH
 from viewnet.bench.measure import COLUMNS, Row
 from viewnet.runtime.files import write_csv, write_json, write_text
 from viewnet.tables import latex, plots
-from viewnet.tables.benchmark import CONTESTANTS, HEADINGS, NOT_MEASURED, aligned, cells, notes, number, steps_notes
+from viewnet.tables.benchmark import HEADINGS, NOT_MEASURED, aligned, cells, notes, number, steps_notes
 from viewnet.tables.columns import DASH
 
 COLUMN = 3.25  # inches: a column of the paper
-# Marker and colour of each contestant, told apart by colour-blind readers.
-STYLES = {"textbook": ("s", "#d55e00"), "viewnet": ("o", "#0072b2")}
 RATIOS = {"time": "#009e73", "memory": "#e69f00"}
 
 
@@ -82,23 +79,16 @@ def as_latex(result: dict[str, Any]) -> str:
 
 
 def figure(result: dict[str, Any]) -> Figure:
-    """Left: by how much the package is faster and smaller. Middle and right: time and memory over the volume's side."""
+    """By how much the package is faster and smaller; of works at several sizes the largest, and those with memory."""
     rows = [row for row in result["rows"] if row["speedup"] is not None]
     sides = sorted(((row["work"], row["volume"], row["size"]) for row in rows), key=lambda side: side[2])
     largest = {(work, occupancy): size for work, occupancy, size in sides}
     shown = [row for row in rows if row["memory_ratio"] or row["size"] == largest[row["work"], row["volume"]]]
     with matplotlib.rc_context(plots.STYLE):
-        image = Figure(figsize=(2.4 * COLUMN, max(2.6, 0.33 * len(shown) + 0.7)), layout="constrained")
-        left, middle, right = image.subplots(1, 3, width_ratios=(1.3, 1, 1))
-        _bars(left, shown)
-        left.set_title("textbook / viewnet", fontsize=7)
-        grown = [row for row in rows if row["work"] == BOTH and row["volume"] == "object"]
-        _curves(middle, grown, "s", 1.0, "seconds")
-        _curves(right, grown, "bytes", 2.0**-20, "MiB")
-        middle.legend(frameon=False, fontsize=7, loc="upper left")
-        for axes, what in ((middle, "time"), (right, "memory")):
-            axes.set_title(f"{what}: renderer,\nforward + backward, object", fontsize=7)
-            axes.set_xlabel("voxels along a side")
+        image = Figure(figsize=(1.4 * COLUMN, max(2.6, 0.33 * len(shown) + 0.7)), layout="constrained")
+        axes = image.subplots()
+        _bars(axes, shown)
+        axes.set_title("textbook / viewnet", fontsize=7)
     return image
 
 
@@ -125,26 +115,3 @@ def _bars(axes: Axes, rows: list[Row]) -> None:
     axes.set_xlabel("times as much (thin lines: least to most)")
     handles = [Patch(color=colour, label=name) for name, colour in RATIOS.items()]
     axes.legend(handles=handles, frameon=False, fontsize=7, loc="lower right")
-
-
-def _curves(axes: Axes, rows: list[Row], column: str, scale: float, unit: str) -> None:
-    """Both contestants over the side, and what grows with its third power, for the eye."""
-    rows = [row for row in rows if all(row[f"{name}_{column}"] for name in CONTESTANTS)]
-    if not rows:
-        axes.text(0.5, 0.5, NOT_MEASURED, ha="center", transform=axes.transAxes, color="0.4")
-        axes.set(xticks=[], yticks=[])
-        return
-    sizes = [row["size"] for row in rows]
-    for name, (marker, colour) in STYLES.items():
-        values = [scale * row[f"{name}_{column}"] for row in rows]
-        axes.plot(sizes, values, marker=marker, markersize=3.5, linewidth=1, color=colour, label=name)
-        if column == "s":
-            low, high = ([row[f"{name}_{end}"] for row in rows] for end in ("low", "high"))
-            axes.fill_between(sizes, low, high, color=colour, alpha=0.2, linewidth=0)
-        cubes = [values[-1] * (size / sizes[-1]) ** 3 for size in sizes]
-        label = "third power" if name == CONTESTANTS[-1] else None
-        axes.plot(sizes, cubes, color="0.6", linewidth=0.8, linestyle=":", zorder=0, label=label)
-    axes.set_xscale("log", base=2)
-    axes.set(yscale="log", ylabel=unit)
-    plots.plain_ticks(axes.yaxis)
-    axes.set_xticks(sizes, [str(size) for size in sizes])

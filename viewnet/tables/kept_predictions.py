@@ -1,7 +1,7 @@
 """The predictions behind a table, kept beside it in one file, and the table made from them again, without training.
 
 table2_ablation.json            where each number comes from
-table2_ablation.parquet         a row for each run and image: the run's key, then the columns of a run's predictions
+table2_ablation.parquet         a row for each run and image: the run's key, and what `packed` makes of its predictions
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,12 +15,13 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.predictions import Predictions, read_parquet
 from viewnet.runtime.files import read_json
 from viewnet.tables.layouts import LAYOUTS
+from viewnet.tables.packed import unpacked
 from viewnet.tables.table import CHOSEN_ROBUSTLY, Entry, Table, named, run_of
 
 NUMBERS = ("measured", "sd", "low", "high")
 """The columns of a table's cells that predictions decide."""
 TOLERANCE = 5e-3
-"""Of these, in per cent or degrees: predictions are kept as multiples of 2^-17, cells with four digits."""
+"""Of these, in per cent or degrees: predictions are kept with few digits, cells with four."""
 
 
 def cells_of(about: Mapping[str, Any]) -> pd.DataFrame:
@@ -89,7 +90,7 @@ def _runs(path: Path) -> dict[str, Predictions]:
     try:
         for key, rows in frame.groupby("run", observed=True):
             heads = rows.dropna(axis=1, how="all")  # columns of heads that only other runs have are empty
-            runs[str(key)] = Predictions.from_frame(heads.astype(dict.fromkeys(("category", "split", "model_id"), str)))
+            runs[str(key)] = unpacked(heads.astype(dict.fromkeys(("category", "split", "model_id"), str)))
     except (KeyError, TypeError, ViewnetError) as error:
         raise ViewnetError(f"{path}: not the predictions of a table ({error}): make it again") from error
     return runs

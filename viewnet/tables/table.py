@@ -23,6 +23,7 @@ from viewnet.runtime.files import write_csv, write_json, write_text
 from viewnet.tables import columns, latex, reported
 from viewnet.tables.columns import DASH, HEADLINE, METRICS, text
 from viewnet.tables.layouts import ADDED, LAYOUTS, Layout
+from viewnet.tables.packed import packed
 
 DRAWS = 1000
 DEGENERATE = "in brackets: of some seed the predictions have too little spread for an alignment, so this is no score"
@@ -301,7 +302,7 @@ class Table:
     def write(self, folder: Path | str) -> list[Path]:
         """`<name>.tex`, `.csv` (every cell, with interval), `.json` (where each number comes from) and `.parquet`.
 
-        The last has the predictions behind the table, rounded: viewnet.tables.kept_predictions makes the
+        The last has the predictions behind the table, packed: viewnet.tables.kept_predictions makes the
         table from it again.
         """
         folder, cells = Path(folder), self.cells.round(4)
@@ -323,15 +324,10 @@ class Table:
         return [tex, csv, path, parquet]
 
     def _predictions(self) -> pd.DataFrame:
-        """Those of every run, one below the other: its key in a column "run", then Predictions.to_frame.
-
-        Numbers are multiples of 2^-17, which moves a viewpoint by less than 0.001 degrees and compresses well.
-        """
+        """Those of every run, one below the other: its key in a column "run", then as `packed`."""
         runs = {run_of(entry.key): entry.predictions for entry in self.entries}
-        frame = pd.concat([each.to_frame().assign(run=key) for key, each in runs.items()], ignore_index=True)
-        numbers = frame.columns[frame.dtypes == "float64"]
-        frame[numbers] = (frame[numbers] * 2**17).round() / 2**17
-        single = dict.fromkeys(numbers, "float32")
+        frame = pd.concat([packed(each).assign(run=key) for key, each in runs.items()], ignore_index=True)
+        single = dict.fromkeys(frame.columns[frame.dtypes == "float64"], "float32")
         return frame.astype(single | dict.fromkeys(("run", "category", "split", "model_id"), "category"))
 
 

@@ -15,6 +15,7 @@ from viewnet.runtime.image_files import opened
 
 SUFFIXES = (".png", ".gif")  # figures and animations; a PDF is linked beside its PNG
 MOVING: dict[str, Any] = {"quality": 70, "method": 2, "loop": 0, "save_all": True}  # options of animations as WebP
+WIDEST = 1700  # pixels across a figure
 SHOWN = 0.55  # CSS pixels per pixel of a figure: figures are saved at twice the resolution of a screen
 TEMPLATES = Path(__file__).parent / "templates"
 CAPTIONS = tomllib.loads((TEMPLATES / "captions.toml").read_text(encoding="utf-8"))
@@ -33,12 +34,12 @@ class EmbeddedImage:
     files: Sequence[Path]  # itself and files of the same name, such as a PDF
 
 
-def embedded(path: Path, widest: int, files: Sequence[Path]) -> EmbeddedImage:
-    """A PNG or GIF file, shrunk where it is wider than `widest`. ViewnetError naming a file that cannot be read."""
+def embedded(path: Path, files: Sequence[Path]) -> EmbeddedImage:
+    """A PNG or GIF file, shrunk where it is wider than WIDEST. ViewnetError naming a file that cannot be read."""
     try:
         with opened(path) as image:
             duration = image.info.get("duration", 60)  # milliseconds
-            frames = [_on_white(frame, widest) for frame in ImageSequence.Iterator(image)]
+            frames = [_on_white(frame) for frame in ImageSequence.Iterator(image)]
     except ViewnetError as error:
         raise ViewnetError(f"{path}: {error}: make it again") from None
     uri, still = encode(frames[0], lossless=True, method=4), None  # lines and letters stay sharp
@@ -48,11 +49,11 @@ def embedded(path: Path, widest: int, files: Sequence[Path]) -> EmbeddedImage:
     return EmbeddedImage(*captions(path.stem), width, height, uri, still, files)
 
 
-def _on_white(image: Image.Image, widest: int) -> Image.Image:
+def _on_white(image: Image.Image) -> Image.Image:
     flat, rgba = Image.new("RGB", image.size, "white"), image.convert("RGBA")  # figures are drawn for white paper
     flat.paste(rgba, mask=rgba)
-    if flat.width > widest:
-        flat = flat.resize((widest, max(1, round(flat.height * widest / flat.width))), Image.Resampling.LANCZOS)
+    if flat.width > WIDEST:
+        flat = flat.resize((WIDEST, round(flat.height * WIDEST / flat.width)), Image.Resampling.LANCZOS)
     return flat
 
 

@@ -6,7 +6,6 @@ give the same page.
 
 import functools
 import itertools
-import logging
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,13 +27,7 @@ from viewnet.runtime.files import write_text
 from viewnet.runtime.progress import bar
 from viewnet.tables import claims
 
-log = logging.getLogger(__name__)
-
 NAME = "index.html"
-LIMIT = 8_000_000
-"""Bytes; the figures of a larger page are shrunk."""
-WIDTHS = (1700, 1000, 500)
-"""Maximal pixels across a figure, tried in turn until the page is within the limit."""
 IGNORED = ("published/*", NAME, claims.NAME, ".*", "*_logs.csv")
 _OPTIONS: Any = {"autoescape": True, "undefined": jinja2.StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
 ENVIRONMENT = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), **_OPTIONS)
@@ -73,13 +66,7 @@ KINDS = [Section(**rule) for rule in RULES["section"]]
 
 def write(folder: Path) -> Path:
     """Write the page of a folder; returns its path. ViewnetError for an empty folder and for an unreadable file."""
-    judged = claims.judge(folder)
-    for widest in WIDTHS:
-        page = render(sections(folder, widest), judged)
-        if len(page.encode()) <= LIMIT:
-            break
-        log.warning("the page has %.1f MB with figures of %d pixels", len(page.encode()) / 1e6, widest)
-    write_text(folder / NAME, page)
+    write_text(folder / NAME, render(sections(folder), claims.judge(folder)))
     return folder / NAME
 
 
@@ -111,7 +98,7 @@ def _places(judged: claims.Judged, content: Iterable[Section]) -> dict[str, str]
     }
 
 
-def sections(folder: Path, widest: int = WIDTHS[0]) -> list[Section]:
+def sections(folder: Path) -> list[Section]:
     """The sections of a folder of tables and figures, in the order of KINDS. ViewnetError for an empty folder."""
     files = found(folder)
     if not files:
@@ -127,7 +114,7 @@ def sections(folder: Path, widest: int = WIDTHS[0]) -> list[Section]:
             for setting, paths in sorted(files[name].items()):  # the default, "", comes first
                 content = contents[name, setting]
                 runs = {key: known.get(key) or blocks.origin({}) for key in sorted(content.runs)}
-                settings.append(_setting(setting, content, runs, paths, folder, widest))
+                settings.append(_setting(setting, content, runs, paths, folder))
                 progress.update()
             result.append(replace(headed(kinds[name]), settings=tuple(settings)))
     return result
@@ -156,13 +143,11 @@ def _place(path: Path) -> tuple[str, str]:
     raise AssertionError("the last kind fits every file")
 
 
-def _setting(
-    name: str, content: blocks.Content, runs: blocks.Runs, paths: list[Path], folder: Path, widest: int
-) -> Setting:
+def _setting(name: str, content: blocks.Content, runs: blocks.Runs, paths: list[Path], folder: Path) -> Setting:
     figures = []
     for image in [path for path in paths if path.suffix in SUFFIXES]:
         same = [path for path in paths if path.stem == image.stem and path.suffix in (".pdf", image.suffix)]
-        figures.append(embedded(image, widest, [path.relative_to(folder) for path in same]))
+        figures.append(embedded(image, [path.relative_to(folder) for path in same]))
     shown = {file for figure in figures for file in figure.files}  # linked below their figure
     files = tuple(p.as_posix() for p in (path.relative_to(folder) for path in paths) if p not in shown)
     origins = tuple({"key": key, **run} for key, run in runs.items())
