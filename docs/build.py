@@ -43,6 +43,7 @@ PROSE = {
     "docs/your_method.md": "your_method_guide",
     "docs/architecture.md": "architecture_guide",
     "docs/recipes.md": "recipes",
+    "docs/trials.md": "trials",
     "docs/peers.md": "peers",
     "docs/compute.md": "compute",
     "docs/decisions.md": "decisions",
