@@ -13,7 +13,7 @@ def keep_freed() -> None:
 
     By itself glibc hands blocks of 32 MB and more back to the system, and a loop that makes one at every step, such as
     64 volumes of 32 voxels a side, waits for fresh pages, zeroed one by one. With pages as large as the system has, a
-    walk through volumes needs fewer of them: a training step takes some 5 % less.
+    walk through volumes needs fewer of them.
     """
     if sys.platform != "linux" or not hasattr(libc := ctypes.CDLL(None), "mallopt"):
         return
