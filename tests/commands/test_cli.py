@@ -54,6 +54,19 @@ def test_train_prints_runs_and_scores(folders, capsys):
     assert lines[1].startswith("  test: within 30 degrees ")
 
 
+def test_of_several_seeds_the_one_that_reconstructs_best_is_said(folders, capsys):
+    train = ["train", "car", "chair", "--profile", "smoke", "--workers", "1", "--seed"]
+    assert cli.main([*train, "2", "1", "0"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len([line for line in lines if line.startswith("  test")]) == 6
+    assert [line.partition(" reconstructs")[0] for line in lines[-2:]] == [
+        "viewnet car seed 1 (smoke, matting)",
+        "viewnet chair seed 1 (smoke, matting)",
+    ]
+    assert cli.main([*train, "0", "0"]) == 0  # one seed
+    assert "reconstructs" not in capsys.readouterr().out
+
+
 def test_threads_are_told_to_openmp_before_its_libraries_are_imported(folders):
     code = "import sys; from viewnet import cli; status = cli.main(sys.argv[1:]); import torch; "
     code += "print(status, torch.get_num_threads())"

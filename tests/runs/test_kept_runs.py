@@ -40,6 +40,7 @@ def test_runs_are_listed_with_what_they_reached(runs):
     (row,) = table[table["key"] == runs[0].key].to_dict("records")
     assert (row["acc30"], row["median"]) == (metrics["acc30"], metrics["median"])
     assert (row["category"], row["profile"], row["seed"], row["epochs"]) == ("car", "smoke", 0, 4)
+    assert row["reconstruction"] == runs[0].reconstruction == runs[0].log["val_reconstruction"].iloc[-1] == 0.035
     assert row["bytes"] == sum(path.stat().st_size for path in runs[0].folder.rglob("*"))
     assert kept_runs.listed(category="chair")["acc30"].isna().all()
     assert kept_runs.listed(recipe="paper").empty

@@ -18,7 +18,8 @@ from typing import Any
 from viewnet.commands.options import JSON, Options, argument, print_results, records
 from viewnet.errors import ViewnetError
 
-SHOWN = ("key", "variant", "category", "profile", "recipe", "seed", "state", "epochs", "acc30", "median", "hours", "MB")
+DIGITS = {"epochs": 0, "reconstruction": 4, "acc30": 1, "median": 1, "hours": 2}
+SHOWN = ("key", "variant", "category", "profile", "recipe", "seed", "state", *DIGITS, "MB")
 ARGUMENTS = (
     argument("what", "show, compare or remove", nargs="?", choices=["show", "compare", "remove"]),
     argument("keys", "keys of runs, or how they begin", nargs="*", metavar="KEY"),
@@ -46,7 +47,7 @@ def run(options: Options) -> None:
     elif options.what == "compare":
         table = kept_runs.differences([kept_runs.read(folder) for folder in folders])
         rows = kept_runs.listed().set_index("key").loc[[folder.name for folder in folders]]
-        scores = rows[["state", "epochs", "acc30", "median", "hours"]].T.astype(object)
+        scores = rows[["state", *DIGITS]].T.astype(object)
         values = {"settings": table.T.to_dict("index"), "scores": records(rows.reset_index())}
         print_results(options, values, table.to_string() if len(table) else "the same settings", "", scores.to_string())
     else:
@@ -62,7 +63,7 @@ def _text(table: Any) -> str:
     if table.empty:
         return "no runs"
     rows = table.assign(MB=(table["bytes"] / 1e6).map("{:.1f}".format))[list(SHOWN)]
-    for name, digits in (("epochs", 0), ("acc30", 1), ("median", 1), ("hours", 2)):
+    for name, digits in DIGITS.items():
         rows[name] = rows[name].map(f"{{:.{digits}f}}".format).replace("nan", "")
     return rows.to_string(index=False)
 

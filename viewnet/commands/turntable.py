@@ -1,7 +1,6 @@
 """Render an image's object from all around.
 
-Write an animation: the image, and what the network reconstructs of its object, turning once from the predicted
-viewpoint.
+Write an animation: the image, and what the network reconstructs of it, turning once from the predicted viewpoint.
 
 Examples:
 

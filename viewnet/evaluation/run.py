@@ -80,6 +80,11 @@ class Run:
             raise ViewnetError(f"{self.folder}: no log.csv: {self.name} needs no training, or it was removed")
         return read_log(path)
 
+    @property
+    def reconstruction(self) -> float:
+        """The least error with which validation views were reconstructed, NaN where none was logged; needs no label."""
+        return float(self.log.get("val_reconstruction", pd.Series(dtype=float)).min())
+
 
 def run_name(config: RunConfig) -> str:
     """What messages call a run.

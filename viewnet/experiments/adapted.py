@@ -5,7 +5,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from viewnet.data import build
 from viewnet.data.crop import Box, clipped
@@ -46,8 +45,8 @@ def make(
     unread: dict[int, str] = {}
     chosen = [images[row] for row in rows]
     edges = [boxes[row] for row in rows] if boxes else None
-    batches = preprocess.computed(_pixels, chosen, None, edges, framing, 256, unread, progress)
-    parts = [part for batch in batches for part in batch]
+    batches = preprocess.computed(lambda each: each.viewpoint, chosen, None, edges, framing, 256, unread, progress)
+    parts = [part.mul(255).round().to(torch.uint8) for batch in batches for part in batch]  # (n, 4, S, S) each
     failures |= {rows[row]: problem for row, problem in unread.items()}
     if sum(map(len, parts)) < LEAST:
         row = min(failures, default=None)
@@ -60,10 +59,6 @@ def make(
         how = {"distilled": model.about.get("distilled"), "adapted": asdict(result)}
         distilled.save_scored(model, config, store, how, seed, folder, half)
     return result
-
-
-def _pixels(prepared: preprocess.Prepared) -> Tensor:
-    return prepared.viewpoint.mul(255).round().to(torch.uint8)  # (n, 4, S, S)
 
 
 def _too_small(path: Path, box: Box | None, least: int) -> str | None:

@@ -8,8 +8,7 @@ camera) the ray through pixel (x, y) visits the points
 
 which is an exact pinhole at distance 1 / f from the centre: the rays converge towards the camera and the image's edge
 is the cube's edge at z = 0. f = 0 is orthographic. A ray stops at step k with probability Q_k prod_{l<k} (1 - Q_l)
-(equation 3), and the pixel is the sum of the colours it stops at (equation 4). The sum of the probabilities is the
-object's mask.
+(equation 3), and the pixel is the sum of the colours it stops at (equation 4). The probabilities' sum is the mask.
 
 `render_reference` is the definition, in plain PyTorch. `render` gives the same image and gradients by the fastest way
 the tensors' device has: viewnet.model.kernels.volume_cpu on CPUs, viewnet.model.kernels.volume_gpu on GPUs, and the

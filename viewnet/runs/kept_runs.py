@@ -20,15 +20,16 @@ from viewnet.runtime.files import locked, read_json
 
 FINISHED, TRAINING, STOPPED, DAMAGED = "finished", "in training", "stopped", "damaged"
 """States of a run: all of it is there, a process is making it, the same command would go on with it, unreadable."""
+MEASURED = ("reconstruction", "acc30", "median")
 NAMES = ("variant", "category", "profile", "recipe", "seed")
-FIELDS = ("key", *NAMES, "state", "epochs", "acc30", "median", "hours", "finished", "commit", "bytes", "folder")
+FIELDS = ("key", *NAMES, "state", "epochs", *MEASURED, "hours", "finished", "commit", "bytes", "folder")
 
 
 def listed(**wanted: str) -> pd.DataFrame:
     """Every run with these values of `NAMES`, one a row, by name: the columns are `FIELDS`.
 
-    `epochs` are those that were logged, `acc30` (%) and `median` (degrees) those of the test views by the alignment of
-    the tables; NaN or empty where a run has none.
+    `epochs` are those that were logged, `reconstruction` is the least error of validation views, `acc30` (%) and
+    `median` (degrees) are those of the test views by the alignment of the tables; NaN or empty where a run has none.
     """
     rows = [_row(folder) for folder in _folders()]
     rows = [row for row in rows if all(str(row[name]) == value for name, value in wanted.items())]
@@ -99,7 +100,7 @@ def _settings(run: Run) -> dict[str, Any]:
 
 def _row(folder: Path) -> dict[str, Any]:
     """What `listed` says of a run."""
-    row: dict[str, Any] = dict.fromkeys(FIELDS, "") | dict.fromkeys(("epochs", "acc30", "median", "hours"), np.nan)
+    row: dict[str, Any] = dict.fromkeys(FIELDS, "") | dict.fromkeys(("epochs", *MEASURED, "hours"), np.nan)
     row |= {"key": folder.name, "variant": folder.parent.name, "bytes": _bytes(folder), "folder": str(folder)}
     try:
         run = read(folder)
@@ -107,6 +108,7 @@ def _row(folder: Path) -> dict[str, Any]:
         row["state"] = TRAINING if _held(folder) else STOPPED
         if (folder / "log.csv").is_file() and len(run.log):
             row |= {"epochs": run.log["epoch"].iloc[-1], "hours": run.log["seconds"].iloc[-1] / 3600}
+            row["reconstruction"] = run.reconstruction
         if (folder / "result.json").is_file() and "metrics" in run.result:
             row |= {"state": FINISHED, "commit": _commit(run.result)}
             if training := run.result["training"]:

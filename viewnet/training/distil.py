@@ -206,8 +206,7 @@ def learn(
 ) -> None:
     """Train `model.viewpoint`: the closest head learns the viewpoint, and the selection which head that is.
 
-    Half of the images are mirrored, and their viewpoints by `mirror` (3, 3). Raises ViewnetError for a loss that is not
-    finite.
+    Half of the images are mirrored, viewpoints by `mirror` (3, 3). Raises ViewnetError for a loss that is not finite.
     """
     optimisers = make_optimisers(model, config.train)  # what has no gradient stays as it is
     batches = [_batches(lesson, generator) for lesson in lessons]

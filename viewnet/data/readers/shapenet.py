@@ -238,8 +238,7 @@ def _count(root: Path, contents: Contents) -> None:
             contents.add(category, usable, lost.items())
 
 
-def _recognises(folder: Path) -> bool:
-    return any(_synset_there(folder, synset) for synset in SYNSETS.values()) or holds_models(folder)
-
-
-READER = Reader(recognises=_recognises, count=_count)
+READER = Reader(
+    recognises=lambda root: any(_synset_there(root, each) for each in SYNSETS.values()) or holds_models(root),
+    count=_count,
+)
