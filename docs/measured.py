@@ -217,14 +217,10 @@ def seeds_by_reconstruction() -> pd.DataFrame:
     That is `told`; `mean` and `best` are of all seeds, `scores` each seed's, `spread` from the lowest to the highest.
     Rows are aligned by Procrustes. Those are left out of which a seed's log is not kept.
     """
+    names = ["table1_shapenet", "table2_ablation", "table3_pascal3d", "real_cars_built_in/table3_pascal3d"]
+    names += ["real_cars/table3_pascal3d", "table4_freiburg", "tiny-paper-viewnet/table2_ablation"]
     lines = []
-    for name in (
-        "table1_shapenet",
-        "table2_ablation",
-        "table3_pascal3d",
-        "table4_freiburg",
-        "tiny-paper-viewnet/table2_ablation",
-    ):
+    for name in names:
         runs: dict[tuple[str, str, str], dict[int, float]] = {}
         for entry in kept(f"{name}.json").entries:
             if entry.origin["variant"] in VARIANTS and entry.alignment == "procrustes":
