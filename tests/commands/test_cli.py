@@ -55,15 +55,15 @@ def test_train_prints_runs_and_scores(folders, capsys):
 
 
 def test_of_several_seeds_the_one_that_reconstructs_best_is_said(folders, capsys):
-    train = ["train", "car", "chair", "--profile", "smoke", "--workers", "1", "--seed"]
-    assert cli.main([*train, "2", "1", "0"]) == 0
+    train = ["train", "--profile", "smoke", "--workers", "1", "--seeds"]
+    assert cli.main([*train, "2,1,0", "car", "chair"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len([line for line in lines if line.startswith("  test")]) == 6
     assert [line.partition(" reconstructs")[0] for line in lines[-2:]] == [
         "viewnet car seed 1 (smoke, matting)",
         "viewnet chair seed 1 (smoke, matting)",
     ]
-    assert cli.main([*train, "0", "0"]) == 0  # one seed
+    assert cli.main([*train, "1", "car"]) == 0
     assert "reconstructs" not in capsys.readouterr().out
 
 
@@ -105,6 +105,7 @@ def test_train_reports_runs_that_are_not_scored(capsys, monkeypatch):
         (["train", "car", "-s", "epoch=3"], "unknown setting 'epoch'"),
         (["train", "car", "-s", "seed=3"], "-s seed=3: seed is no setting here: it has an argument of its own"),
         (["train", "car", "-s", "epochs=many"], "config.train.epochs: expected int"),
+        (["train", "car", "--seeds", "0,x"], "seeds '0,x': expected how many (3) or which (0,2)"),
         (["train", "car", "--data-root", "nowhere"], "data_root nowhere: no such folder"),
         (["train", "car", "--threads", "0"], "--threads 0: expected 1 to 1024"),
         (["train", "car", "--threads", "-1"], "--threads -1: expected 1 to 1024"),

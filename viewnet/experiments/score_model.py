@@ -69,8 +69,7 @@ def scores(
 
     Alignments are fitted on `calibration` images (None: all) of the model's own validation views, or of photographs'
     calibration split; with fewer than four of these there is `OWN` alone. Raises ViewnetError where there is no model,
-    for data that cannot be scored, for views that are not those that the model was trained with, and as `evaluate`
-    does.
+    for data that cannot be scored, for views other than those that the model was trained with, and as `evaluate` does.
     """
     data, steps = data or ScoredData(), steps or make_run.default_steps()
     known(data.subset, SUBSETS, "subset")  # before anything is rendered

@@ -9,8 +9,7 @@ from the predictions kept beside them. A rule asks for an interval within bounds
     cannot be tested here   a row was not measured, or nothing that is kept tells
 
 A claim holds where all of its rules do, and does not hold where one of them does not. Recipes are judged apart, and the
-verdict is that of those which decide, if they agree. Where data are but a likeness of the paper's (scope "toy") it is
-called so.
+verdict is that of those which decide, if they agree. On data that are a mere likeness (scope "toy") it says so.
 """
 
 import math

@@ -54,8 +54,7 @@ def adapt(
     """Trains `model.viewpoint` on its own answers for photographs (N, 4, S, S) uint8 and training views of `store`.
 
     `model` stays as it was unless `Adaptation.kept`, and on any error. Raises ViewnetError for a network that is not
-    trained over backgrounds or has in-plane rotation, for fewer than LEAST photographs, and for a loss that is not
-    finite.
+    trained over backgrounds or has in-plane rotation, for fewer than LEAST photographs, and for a loss not finite.
     """
     if config.model.in_plane:
         raise ViewnetError("adapt: answers are viewpoints without in-plane rotation: train with in_plane=false")
