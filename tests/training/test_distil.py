@@ -98,6 +98,40 @@ def test_teachers_answer_in_frames_of_their_own_and_the_model_keeps_its(monkeypa
     assert (errors > 150).float().mean() == pytest.approx(0.25, abs=0.01)
 
 
+def test_teachers_agree_with_each_other_where_the_model_does_not_with_itself(monkeypatch):
+    learned = []
+    monkeypatch.setattr(distilling, "learn", lambda *what: learned.append(what[2][0]))
+    monkeypatch.setattr(distilling, "KEPT", (0.5,))
+    store, generator = dials(300), torch.Generator().manual_seed(0)
+
+    def altered(change) -> viewnet.ViewNet:
+        """A reader that `change` takes azimuths of."""
+        model = reader()
+        before = model.viewpoint.forward
+
+        def forward(images):
+            said = before(images)
+            azimuth, elevation = azimuth_elevation(said.vectors)
+            return viewnet.Hypotheses(view_vector(change(azimuth), elevation), said.logits)
+
+        model.viewpoint.forward = forward
+        return model
+
+    def lost(low, high):
+        """Azimuths between `low` and `high` are anything."""
+        return lambda a: torch.where((a > low) & (a < high), 360 * torch.rand(a.shape, generator=generator), a)
+
+    # One half of the model's answers is in another frame; each teacher knows one of the halves better.
+    model = altered(lambda azimuth: torch.where(azimuth < 180, azimuth, azimuth + 90))
+    teachers = [(altered(lost(0, 60)), CONFIG), (altered(lost(180, 240)), CONFIG)]
+    distil(model, CONFIG, store, teachers, progress=False)
+    chosen, viewpoint = learned[0].rows, learned[0].viewpoint
+    azimuth = torch.tensor(store.index["azimuth"].to_list())
+    truth = view_vector(azimuth, torch.full_like(azimuth, 10))
+    rotation = distilling._rotation(viewpoint[chosen], truth[chosen])  # to whatever frame that is
+    assert (vector_angle(viewpoint[chosen] @ rotation.T, truth[chosen]) < 5).float().mean() > 0.95
+
+
 def test_what_mirroring_does_is_learned_from_the_teachers(monkeypatch):
     store, model, learned = dials(300), reader(), []
     monkeypatch.setattr(distilling, "learn", lambda *what: learned.append(what[3]))

@@ -1,8 +1,7 @@
 """Make every table and figure, and one page that shows them.
 
 Run every notebook, one after the other, and write paper_tables/index.html with all tables and figures. What is
-there is reused, so a command that was stopped goes on. If a notebook fails it is reported, the others still run,
-and the exit code is 1.
+there is reused, so a command that was stopped goes on. If a notebook fails, the others still run; the exit code is 1.
 
 Examples:
 

@@ -19,7 +19,7 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
     ours = not (data.root or data.extra or (data.video and data.video.root)) and data.backgrounds in (None, "drawn")
     licence = license or ("mit" if ours else "other")
     front: dict[str, Any] = {"license": licence, "library_name": "viewnet", "tags": [*TAGS, config.category]}
-    if scores := (about.get("metrics") or {}).get("procrustes"):
+    if scores := own(about.get("metrics") or {}):
         task = {"type": "viewpoint-estimation", "name": "Viewpoint estimation"}
         metrics = [{"type": key, "name": name, "value": scores[key]} for key, name in METRICS.items()]
         dataset = {"type": "views", "name": f"test views of {trained_on}"}
@@ -54,6 +54,11 @@ def selected(scores: dict[str, Any], key: Any) -> dict[str, Any]:
     if run != key:
         raise ViewnetError(f"scores: are of the run {run}, and the model of {key}: score this model")
     return {"on": on, "alignments": alignments, "confidence": scores.get("confidence")}
+
+
+def own(metrics: dict[str, Any]) -> dict[str, Any]:
+    """Of a run's metrics by alignment those by the rotation that is saved with a model; none without metrics."""
+    return metrics.get("robust") or metrics.get("procrustes") or {}
 
 
 def with_interval(scores: dict[str, Any], metric: str) -> str:

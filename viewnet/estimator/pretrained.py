@@ -107,7 +107,7 @@ def _from_run(file: Path) -> Pretrained:
     if "metrics" not in result:
         raise ViewnetError(f"{file.parent}: the run is not finished: run viewnet train again to resume it")
     metrics = result["metrics"]
-    alignment = None if metrics is None else metrics["procrustes"]["alignment"]
+    alignment = None if metrics is None else model_card.own(metrics)["alignment"]
     if config.variant in ABSOLUTE:
         alignment = {"rotation": np.eye(3).tolist()}
     network = cast(ViewNet, registry.build(config, checkpoint.read(file)[0], file))  # a peer has its `viewpoint`
@@ -153,8 +153,7 @@ def _rotation(alignment: dict[str, Any] | None, path: Path) -> np.ndarray | None
 def save(model: Pretrained, folder: Path, license: str | None, half: bool, scores: Sequence[dict[str, Any]]) -> None:
     """Write the three files of a model, see ViewpointEstimator.save_pretrained.
 
-    ViewnetError as `check_place`, where the folder cannot be written, for scores of another run, and for weights that
-    half precision cannot hold.
+    ViewnetError as `check_place`, for scores of another run, and for weights that half precision cannot hold.
     """
     check_place(folder)
     model.require_viewnet(f"saving to {folder}")

@@ -165,8 +165,7 @@ class Viewpoints(Rotated):
     def to_frame(self, frame: str | None = None, form: str = "matrix") -> "pd.DataFrame":
         """A row for each image: azimuth, elevation, confidence, choice, and azimuth_m, elevation_m, probability_m.
 
-        With a `frame` the numbers of `rotation(frame, form)` too, named as in camera_axes.FORMS, and of hypothesis m
-        with _m at the end.
+        With a `frame` the numbers of `rotation(frame, form)` too, named as in camera_axes.FORMS, _m after those of m.
         """
         import pandas as pd
 

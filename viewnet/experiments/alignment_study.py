@@ -225,8 +225,7 @@ def one_sided(predictions: Predictions, concentration: float) -> Predictions | N
     """A random subset of images around their commonest azimuth: all at concentration 0, fewer sides the larger it is.
 
     An image at azimuth a is kept with probability exp(k (cos(a - m) - 1)), k the concentration and m the middle of the
-    fullest bin of the split "val". None where a split is left with fewer than FEWEST images. Raises ViewnetError for a
-    concentration below 0.
+    fullest bin of the split "val". None where a split is left with fewer than FEWEST images. ViewnetError for k < 0.
     """
     if concentration < 0:
         raise ViewnetError(f"concentration {concentration}: expected 0 or more")

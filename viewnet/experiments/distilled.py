@@ -13,8 +13,9 @@ from viewnet.data import build
 from viewnet.data.store import ViewStore
 from viewnet.errors import ViewnetError
 from viewnet.estimator import pretrained
+from viewnet.estimator.model_card import own
 from viewnet.estimator.pretrained import Pretrained
-from viewnet.evaluation.evaluate import evaluate
+from viewnet.evaluation.evaluate import scores
 from viewnet.evaluation.predict import predict
 from viewnet.evaluation.run import LEARNED_ALIGNMENTS, can_be_scored
 from viewnet.experiments.parameters import folder_named
@@ -85,8 +86,8 @@ def save_scored(
     metrics, rotation = None, model.annotated_from_model
     if can_be_scored(store.index):
         predictions = predict(model.network, store, config=config)
-        metrics = {kind: evaluate(predictions, kind) for kind in LEARNED_ALIGNMENTS}
-        rotation = np.array(metrics["procrustes"]["alignment"]["rotation"])
+        metrics = scores(predictions, LEARNED_ALIGNMENTS)
+        rotation = np.array(own(metrics)["alignment"]["rotation"])
     about: dict[str, Any] = {name: getattr(config, name) for name in ("variant", "category", "profile", "recipe")}
     key = checkpoint.fingerprint(model.network.state_dict())[:12]  # no run of the store has one
     about |= {"key": key, "seed": seed, "views": store.identity, "git": provenance.commit(), "metrics": metrics, **how}

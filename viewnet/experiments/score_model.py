@@ -20,7 +20,7 @@ from viewnet.data import build, catalogue
 from viewnet.data.readers.registry import READERS
 from viewnet.errors import ViewnetError
 from viewnet.estimator import pretrained
-from viewnet.estimator.model_card import METRICS, with_interval
+from viewnet.estimator.model_card import METRICS, own, with_interval
 from viewnet.evaluation.alignment import MINIMUM
 from viewnet.evaluation.confidence import calibration_error
 from viewnet.evaluation.evaluate import align, calibrating, evaluate
@@ -82,7 +82,7 @@ def scores(
     by_kind = {kind: (predictions, kind) for kind in kinds}
     if where_from != "own views" and own_frame and result["metrics"] is not None:
         # What a user of the model gets: no label of the photographs is used.
-        rotation = np.array(result["metrics"]["procrustes"]["alignment"]["rotation"])
+        rotation = np.array(own(result["metrics"])["alignment"]["rotation"])
         by_kind = {OWN: (turned(predictions, rotation), "none"), **by_kind}
     if where_from == "photographs" and (predictions.ids["split"] == "val").sum() < MINIMUM:
         by_kind = {name: how for name, how in by_kind.items() if how[1] == "none"}

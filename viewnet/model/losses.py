@@ -121,8 +121,7 @@ def pull_loss(vectors: Tensor, viewpoint: Tensor) -> Tensor:
 def cycle_loss(hypotheses: Hypotheses, truth: Tensor, config: CycleConfig) -> Tensor:
     """Section 3.4: distance of predicted viewpoints from the viewpoints `truth` (N, 3) that images were rendered from.
 
-    The head that the network selects is pulled (the released code), or the closest one; either way the selection is
-    taught which was the closest.
+    The selected head is pulled (the released code), or the closest one; the selection is taught which was closest.
     """
     closest = hypotheses.closest(truth)  # (N,)
     pulled = closest if config.head == "closest" else hypotheses.logits.argmax(1)  # (N,)

@@ -94,8 +94,7 @@ def compare(
 ) -> tuple[Tensor, Tensor]:
     """How well viewpoints explain targets (N, 4, S, S): T candidates for each head, as view vectors (N, M, T, 3).
 
-    Returns each head's best candidate (N, M, 3) and its error (N, M), equation 2. Colours are compared over black, and
-    masks apart from them.
+    Returns each head's best candidate (N, M, 3) and its error (N, M), equation 2: of colours over black, and of masks.
     """
     if ups is not None:
         ups = ups[:, :, None].expand_as(candidates)  # (N, M, T, 3)

@@ -15,7 +15,7 @@ import torch
 from viewnet.config import RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.evaluation.baselines import UNTRAINED
-from viewnet.evaluation.evaluate import evaluate
+from viewnet.evaluation.evaluate import scores
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import NOT_SCORED, ROBUST_PREDICTIONS, Run, can_be_scored, read_log, read_result
 from viewnet.model import checkpoint
@@ -133,7 +133,7 @@ def make(job: Job, steps: Steps, threads: int | None = None, progress: bool = Tr
         elif scored:
             predictions = Predictions.from_parquet(folder / "predictions.parquet")
         # Metrics are cheap and follow from predictions, so they are always computed anew.
-        metrics = None if predictions is None else {kind: evaluate(predictions, kind) for kind in job.alignments}
+        metrics = None if predictions is None else scores(predictions, job.alignments)
         result = {
             "schema": SCHEMA,
             "key": folder.name,

@@ -49,8 +49,7 @@ Source = Path | IO[bytes] | Image.Image
 def opened(source: Source, what: str = "image", formats: tuple[str, ...] = FORMATS) -> Iterator[Image.Image]:
     """An image, of a file just its header read, for a block that only decodes or converts it.
 
-    Raises ViewnetError for a file that is missing, not regular, of another format or too large, and for any error in
-    the block.
+    ViewnetError for a file that is missing, not regular, of another format or too large, and any error in the block.
     """
     try:
         if isinstance(source, Path) and source.exists() and not source.is_file():  # a pipe or a device may never end

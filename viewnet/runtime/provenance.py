@@ -53,8 +53,7 @@ class _Bare(ast.NodeTransformer):
 def commit() -> dict[str, Any]:
     """The git commit of this package's checkout, and whether tracked files were changed, but for tables of results.
 
-    What cannot be told is None, and "unknown" says why. So does the log, once; not in a process that another one
-    started: that one asks too.
+    What cannot be told is None, and "unknown" says why. So does the log, once, of the process that started others.
     """
     known: dict[str, Any] = {"commit": None, "dirty": None}
     try:

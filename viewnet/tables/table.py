@@ -302,8 +302,7 @@ class Table:
     def write(self, folder: Path | str) -> list[Path]:
         """`<name>.tex`, `.csv` (every cell, with interval), `.json` (where each number comes from) and `.parquet`.
 
-        The last has the predictions behind the table, packed: viewnet.tables.kept_predictions makes the
-        table from it again.
+        The last has the predictions behind the table, of which viewnet.tables.kept_predictions makes it again.
         """
         folder, cells = Path(folder), self.cells.round(4)
         write_text(tex := folder / f"{self.name}.tex", self.latex())

@@ -83,11 +83,12 @@ def distil(
     generator = torch.Generator().manual_seed(seed)
     said = ask_about(model, config, views, backgrounds, generator)
     if teachers:
-        viewpoint, _ = vote(said)
-        asked = [_in_frame_of(viewpoint, _asked_anew(*each, store, backgrounds, generator)) for each in teachers]
+        asked = [_asked_anew(*each, store, backgrounds, generator) for each in teachers]
+        first, _ = vote(asked[0])
+        # In one frame before the model's, which may be too often wrong to tell it, or what mirroring does.
+        asked = [_in_frame_of(first, each) for each in asked]
         joined = [torch.cat([getattr(each, name) for each in asked], 1) for name in ("vectors", "weights")]
-        # The model may be too often wrong to tell what mirroring does.
-        said = Hypotheses(joined[0], joined[1] / len(asked), asked[0].mirror)
+        said = _in_frame_of(vote(said)[0], Hypotheses(joined[0], joined[1] / len(asked), asked[0].mirror))
     try:
         for number, kept in enumerate(KEPT):
             viewpoint, confidence = vote(said)

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from viewnet.data.crop import reaches_far_beyond
-from viewnet.estimator import ViewpointEstimator, inputs, preprocess, templating
+from viewnet.estimator import ViewpointEstimator, inputs, model_card, preprocess, templating
 from viewnet.estimator.viewpoints import ALIKE, Viewpoint
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
@@ -80,7 +80,7 @@ def four_sides(mesh: "trimesh.Trimesh", azimuth: float, elevation: float) -> np.
 def model_facts(estimator: ViewpointEstimator) -> str:
     """What to know of the network when reading its predictions: a list in Markdown."""
     about = estimator.about
-    scores = (about.get("metrics") or {}).get("procrustes")
+    scores = model_card.own(about.get("metrics") or {})
     scored = [("test views of objects not used in training", scores)] if scores else []
     scored += [(other["on"], next(iter(other["alignments"].values()))) for other in about.get("scores") or []]
     known = {"alike": ALIKE.get(estimator.config.category), "scored": scored[::-1]}

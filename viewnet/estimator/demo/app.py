@@ -1,7 +1,6 @@
 """The page of `viewnet demo`: an image and the place of its object, and what a trained network predicts and renders.
 
-Needs gradio. What a visitor has chosen is kept for that visitor alone (gr.State); the network is shared, and used by
-one event at a time.
+Needs gradio. What a visitor chose is kept for that visitor (gr.State); one event at a time uses the shared network.
 """
 
 import tempfile
