@@ -25,6 +25,16 @@ def test_the_card_is_what_the_hub_reads(run, tmp_path):
     assert huggingface_hub.ModelCard.load(tmp_path / "other" / "README.md").data.license == "cc-by-4.0"
 
 
+def test_a_robust_rotation_is_said_to_be_one(run, tmp_path):
+    estimator = load(run.folder)
+    estimator.save_pretrained(tmp_path / "usual")
+    metrics = estimator.about["metrics"]
+    metrics["robust"] = metrics["procrustes"] | {"alignment": metrics["procrustes"]["alignment"] | {"kind": "robust"}}
+    estimator.save_pretrained(tmp_path / "robust")
+    usual, robust = ((tmp_path / name / "README.md").read_text() for name in ("usual", "robust"))
+    assert "(`robust`)" in robust and "(`robust`)" not in usual
+
+
 def test_what_a_symmetry_leaves_unknown_is_said(tmp_path):
     for category, said in (("bottle", True), ("car", False)):
         estimator = untrained(category=category)

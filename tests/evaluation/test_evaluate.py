@@ -8,8 +8,9 @@ from helpers.evaluation_data import make_index, noisy
 from scipy.spatial.transform import Rotation
 
 from viewnet.errors import ViewnetError
+from viewnet.estimator import model_card
 from viewnet.evaluation import baselines, metrics
-from viewnet.evaluation.evaluate import align, evaluate
+from viewnet.evaluation.evaluate import align, evaluate, scores
 from viewnet.evaluation.predictions import Predictions, joined
 
 LARGE = make_index(6000, 2, seed=1)
@@ -160,3 +161,16 @@ def test_what_cannot_be_scored_is_said():
     ring = index.iloc[:4].assign(split="train", azimuth=[0.0, 90, 180, 270], elevation=0.0)
     with pytest.raises(ViewnetError, match="cancel out"):
         baselines.constant(ring)
+
+
+def test_two_groups_half_a_turn_apart_are_scored_by_the_rotation_of_the_larger_one():
+    said = noisy(make_index(400, 5))
+    assert list(scores(said, ("procrustes", "linear"))) == ["procrustes", "linear"]
+    turned = np.random.default_rng(0).random(len(said)) < 0.45
+    logits = np.where(turned[:, None], [0.0, 9.0, -9.0], [9.0, 0.0, -9.0])  # the second head faces back
+    found = scores(Predictions(said.ids, said.hypotheses, logits), ("procrustes", "linear"))
+    assert list(found) == ["procrustes", "linear", "robust"]
+    assert found["robust"]["acc30"] == pytest.approx(55, abs=6)
+    assert model_card.own(found) == found["robust"]
+    assert model_card.own({name: found[name] for name in ("procrustes", "linear")}) == found["procrustes"]
+    assert model_card.own({}) == {}
