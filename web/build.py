@@ -26,6 +26,7 @@ from viewnet.data.crop import AROUND
 from viewnet.estimator import ViewpointEstimator, pretrained
 from viewnet.estimator.camera_axes import COLUMNS, MEANINGS, SIGNS
 from viewnet.estimator.demo.compass_svg import LEVELS, SECTORS, words
+from viewnet.estimator.model_card import own
 from viewnet.estimator.preprocess import OPAQUE
 from viewnet.estimator.viewpoints import ALIKE, DOUBT
 from viewnet.evaluation.confidence import RIGHT
@@ -33,7 +34,7 @@ from viewnet.runtime.image_files import MOST_PIXELS
 
 WEB = Path(__file__).resolve().parent
 ROOT = WEB.parent
-MODELS = ("car", "chair", "aeroplane", "motorbike", "bicycle")
+MODELS = ("car", "chair", "aeroplane", "motorbike", "bicycle", "sofa", "boat", "bus", "train", "tvmonitor")
 EXAMPLE = {"file": "car.jpg", "model": "car", "box": [129, 108, 341, 200]}
 """Of docs/: an image to try, the model for it, and its box in pixels."""
 SCRIPTS = ("page.js", "stage.js", "image.js", "crop.js", "network.js", "viewpoint.js", "compass.js")
@@ -131,7 +132,7 @@ def between(side: int) -> list[tuple[int, float]]:
 
 def accuracy(estimator: pretrained.Pretrained) -> list[dict[str, Any]]:
     """What the model was scored on: `on` in words, `acc30` in %, and `median`, an error in degrees."""
-    rendered = ("rendered test views", estimator.about["metrics"]["procrustes"])
+    rendered = ("rendered test views", own(estimator.about["metrics"]))
     others = [(each["on"], each["alignments"]["own"]) for each in estimator.about["scores"]]
     return [{"on": on, "acc30": each["acc30"], "median": each["median"]} for on, each in (rendered, *others)]
 

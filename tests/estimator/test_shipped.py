@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from helpers.documents import ROOT, page
 
-from viewnet.estimator import ViewpointEstimator, pretrained
+from viewnet.estimator import ViewpointEstimator, model_card, pretrained
 from viewnet.estimator.demo import examples
 from viewnet.geometry import look_at, rotation_angle, view_vector
 
-CATEGORIES = ("aeroplane", "bicycle", "car", "chair", "motorbike")
+TWO_SIDED = ("bus", "train", "tvmonitor")
+"""Whose ends, built-in models of which look alike, are taken for each other."""
+CATEGORIES = ("aeroplane", "bicycle", "boat", "car", "chair", "motorbike", "sofa", *TWO_SIDED)
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
@@ -30,6 +32,9 @@ def test_models_see_what_they_have_not_been_trained_on(category):
     truth = view_vector(*torch.tensor(examples.VIEWPOINTS).unbind(1))
     said = torch.tensor(np.array([one.vector for one in found]), dtype=truth.dtype)
     errors = rotation_angle(look_at(said), look_at(truth))
+    if category in TWO_SIDED:
+        turned = truth * truth.new_tensor([-1, -1, 1])
+        errors = torch.minimum(errors, rotation_angle(look_at(said), look_at(turned)))
     assert (errors < 30).sum() >= 3, errors
 
 
@@ -43,7 +48,7 @@ def test_they_are_small_and_say_what_they_are():
     assert dict(names) == {category: {"model.safetensors", "config.json", "README.md"} for category in CATEGORIES}
     for category in CATEGORIES:
         about = json.loads((pretrained.SHIPPED / category / "config.json").read_text())["about"]
-        score = about["metrics"]["procrustes"]["acc30"]
+        score = model_card.own(about["metrics"])["acc30"]
         assert f"| Acc@30, % | {score:.1f} [" in (pretrained.SHIPPED / category / "README.md").read_text()
 
 
