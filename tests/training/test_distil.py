@@ -30,6 +30,20 @@ def reader() -> viewnet.ViewNet:
     return model
 
 
+def altered(change) -> viewnet.ViewNet:
+    """A reader that says what `change` makes of the azimuths it reads."""
+    model = reader()
+    before = model.viewpoint.forward
+
+    def forward(images):
+        said = before(images)
+        azimuth, elevation = azimuth_elevation(said.vectors)
+        return viewnet.Hypotheses(view_vector(change(azimuth), elevation), said.logits)
+
+    model.viewpoint.forward = forward
+    return model
+
+
 def wrong(model: viewnet.ViewNet, store: ViewStore) -> float:
     """The share of views whose answer is off by more than 30 degrees in the reader's frame."""
     images = torch.from_numpy(store.images).permute(0, 3, 1, 2).float() / 255
@@ -80,15 +94,7 @@ def test_teachers_answer_in_frames_of_their_own_and_the_model_keeps_its(monkeypa
     learned = []
     monkeypatch.setattr(distilling, "learn", lambda *what: learned.append(what[2][0]))
     store, model = dials(300), reader()
-    turned = reader()
-    before = turned.viewpoint.forward
-
-    def elsewhere(images):
-        said = before(images)
-        azimuth, elevation = azimuth_elevation(said.vectors)
-        return viewnet.Hypotheses(view_vector(azimuth + 77, elevation), said.logits)
-
-    turned.viewpoint.forward = elsewhere
+    turned = altered(lambda azimuth: azimuth + 77)
     monkeypatch.setattr(distilling, "KEPT", (0.7,))
     distil(model, CONFIG, store, [(turned, CONFIG), (turned, CONFIG)], progress=False)
     chosen, viewpoint = learned[0].rows, learned[0].viewpoint
@@ -104,19 +110,6 @@ def test_teachers_agree_with_each_other_where_the_model_does_not_with_itself(mon
     monkeypatch.setattr(distilling, "learn", lambda *what: learned.append(what[2][0]))
     monkeypatch.setattr(distilling, "KEPT", (0.5,))
     store, generator = dials(300), torch.Generator().manual_seed(0)
-
-    def altered(change) -> viewnet.ViewNet:
-        """A reader that `change` takes azimuths of."""
-        model = reader()
-        before = model.viewpoint.forward
-
-        def forward(images):
-            said = before(images)
-            azimuth, elevation = azimuth_elevation(said.vectors)
-            return viewnet.Hypotheses(view_vector(change(azimuth), elevation), said.logits)
-
-        model.viewpoint.forward = forward
-        return model
 
     def lost(low, high):
         """Azimuths between `low` and `high` are anything."""

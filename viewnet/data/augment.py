@@ -1,7 +1,7 @@
 """Augmentation: views of CAD models cut and rotated, and made to look like photographs (section 4.3 and ours).
 
 Backgrounds are images (K, 3, B, B) uint8, B twice the side of the networks' input (viewnet.data.backgrounds). Only what
-the networks see is changed, never the target: the object alone is reconstructed. The generator gives random numbers.
+the networks see is changed, never the target: the object alone is reconstructed. Random numbers are a generator's.
 """
 
 import torch

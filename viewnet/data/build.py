@@ -111,7 +111,7 @@ def as_training_models(models: list[ModelFile], config: DataConfig) -> list[Mode
     """The models of a second collection, all of them in the training split of the first.
 
     Each is repeated until they are `config.extra_share` of the training models, the first collection's being 70 % of
-    `config.models`; each copy has its own viewpoints. Once each if `models` is 0. ViewnetError for no share in (0, 1).
+    `config.models`; each copy has other viewpoints; one if `models` is 0. ViewnetError for a share outside (0, 1).
     """
     if not 0 < config.extra_share < 1:
         raise ViewnetError(f"extra_share {config.extra_share}: expected a number between 0 and 1")

@@ -84,7 +84,7 @@ def sample_pairs(views: Views, objects: int, targets: int, seed: int, step: int)
     """Rows of `objects` appearance views and of `objects * targets` target views of the same objects, none twice.
 
     An epoch's worth of steps visits every object equally often (a fresh shuffle each time round); the draw depends on
-    (seed, step) alone, so that a resumed run sees what others do. ViewnetError for objects of a single view.
+    (seed, step) alone, so a resumed run sees the same. Raises ViewnetError where an object has a single view.
     """
     total = len(views.first)
     if (views.count < 2).any():

@@ -160,11 +160,12 @@ def save(model: Pretrained, folder: Path, license: str | None, half: bool, score
     config, about, rotation = _without_places(model.config), dict(model.about), model.annotated_from_model
     if scores:
         about["scores"] = [model_card.selected(values, about.get("key")) for values in scores]
+    fitted = model_card.own(about.get("metrics") or {}).get("alignment") or {"kind": "procrustes"}
     values = {
         "format": FORMAT,
         "viewnet": importlib.metadata.version("viewnet"),
         "config": config.to_dict(),
-        "alignment": None if rotation is None else {"kind": "procrustes", "rotation": rotation.tolist()},
+        "alignment": None if rotation is None else {"kind": fitted["kind"], "rotation": rotation.tolist()},
         "about": about,
     }
     weights = {name: value.cpu().contiguous() for name, value in model.network.state_dict().items()}

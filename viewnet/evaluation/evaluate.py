@@ -19,7 +19,7 @@ import numpy as np
 from viewnet.config import known
 from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
-from viewnet.evaluation.alignment import ALIGNMENTS, DEGENERATE, Alignment, Identity, Procrustes, draw_calibration
+from viewnet.evaluation.alignment import ALIGNMENTS, Alignment, Identity, Procrustes, draw_calibration
 from viewnet.evaluation.predictions import Floats, Predictions
 
 
@@ -127,7 +127,6 @@ def _headline(errors: Floats) -> dict[str, float]:
 
 def scores(predictions: Predictions, kinds: Sequence[str]) -> dict[str, dict[str, Any]]:
     """`evaluate` by alignments; also by the robust one where predictions in two groups leave Procrustes open."""
-    found = {kind: evaluate(predictions, kind) for kind in kinds}
-    if found["procrustes"]["alignment"].get("spread", 1.0) < DEGENERATE:
-        found["robust"] = evaluate(predictions, "robust")
-    return found
+    rows = calibrating(predictions)
+    more = ["robust"] if Procrustes.fit(rows.selected, rows.truth).degenerate else []
+    return {kind: evaluate(predictions, kind) for kind in (*kinds, *more)}

@@ -77,7 +77,7 @@ def run(name: str, values: Values = (), output: Path | None = None) -> Path:
     """Execute a notebook; the executed copy's path.
 
     The copy goes to `output`; in a folder, by default `<paths.runs()>/notebooks`, it is `<name>[-<label>].ipynb`.
-    Raises ViewnetError for bad parameters before a kernel starts, and where a cell fails, by its ViewnetError.
+    Raises ViewnetError for bad parameters before a kernel starts, and where any cell fails.
     """
     import papermill
 

@@ -210,7 +210,7 @@ def _corners(lines: _Lines, vertices: int) -> tuple[np.ndarray, np.ndarray, np.n
 def _hidden(entries: list[Entry], material: np.ndarray) -> np.ndarray:
     """(F,) bool: which faces are of materials that are (almost) transparent; all others are rendered opaque.
 
-    Some exporters write opacity for transparency. Where more faces would be hidden than are opaque, nothing is.
+    Some exporters write opacity for transparency. Where that would hide more faces than it leaves, it is meant.
     """
     opacity = np.array([entry.opacity for entry in entries])[material]
     hidden = opacity < MIN_OPACITY

@@ -106,8 +106,8 @@ def _row(folder: Path) -> dict[str, Any]:
         run = read(folder)
         row |= {name: getattr(run.config, name) for name in NAMES}
         row["state"] = TRAINING if _held(folder) else STOPPED
-        if (folder / "log.csv").is_file() and len(run.log):
-            row |= {"epochs": run.log["epoch"].iloc[-1], "hours": run.log["seconds"].iloc[-1] / 3600}
+        if (folder / "log.csv").is_file() and len(log := run.log):
+            row |= {"epochs": log["epoch"].iloc[-1], "hours": log["seconds"].iloc[-1] / 3600}
             row["reconstruction"] = run.reconstruction
         if (folder / "result.json").is_file() and "metrics" in run.result:
             row |= {"state": FINISHED, "commit": _commit(run.result)}

@@ -38,7 +38,7 @@ CAUSES = ("half a turn", "front and back mirrored", "elevation", "other")
 def reconstructions(runs: Sequence[Run], stores: Stores = own_views, count: int = 3) -> Figure:
     """`count` test images of each category, and their reconstruction by each run at the viewpoint that it selects.
 
-    Objects are evenly spaced over the test split. Runs of one category are side by side; ViewnetError for other views.
+    Objects are evenly spaced over the test split. Those of a category side by side: ViewnetError for unlike views.
     """
     all_renderers = renderers(runs, stores)
     columns: list[tuple[str, np.ndarray]] = []  # title and images

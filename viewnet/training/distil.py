@@ -83,12 +83,12 @@ def distil(
     generator = torch.Generator().manual_seed(seed)
     said = ask_about(model, config, views, backgrounds, generator)
     if teachers:
-        asked = [_asked_anew(*each, store, backgrounds, generator) for each in teachers]
-        first, _ = vote(asked[0])
+        first, *others = [_asked_anew(*each, store, backgrounds, generator) for each in teachers]
+        answer, _ = vote(first)
         # In one frame before the model's, which may be too often wrong to tell it, or what mirroring does.
-        asked = [_in_frame_of(first, each) for each in asked]
+        asked = [first, *(_in_frame_of(answer, each) for each in others)]
         joined = [torch.cat([getattr(each, name) for each in asked], 1) for name in ("vectors", "weights")]
-        said = _in_frame_of(vote(said)[0], Hypotheses(joined[0], joined[1] / len(asked), asked[0].mirror))
+        said = _in_frame_of(vote(said)[0], Hypotheses(joined[0], joined[1] / len(asked), first.mirror))
     try:
         for number, kept in enumerate(KEPT):
             viewpoint, confidence = vote(said)
