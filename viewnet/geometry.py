@@ -69,8 +69,10 @@ def look_at(v: Tensor, up: Tensor | None = None) -> Tensor:
     return torch.stack([right, torch.linalg.cross(back, right), back], dim=-1)  # (..., 3, 3)
 
 
-def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
+def rotation_angle(a: Tensor, b: Tensor, turns: int = 1) -> Tensor:
     """Geodesic distance (...) in degrees, [0, 180], between rotations (..., 3, 3): the angle of a^T b.
+
+    The least of those after so many turns about z, the whole one among them; after turns by any angle for `turns` 0.
 
     Computed as the atan2 of (twice) its sine and its cosine: exact at 0 and 180 degrees, where the usual
     arccos((trace - 1) / 2) loses half of its digits.
@@ -80,6 +82,8 @@ def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
     >>> round(rotation_angle(a, b).item(), 3)
     20.0
     """
+    if turns != 1:
+        a = _turned_towards(a, b, turns)
     relative = a.transpose(-1, -2) @ b  # (..., 3, 3)
     trace = relative.diagonal(dim1=-2, dim2=-1).sum(-1)  # (...), 1 + 2 cos of the angle
     axis = torch.stack(  # (..., 3), 2 sin of the angle along the rotation's axis
@@ -91,6 +95,19 @@ def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
         dim=-1,
     )
     return torch.rad2deg(torch.atan2(torch.linalg.vector_norm(axis, dim=-1), trace - 1.0))
+
+
+def _turned_towards(a: Tensor, b: Tensor, turns: int) -> Tensor:
+    """Rotations a (..., 3, 3) turned about z as `rotation_angle` may, to where they are nearest to b (..., 3, 3).
+
+    The trace of R_z(t) a b^T is a cosine of t, plus a constant: nearer to its peak is always better.
+    """
+    product = b @ a.transpose(-1, -2)  # (..., 3, 3)
+    peak = torch.atan2(product[..., 1, 0] - product[..., 0, 1], product[..., 0, 0] + product[..., 1, 1])  # (...)
+    angle = (peak * turns / (2 * torch.pi)).round() * 2 * torch.pi / turns if turns else peak
+    cos, sin, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
+    turn = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], dim=-1)  # (..., 9)
+    return turn.unflatten(-1, (3, 3)) @ a  # (..., 3, 3)
 
 
 def vector_angle(a: Tensor, b: Tensor) -> Tensor:

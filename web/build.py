@@ -28,8 +28,9 @@ from viewnet.estimator.camera_axes import COLUMNS, MEANINGS, SIGNS
 from viewnet.estimator.demo.compass_svg import LEVELS, SECTORS, words
 from viewnet.estimator.model_card import own
 from viewnet.estimator.preprocess import OPAQUE
-from viewnet.estimator.viewpoints import ALIKE, DOUBT
+from viewnet.estimator.viewpoints import DOUBT
 from viewnet.evaluation.confidence import RIGHT
+from viewnet.evaluation.symmetry import symmetry
 from viewnet.runtime.image_files import MOST_PIXELS
 
 WEB = Path(__file__).resolve().parent
@@ -116,7 +117,8 @@ def exported(name: str, folder: Path) -> dict[str, Any]:
         # Contained in the weights already; None where confidences were not made true on photographs.
         "temperature": estimator.about.get("calibrated", {}).get("temperature"),
         "accuracy": accuracy(estimator),
-        "note": ALIKE.get(estimator.config.category),
+        "turns": symmetry(estimator.config.category).turns,
+        "note": symmetry(estimator.config.category).note,
     }
 
 

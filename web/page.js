@@ -30,7 +30,7 @@ async function ask() {
     if (image && question === newest) {
       const model = chosenModel();
       const input = networkInput(image, typedBox(), model.framing);
-      found = viewpointOf(await hypotheses(model, input), model.rotation, about.answers);
+      found = viewpointOf(await hypotheses(model, input), model, about.answers);
     }
   } catch (error) {
     problem = error.message;

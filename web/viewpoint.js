@@ -7,9 +7,10 @@
  *
  * {azimuth, elevation, confidence, chosen, ranked, rival}: `ranked` has every hypothesis by falling probability,
  * {number, azimuth, elevation, probability, camera, chosen}; `camera` is its frame, rows right, up and back; `rival` is
- * the likeliest hypothesis of the object's other side where that side has enough of the probability, else null.
+ * the likeliest hypothesis of the object's other side where that side has enough of the probability, else null. So many
+ * `turns` of the model's objects look alike: 1 the whole one, 2 half turns, 0 those by any angle.
  */
-export function viewpointOf({ vectors, logits }, rotation, { doubt, right }) {
+export function viewpointOf({ vectors, logits }, { rotation, turns }, { doubt, right }) {
   const most = Math.max(...logits);
   const shares = logits.map((logit) => Math.exp(logit - most));
   const total = shares.reduce((sum, share) => sum + share);
@@ -24,13 +25,13 @@ export function viewpointOf({ vectors, logits }, rotation, { doubt, right }) {
   ranked.forEach((each, i) => {
     each.number = i + 1;
   });
-  const near = found.filter((each) => angleBetween(each.camera, answer.camera) < right);
+  const near = found.filter((each) => angleBetween(each.camera, answer.camera, turns) < right);
   const opposite = ranked.filter((each) => dot(each.camera[2], answer.camera[2]) < 0);
   return {
     ...answer,
     ranked,
     confidence: probabilityOf(near),
-    rival: probabilityOf(opposite) >= doubt ? opposite[0] : null,
+    rival: turns === 1 && probabilityOf(opposite) >= doubt ? opposite[0] : null,
   };
 }
 
@@ -69,8 +70,9 @@ function lookAt(vector) {
   return [right, cross(back, right), back];
 }
 
-/** The angle of the rotation between two frames; exact at 0 and 180, where the arc cosine of the trace is not. */
-function angleBetween(a, b) {
+/** The least angle between two frames after so many turns; exact at 0 and 180, where the arc cosine of the trace is not. */
+function angleBetween(still, b, turns) {
+  const a = turns === 1 ? still : turnedTowards(still, b, turns);
   const relative = [0, 1, 2].map((i) => [0, 1, 2].map((j) => dot(a[i], b[j])));
   const trace = relative[0][0] + relative[1][1] + relative[2][2];
   const axis = [
@@ -79,6 +81,15 @@ function angleBetween(a, b) {
     relative[1][0] - relative[0][1],
   ];
   return degrees(Math.atan2(Math.hypot(...axis), trace - 1));
+}
+
+/** A frame turned about the vertical as often as brings it nearest to another one, see viewnet.geometry. */
+function turnedTowards(a, b, turns) {
+  const product = (i, j) => a.reduce((sum, axis, k) => sum + b[k][i] * axis[j], 0);
+  const peak = Math.atan2(product(1, 0) - product(0, 1), product(0, 0) + product(1, 1));
+  const angle = turns ? (Math.round((peak * turns) / (2 * Math.PI)) * 2 * Math.PI) / turns : peak;
+  const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
+  return a.map(([x, y, z]) => [cos * x - sin * y, sin * x + cos * y, z]);
 }
 
 function dot(a, b) {

@@ -66,7 +66,7 @@ def run(options: Options) -> int:
     if output and output.is_dir():
         raise ViewnetError(f"{output}: is a folder: name a file")
     from viewnet.estimator import ViewpointEstimator, image_names
-    from viewnet.estimator.viewpoints import ALIKE
+    from viewnet.evaluation.symmetry import symmetry
     from viewnet.runtime.files import scratch
 
     if options.images.count("-") > 1:
@@ -91,7 +91,7 @@ def run(options: Options) -> int:
     if not len(viewpoints):
         return 2
     names = [name for row, name in enumerate(names) if row not in failures]
-    notes = [note for note in ("" if viewpoints.aligned else OWN, ALIKE.get(estimator.config.category)) if note]
+    notes = [note for note in ("" if viewpoints.aligned else OWN, symmetry(estimator.config.category).note) if note]
     if options.json or output:
         failed = [{"file": name, "error": problem} for name, problem in errors]
         about = {"frame": "annotated" if viewpoints.aligned else "own", "notes": notes, "failures": failed}

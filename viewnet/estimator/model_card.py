@@ -6,9 +6,11 @@ from typing import Any
 from viewnet.config import DataConfig, RunConfig
 from viewnet.errors import ViewnetError
 from viewnet.estimator import templating
-from viewnet.estimator.viewpoints import ALIKE
+from viewnet.evaluation.symmetry import symmetry
 
 METRICS = {"acc30": "Acc@30, %", "median": "median error, degrees", "dva": "DVA, %"}
+SAVED = ("any_turn", "half_turns", "robust", "procrustes")  # alignments of viewnet.evaluation.evaluate.scores
+SCORES = (*METRICS, "flips", "intervals")
 TAGS = ("viewnet", "viewpoint-estimation", "pose-estimation", "unsupervised")
 
 
@@ -30,7 +32,8 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
         # JSON is valid YAML, without YAML's ambiguous scalars.
         front={key: json.dumps(value, ensure_ascii=False) for key, value in front.items()},
         **{"config": config, "aligned": aligned, "about": about, "licence": licence, "trained_on": trained_on},
-        **{"scores": scores, "metrics": METRICS, "with_interval": with_interval, "alike": ALIKE.get(data.category)},
+        **{"scores": scores, "metrics": METRICS, "columns": columns, "with_interval": with_interval},
+        alike=symmetry(data.category).note,
     )
 
 
@@ -42,8 +45,9 @@ def selected(scores: dict[str, Any], key: Any) -> dict[str, Any]:
     try:
         run, on = scores["key"], str(scores["on"])
         alignments = {
-            str(kind): {name: values[name] for name in ("images", "objects", *METRICS, "flips", "intervals")}
+            str(kind): {name: values[name] for name in ("images", "objects", *SCORES)}
             | {"oracle": {"acc30": values["oracle"]["acc30"]}}
+            | {key: {name: values[key][name] for name in SCORES} for key in values if key == "alike"}
             | {"alignment": {name: values["alignment"][name] for name in ("kind", "images", "objects")}}
             for kind, values in scores["alignments"].items()
         }
@@ -58,7 +62,13 @@ def selected(scores: dict[str, Any], key: Any) -> dict[str, Any]:
 
 def own(metrics: dict[str, Any]) -> dict[str, Any]:
     """Of a run's metrics by alignment those by the rotation that is saved with a model; none without metrics."""
-    return metrics.get("robust") or metrics.get("procrustes") or {}
+    return next((metrics[kind] for kind in SAVED if kind in metrics), {})
+
+
+def columns(alignments: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Scores by alignment, each followed by those up to the category's symmetry where it has one."""
+    pairs = (((name, each), (f"{name} up to symmetry".strip(), each.get("alike"))) for name, each in alignments.items())
+    return {name: scores for pair in pairs for name, scores in pair if scores}
 
 
 def with_interval(scores: dict[str, Any], metric: str) -> str:

@@ -33,6 +33,7 @@ from viewnet.estimator import hub, preprocess, pretrained
 from viewnet.estimator.inputs import ImageLike, ImagesLike, as_list
 from viewnet.estimator.preprocess import Framing, Prepared
 from viewnet.estimator.viewpoints import Viewpoints
+from viewnet.evaluation.symmetry import symmetry
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
 from viewnet.model.reconstruction import Encoded
@@ -139,7 +140,8 @@ class ViewpointEstimator(pretrained.Pretrained, rendering.ObjectRenderer):
         vectors, logits, ups = joined
         if (rotation := self.annotated_from_model) is not None:
             vectors, ups = vectors @ rotation.T, None if ups is None else ups @ rotation.T
-        return Viewpoints.of(vectors, logits, ups, self.aligned)
+        turns = symmetry(self.config.category).turns if self.aligned else 1
+        return Viewpoints.of(vectors, logits, ups, self.aligned, turns)
 
     def volume(self, image: OneImage, mask: Any = None, box: Any = None) -> Tensor:
         """The volume that is reconstructed from one image: (4, Z, Y, X), colour and occupancy in [0, 1], on the CPU.

@@ -18,11 +18,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]  # an array of double precision
 LINES = 12  # images that a summary lists
 DOUBT = 0.1  # probability of hypotheses behind the object from which on the answer is in doubt
-ALIKE = {
-    "bottle": "Bottles look alike from all sides: their azimuth means little",
-    "diningtable": "Tables look alike from opposite sides: their azimuth is known up to half a turn at best",
-}
-"""Category -> what its symmetry leaves unknown."""
 
 
 class Rotated:
@@ -71,10 +66,16 @@ class Viewpoint(Rotated):
     choice: int
     confidence: float
     aligned: bool
+    turns: int
 
     @property
     def rival(self) -> Hypothesis | None:
-        """The likeliest hypothesis of the object's other side, if those of that side have DOUBT or more together."""
+        """The likeliest hypothesis of the object's other side, if those of that side have DOUBT or more together.
+
+        None where opposite sides look alike.
+        """
+        if self.turns != 1:
+            return None
         opposite = [each for each in self.ranked() if each.frame[:, 2] @ self.vector < 0]
         return opposite[0] if sum(each.probability for each in opposite) >= DOUBT else None
 
@@ -109,6 +110,7 @@ class Viewpoints(Rotated):
     confidence         (N,) that of the viewpoint: the probability of all hypotheses within 30 degrees of the chosen one
     aligned            whether the frame is the annotated one; otherwise it is the network's own, whose azimuth 0 and up
                        are arbitrary: only differences between viewpoints mean anything
+    turns              of the object that count as one viewpoint for its confidence (viewnet.evaluation.symmetry)
 
     >>> Viewpoints.of([[[1.0, 0, 0], [0, 1, 0]]], [[0.0, 2.0]], None, aligned=True)
     1 viewpoint in the annotated frame
@@ -126,9 +128,12 @@ class Viewpoints(Rotated):
     choice: NDArray[np.int64]
     confidence: Floats
     aligned: bool
+    turns: int = 1
 
     @classmethod
-    def of(cls, hypotheses: ArrayLike, logits: ArrayLike, ups: ArrayLike | None, aligned: bool) -> "Viewpoints":
+    def of(
+        cls, hypotheses: ArrayLike, logits: ArrayLike, ups: ArrayLike | None, aligned: bool, turns: int = 1
+    ) -> "Viewpoints":
         """From unit view vectors (N, M, 3), logits (N, M) and, with in-plane rotation, unit up vectors (N, M, 3)."""
         vectors, scores = np.array(hypotheses, dtype=np.float64), np.array(logits, dtype=np.float64)
         shares = probabilities(scores)
@@ -137,8 +142,8 @@ class Viewpoints(Rotated):
         up = None if ups is None else torch.from_numpy(np.array(ups, dtype=np.float64))
         azimuth, elevation = (angle.numpy() for angle in geometry.azimuth_elevation(torch.from_numpy(chosen)))
         frames = geometry.look_at(torch.from_numpy(vectors), up).numpy()
-        sure = confidence(frames, scores)
-        return cls(azimuth, elevation, chosen, frames[rows, choice], vectors, frames, shares, choice, sure, aligned)
+        sure, frame = confidence(frames, scores, turns), frames[rows, choice]
+        return cls(azimuth, elevation, chosen, frame, vectors, frames, shares, choice, sure, aligned, turns)
 
     def __len__(self) -> int:
         return len(self.azimuth)
@@ -153,11 +158,12 @@ class Viewpoints(Rotated):
         """The viewpoint of one image, or those of a slice, a mask (N,) or a list of positions."""
         single = isinstance(rows, (int, np.integer))
         rows = rows if single or isinstance(rows, slice) else np.asarray(rows)
-        values = {each.name: getattr(self, each.name)[rows] for each in fields(self) if each.name != "aligned"}
+        whole: dict[str, Any] = {"aligned": self.aligned, "turns": self.turns}
+        values = {each.name: getattr(self, each.name)[rows] for each in fields(self) if each.name not in whole}
         if not single:
-            return Viewpoints(**values, aligned=self.aligned)
+            return Viewpoints(**values, **whole)
         plain = {name: value.item() if np.ndim(value) == 0 else value for name, value in values.items()}
-        return Viewpoint(**plain, aligned=self.aligned)
+        return Viewpoint(**plain, **whole)
 
     def __iter__(self) -> Iterator[Viewpoint]:
         return (self[row] for row in range(len(self)))

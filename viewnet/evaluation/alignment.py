@@ -156,6 +156,14 @@ class QuarterTurns(Robust):
 
 
 @dataclass(frozen=True)
+class AnyTurn(Robust):
+    """As `Robust`, where objects look alike from all sides: turns ten degrees apart count as one."""
+
+    kind: ClassVar[str] = "any_turn"
+    order: ClassVar[int] = 36
+
+
+@dataclass(frozen=True)
 class Yaw(Procrustes):
     """The rotation about the vertical with the least sum of distances, for predictors whose vertical is the world's."""
 
@@ -224,7 +232,7 @@ class PerAngle(Alignment):
 
 
 ALIGNMENTS: dict[str, type[Alignment]] = {
-    cls.kind: cls for cls in (Procrustes, Robust, HalfTurns, QuarterTurns, Yaw, Linear, PerAngle, Identity)
+    cls.kind: cls for cls in (Procrustes, Robust, HalfTurns, QuarterTurns, AnyTurn, Yaw, Linear, PerAngle, Identity)
 }
 
 

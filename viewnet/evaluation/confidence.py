@@ -1,7 +1,8 @@
 """How sure a prediction is, whether that is true, and how to make it so.
 
 A confidence is the probability that a viewpoint is within 30 degrees: that of all hypotheses so close to the most
-probable one, by a selection whose logits may be divided by a temperature (Guo et al. 2017).
+probable one, by a selection whose logits may be divided by a temperature (Guo et al. 2017). Where `turns` of the object
+look alike (viewnet.evaluation.symmetry), frames are the annotated ones, and all this is up to these turns.
 """
 
 import numpy as np
@@ -23,14 +24,14 @@ def probabilities(logits: Floats) -> Floats:
     return shares / shares.sum(1, keepdims=True)
 
 
-def confidence(frames: Floats, logits: Floats) -> Floats:
+def confidence(frames: Floats, logits: Floats, turns: int = 1) -> Floats:
     """(N,) of hypotheses with camera frames (N, M, 3, 3) and logits (N, M).
 
     >>> front, beside, behind = np.eye(3), np.eye(3), np.diag([-1.0, -1.0, 1.0])
     >>> confidence(np.array([[front, beside, behind]]), np.log([[0.5, 0.3, 0.2]])).round(2).tolist()
     [0.8]
     """
-    return (probabilities(logits) * _near(frames, logits)).sum(1)
+    return (probabilities(logits) * _near(frames, logits, turns)).sum(1)
 
 
 def calibration_error(confidence: Floats, right: NDArray[np.bool_]) -> float:
@@ -44,9 +45,9 @@ def calibration_error(confidence: Floats, right: NDArray[np.bool_]) -> float:
     return 100 * float(np.abs(off).sum()) / len(confidence)
 
 
-def temperature(frames: Floats, logits: Floats, right: NDArray[np.bool_]) -> float:
+def temperature(frames: Floats, logits: Floats, right: NDArray[np.bool_], turns: int = 1) -> float:
     """Of TEMPERATURES the one by which confidences make it most likely that just those (N,) are right that are."""
-    near = _near(frames, logits)
+    near = _near(frames, logits, turns)
 
     def surprise(value: float) -> float:
         sure = (probabilities(logits / value) * near).sum(1).clip(1 - SURE, SURE)  # (N,)
@@ -55,7 +56,7 @@ def temperature(frames: Floats, logits: Floats, right: NDArray[np.bool_]) -> flo
     return float(min(TEMPERATURES, key=surprise))
 
 
-def _near(frames: Floats, logits: Floats) -> NDArray[np.bool_]:
+def _near(frames: Floats, logits: Floats, turns: int) -> NDArray[np.bool_]:
     """(N, M) which hypotheses are within 30 degrees of the most probable one."""
     chosen = frames[np.arange(len(logits)), logits.argmax(1)]  # (N, 3, 3)
-    return (geometry.rotation_angle(torch.from_numpy(frames), torch.from_numpy(chosen[:, None])) < RIGHT).numpy()
+    return (geometry.rotation_angle(torch.from_numpy(frames), torch.from_numpy(chosen[:, None]), turns) < RIGHT).numpy()

@@ -21,6 +21,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation import metrics
 from viewnet.evaluation.alignment import ALIGNMENTS, Alignment, Identity, Procrustes, draw_calibration
 from viewnet.evaluation.predictions import Floats, Predictions
+from viewnet.evaluation.symmetry import symmetry
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Aligned:
     calibration: Predictions | None  # what the alignment was fitted on; None: there was nothing, and nothing to fit
     alignment: Alignment
     hypotheses: Floats  # (N, M, 3) mapped view vectors
+    ups: Floats | None  # (N, M, 3) mapped up vectors, where the map says how they turn
     errors: Floats  # (N, M) geodesic error of each hypothesis, degrees
 
     @property
@@ -42,6 +44,19 @@ class Aligned:
     def selected_errors(self) -> Floats:
         """(N,) errors of the selected hypotheses, which the tables are made of."""
         return self.errors[np.arange(len(self.predictions)), self.predictions.choice]
+
+    @property
+    def turns(self) -> int:
+        """How many turns of the category's objects look alike, see viewnet.evaluation.symmetry."""
+        return symmetry(self.predictions.ids["category"].iloc[0]).turns
+
+    @property
+    def errors_alike(self) -> Floats:
+        """(N,) errors of the selected hypotheses, up to the category's symmetry."""
+        if self.turns == 1:
+            return self.selected_errors
+        ups = None if self.ups is None else self.ups[np.arange(len(self.predictions)), self.predictions.choice]
+        return metrics.geodesic_error(self.selected, self.predictions.truth, ups, self.turns)
 
 
 def align(
@@ -65,7 +80,7 @@ def align(
     rigid = isinstance(fitted, Procrustes | Identity)
     ups = fitted.apply(test.ups) if rigid and test.ups is not None else None
     truth = np.repeat(test.truth[:, None], test.heads, axis=1)  # (N, M, 3)
-    return Aligned(test, rows, fitted, hypotheses, metrics.geodesic_error(hypotheses, truth, ups))
+    return Aligned(test, rows, fitted, hypotheses, ups, metrics.geodesic_error(hypotheses, truth, ups))
 
 
 def calibrating(predictions: Predictions, calibration: int | None = None, seed: int = 0) -> Predictions:
@@ -90,16 +105,22 @@ def evaluate(
     dva                mean of acc30 over the non-empty azimuth bins of 30 degrees
     confidence_index   share of the twelve bins with more than ten images: how far dva can be trusted
     intervals          95 % bootstrap intervals over objects of acc30, median and dva (None with a single object)
+    alike              of symmetric categories the above, from acc10 on, of errors up to their symmetry
     oracle             acc30 and median of the best hypothesis of each image: the limit of perfect selection
     heads              per hypothesis: how often it is selected, how often it is the best, and its acc30
     audit              acc30 and median by three other definitions of the error (see `metrics`)
     alignment          the fitted map, and the images and objects it was fitted on
     """
     aligned = align(predictions, alignment, calibration, seed)
-    test, errors, fitted_on = aligned.predictions, aligned.selected_errors, aligned.calibration
+    test, fitted_on = aligned.predictions, aligned.calibration
     azimuths = test.ids["azimuth"].to_numpy()
-    statistics = ("acc30", "median", "dva")
-    intervals = metrics.bootstrap_intervals([errors], [test.objects], draws, statistics, [azimuths], seed)
+
+    def scored(errors: Floats) -> dict[str, Any]:
+        statistics = ("acc30", "median", "dva")
+        intervals = metrics.bootstrap_intervals([errors], [test.objects], draws, statistics, [azimuths], seed)
+        bounds = {name: None if each is None else list(each) for name, each in intervals.items()}
+        return metrics.summary(errors, azimuths) | {"intervals": bounds}
+
     best = aligned.errors.argmin(axis=1)  # (N,)
     level = metrics.geodesic_error(aligned.selected, test.truth)  # (N,), without in-plane rotation
     audit = {"vector": metrics.vector_error(aligned.selected, test.truth)}
@@ -107,8 +128,8 @@ def evaluate(
     return {
         "images": len(test),
         "objects": len(set(test.objects)),
-        **metrics.summary(errors, azimuths),
-        "intervals": {name: None if bounds is None else list(bounds) for name, bounds in intervals.items()},
+        **scored(aligned.selected_errors),
+        **({} if aligned.turns == 1 else {"alike": scored(aligned.errors_alike)}),
         "oracle": _headline(aligned.errors.min(axis=1)),
         "heads": [
             {"selected": 100 * float(np.mean(test.choice == m)), "best": 100 * float(np.mean(best == m))}
@@ -126,7 +147,11 @@ def _headline(errors: Floats) -> dict[str, float]:
 
 
 def scores(predictions: Predictions, kinds: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """`evaluate` by alignments; also by the robust one where predictions in two groups leave Procrustes open."""
+    """`evaluate` by alignments; also by that of the category's symmetry, or by the robust one where there is none.
+
+    The latter only where predictions in two groups leave Procrustes open.
+    """
     rows = calibrating(predictions)
-    more = ["robust"] if Procrustes.fit(rows.selected, rows.truth).degenerate else []
-    return {kind: evaluate(predictions, kind) for kind in (*kinds, *more)}
+    robust = "robust" if Procrustes.fit(rows.selected, rows.truth).degenerate else ""
+    more = symmetry(rows.ids["category"].iloc[0]).alignment or robust
+    return {kind: evaluate(predictions, kind) for kind in (*kinds, more) if kind}

@@ -21,10 +21,11 @@ AZIMUTH_BINS = 12  # of 30 degrees, the first from 0 (supplement, Discretized Vi
 CONFIDENT = 10  # bins with more images than this count for the confidence index
 
 
-def geodesic_error(predicted: Floats, truth: Floats, ups: Floats | None = None) -> Floats:
+def geodesic_error(predicted: Floats, truth: Floats, ups: Floats | None = None, turns: int = 1) -> Floats:
     """Angles (...), [0, 180] degrees, between the level camera frames of view vectors (..., 3).
 
-    With predicted up vectors `ups` (..., 3) the predicted frame is tilted by them; the true one stays level.
+    With predicted up vectors `ups` (..., 3) the predicted frame is tilted by them; the true one stays level. `turns` of
+    the object count as one viewpoint, see viewnet.evaluation.symmetry.
 
     A quarter turn around an object is 90 degrees at any height, while the angle between view vectors is smaller:
 
@@ -34,7 +35,7 @@ def geodesic_error(predicted: Floats, truth: Floats, ups: Floats | None = None) 
     (array([90.]), array([41.4]))
     """
     frames = geometry.look_at(_tensor(predicted), None if ups is None else _tensor(ups))
-    return geometry.rotation_angle(frames, geometry.look_at(_tensor(truth))).numpy()
+    return geometry.rotation_angle(frames, geometry.look_at(_tensor(truth)), turns).numpy()
 
 
 def vector_error(predicted: Floats, truth: Floats) -> Floats:

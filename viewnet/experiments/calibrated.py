@@ -14,6 +14,7 @@ from viewnet.evaluation.evaluate import Aligned
 from viewnet.evaluation.metrics import geodesic_error
 from viewnet.evaluation.predict import predict
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.symmetry import symmetry
 from viewnet.experiments.parameters import folder_named
 from viewnet.experiments.photos import photographs
 
@@ -43,9 +44,9 @@ def calibrate(model: Pretrained, data_root: str) -> None:
     if not (store.index["split"] == "val").any():
         raise ViewnetError(f"{data_root}: has no calibration split: mark some photographs val in its list")
     said = turned(predict(model.network, store, ("val",), config=config), model.annotated_from_model)
-    viewpoints = Viewpoints.of(said.hypotheses, said.logits, said.ups, aligned=True)
-    right = geodesic_error(viewpoints.vector, said.truth) < 30
-    value = temperature(viewpoints.hypothesis_frames, said.logits, right)
+    viewpoints, turns = Viewpoints.of(said.hypotheses, said.logits, said.ups, True), symmetry(config.category).turns
+    right = geodesic_error(viewpoints.vector, said.truth, turns=turns) < 30
+    value = temperature(viewpoints.hypothesis_frames, said.logits, right, turns)
     model.network.viewpoint.divide_logits(value)
     found = {"images": len(right), "right": 100 * float(np.mean(right)), "temperature": round(value, 3)}
     model.about["calibrated"] = found | {"stand_in": root is None}
@@ -58,7 +59,7 @@ def turned(said: Predictions, rotation: NDArray[np.float64]) -> Predictions:
 
 
 def answers(aligned: Aligned) -> Answers:
-    """How sure aligned predictions are, and which are right."""
+    """How sure aligned predictions are, and which are right, up to their category's symmetry."""
     said = aligned.predictions
-    sure = Viewpoints.of(said.hypotheses, said.logits, said.ups, aligned=False).confidence  # (N,)
-    return sure, aligned.selected_errors < 30
+    said_so = Viewpoints.of(aligned.hypotheses, said.logits, aligned.ups, True, aligned.turns)
+    return said_so.confidence, aligned.errors_alike < 30

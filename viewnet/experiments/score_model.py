@@ -20,13 +20,14 @@ from viewnet.data import build, catalogue
 from viewnet.data.readers.registry import READERS
 from viewnet.errors import ViewnetError
 from viewnet.estimator import pretrained
-from viewnet.estimator.model_card import METRICS, own, with_interval
+from viewnet.estimator.model_card import METRICS, columns, own, with_interval
 from viewnet.evaluation.alignment import MINIMUM
 from viewnet.evaluation.confidence import calibration_error
 from viewnet.evaluation.evaluate import align, calibrating, evaluate
 from viewnet.evaluation.predictions import Predictions
 from viewnet.evaluation.run import LEARNED_ALIGNMENTS, Run
 from viewnet.evaluation.support import support
+from viewnet.evaluation.symmetry import symmetry
 from viewnet.experiments import photos
 from viewnet.experiments.calibrated import answers, turned
 from viewnet.experiments.distilled import moved
@@ -78,8 +79,8 @@ def scores(
         description, predictions, where_from = _predictions(run, data, steps)
         result = run.result  # the folder is gone after the block
     own_frame = run.alignments == LEARNED_ALIGNMENTS
-    kinds = LEARNED if own_frame else run.alignments  # else predictions are in the annotated frame already
-    by_kind = {kind: (predictions, kind) for kind in kinds}
+    kinds = (*LEARNED, symmetry(run.config.category).alignment) if own_frame else run.alignments  # or annotated already
+    by_kind = {kind: (predictions, kind) for kind in kinds if kind}
     if where_from != "own views" and own_frame and result["metrics"] is not None:
         # What a user of the model gets: no label of the photographs is used.
         rotation = np.array(own(result["metrics"])["alignment"]["rotation"])
@@ -122,9 +123,8 @@ def as_text(scores: dict[str, Any]) -> str:
     first = next(iter(found.values()))  # all are of the same images
     fitted, header = first["alignment"], HEADER + (SUPPORT if "support" in first else ())
     rows = [
-        (kind, *(with_interval(s, name) for name in METRICS), f"{s['flips']:.1f}", f"{s['oracle']['acc30']:.1f}")
-        + (_support(s["support"]) if "support" in s else ())
-        for kind, s in found.items()
+        (kind, *(with_interval(s, name) for name in METRICS), f"{s['flips']:.1f}", *_further(s))[: len(header)]
+        for kind, s in columns(found).items()
     ]
     calibrated = f"aligned on {fitted['images']} of {fitted['objects']}" if fitted["images"] else "none to calibrate on"
     images = f"{first['images']} of {first['objects']} objects"
@@ -144,9 +144,12 @@ def as_text(scores: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _support(support: dict[str, float | None]) -> tuple[str, str]:
-    turn = support["uncertainty"]
-    return f"{support['acc30']:.1f}", "" if turn is None else f"{turn:.1f}"
+def _further(scores: dict[str, Any]) -> tuple[str, str, str]:
+    """The last three cells of a line; scores up to a symmetry have none of them."""
+    support = scores.get("support", {})
+    numbers = (scores.get("oracle", {}).get("acc30"), support.get("acc30"), support.get("uncertainty"))
+    best, right, turn = ("" if number is None else f"{number:.1f}" for number in numbers)
+    return best, right, turn
 
 
 def _run(where: str, cad_root: str | None, folder: Path) -> Run:

@@ -58,7 +58,7 @@ def of_seeds(table: Table) -> pd.DataFrame:
         line |= {"best_head_acc30": metrics.accuracy(robust.errors.min(axis=1), 30)}
         for name, kind in (("half", HalfTurns), ("quarter", QuarterTurns)):
             free = entry.aligned(kind.kind)
-            errors = metrics.geodesic_error(free.selected, kind.turned(free.predictions.truth)).min(axis=0)  # (N,)
+            errors = metrics.geodesic_error(free.selected, free.predictions.truth, turns=kind.order)  # (N,)
             line |= {f"up_to_{name}_turns_acc30": metrics.accuracy(errors, 30)}
         turns = (metrics.geodesic_error(usual.selected @ turn.T, usual.predictions.truth) for turn in cube)
         lines.append(line | {"best_of_24_acc30": max(metrics.accuracy(errors, 30) for errors in turns)})

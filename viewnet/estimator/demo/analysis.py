@@ -8,7 +8,8 @@ import torch
 
 from viewnet.data.crop import reaches_far_beyond
 from viewnet.estimator import ViewpointEstimator, inputs, model_card, preprocess, templating
-from viewnet.estimator.viewpoints import ALIKE, Viewpoint
+from viewnet.estimator.viewpoints import Viewpoint
+from viewnet.evaluation.symmetry import symmetry
 from viewnet.geometry import look_at, view_vector
 from viewnet.model import rendering
 from viewnet.model.reconstruction import Encoded
@@ -83,7 +84,7 @@ def model_facts(estimator: ViewpointEstimator) -> str:
     scores = model_card.own(about.get("metrics") or {})
     scored = [("test views of objects not used in training", scores)] if scores else []
     scored += [(other["on"], next(iter(other["alignments"].values()))) for other in about.get("scores") or []]
-    known = {"alike": ALIKE.get(estimator.config.category), "scored": scored[::-1]}
+    known = {"alike": symmetry(estimator.config.category).note, "scored": scored[::-1]}
     return templating.rendered("model_facts.md", estimator=estimator, config=estimator.config, **known)
 
 
