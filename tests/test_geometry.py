@@ -134,6 +134,20 @@ def test_the_angle_between_rotations(degrees, axis):
     assert rotation_angle(other @ base, other @ base @ turn) == pytest.approx(degrees, abs=1e-6)
 
 
+@pytest.mark.parametrize("turns", [0, 1, 2, 4])
+def test_the_angle_up_to_turns_about_the_vertical_is_the_least_of_all(turns):
+    a, b = (torch.from_numpy(Rotation.random(50, rng=np.random.default_rng(i)).as_matrix()) for i in (0, 1))
+    every = 360 if turns == 0 else turns
+    apart = [rotation_angle(about((0, 0, 1), 360 * turn / every) @ a, b) for turn in range(every)]
+    least = torch.stack(apart).min(0).values  # (50,)
+    found = rotation_angle(a, b, turns)
+    assert (found <= least + 1e-9).all()
+    assert torch.allclose(found, least, atol=0.5 if turns == 0 else 1e-9)
+    if turns == 0:
+        high, low = (look_at(view_vector(tensor(azimuth), tensor(e))) for azimuth, e in ((10, 30), (200, 5)))
+        assert rotation_angle(high, low, turns) == pytest.approx(25)
+
+
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1)])
 def test_the_angle_is_exact_where_arccos_is_not(axis):
     eye = torch.eye(3)

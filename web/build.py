@@ -133,10 +133,15 @@ def between(side: int) -> list[tuple[int, float]]:
 
 
 def accuracy(estimator: pretrained.Pretrained) -> list[dict[str, Any]]:
-    """What the model was scored on: `on` in words, `acc30` in %, and `median`, an error in degrees."""
+    """What the model was scored on: `on` in words, `acc30` in %, and `median`, an error in degrees; up to symmetry."""
     rendered = ("rendered test views", own(estimator.about["metrics"]))
     others = [(each["on"], each["alignments"]["own"]) for each in estimator.about["scores"]]
-    return [{"on": on, "acc30": each["acc30"], "median": each["median"]} for on, each in (rendered, *others)]
+    found = []
+    for on, scores in (rendered, *others):
+        alike = scores.get("alike", scores)
+        up_to = "" if alike is scores else ", up to symmetry"
+        found.append({"on": on + up_to, "acc30": alike["acc30"], "median": alike["median"]})
+    return found
 
 
 def about(models: dict[str, dict[str, Any]]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from helpers.estimators import untrained
 
 from viewnet.estimator import ViewpointEstimator
 from viewnet.estimator.demo.analysis import model_facts
+from viewnet.estimator.model_card import with_interval
 
 load = ViewpointEstimator.from_pretrained
 
@@ -33,6 +34,18 @@ def test_a_robust_rotation_is_said_to_be_one(run, tmp_path):
     estimator.save_pretrained(tmp_path / "robust")
     usual, robust = ((tmp_path / name / "README.md").read_text() for name in ("usual", "robust"))
     assert "(`robust`)" in robust and "(`robust`)" not in usual
+
+
+def test_scores_up_to_a_symmetry_stand_beside_the_others(run, tmp_path):
+    estimator = load(run.folder)
+    metrics = estimator.about["metrics"]["procrustes"]
+    metrics["alike"] = {name: metrics[name] for name in ("median", "dva", "flips", "intervals")} | {"acc30": 98.76}
+    metrics["alike"]["intervals"] = metrics["intervals"] | {"acc30": [97.5, 99.5]}
+    estimator.save_pretrained(tmp_path / "saved")
+    text = (tmp_path / "saved" / "README.md").read_text()
+    assert f"| Acc@30, % | {with_interval(metrics, 'acc30')} | 98.8 [97.5, 99.5] |" in text
+    assert "up to the symmetry of its objects" in text
+    assert "Up to the symmetry of its objects they are **98.8 %**" in model_facts(estimator)
 
 
 def test_what_a_symmetry_leaves_unknown_is_said(tmp_path):

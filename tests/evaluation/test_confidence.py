@@ -35,6 +35,26 @@ def test_hypotheses_within_30_degrees_of_the_likeliest_count_together():
     assert said.confidence == pytest.approx([0.7])
 
 
+@pytest.mark.parametrize(("turns", "sure"), [(1, 0.4), (2, 0.7), (0, 1.0)])
+def test_hypotheses_that_look_alike_count_together(turns, sure):
+    logits = np.log([[0.4, 0.3, 0.3]])
+    at = frames(0, 185, 90)
+    assert confidence(at, logits, turns) == pytest.approx([sure])
+    (said,) = Viewpoints.of(at[..., 2], logits, None, True, turns)
+    assert said.confidence == pytest.approx(sure)
+    assert (said.rival is None) == (turns != 1)  # the other side is in doubt only where it looks different
+
+
+@pytest.mark.parametrize("turns", [1, 2])
+def test_a_temperature_is_of_what_looks_alike(turns):
+    """Hypotheses half a turn apart: surest of all where half turns count as right, since then they all are."""
+    at, logits, right = drawn(2_000)
+    found = temperature(at, logits, right if turns == 1 else np.full_like(right, True), turns)
+    sure = confidence(at, logits / found, turns)
+    assert calibration_error(sure, right if turns == 1 else np.full_like(right, True)) < 3
+    assert (sure.min() > 0.999) == (turns == 2)
+
+
 def test_confidences_that_are_true_have_no_error_and_others_have_what_they_are_off():
     at, logits, right = drawn(20_000)
     sure = confidence(at, logits)

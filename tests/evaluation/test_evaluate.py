@@ -163,6 +163,23 @@ def test_what_cannot_be_scored_is_said():
         baselines.constant(ring)
 
 
+@pytest.mark.parametrize(("category", "kind"), [("diningtable", "half_turns"), ("bottle", "any_turn")])
+def test_symmetric_categories_are_scored_up_to_their_symmetry_too(category, kind):
+    said = noisy(make_index(400, 5, category=category))
+    rng = np.random.default_rng(0)
+    angle = rng.choice([0, 180], len(said)) if category == "diningtable" else rng.uniform(0, 360, len(said))
+    turned = Rotation.from_rotvec(angle[:, None] * [0, 0, 1], degrees=True).apply(said.truth)
+    found = scores(Predictions(said.ids, turned[:, None], np.zeros((len(said), 1))), ("procrustes",))
+    assert list(found) == ["procrustes", kind]
+    assert model_card.own(found) is found[kind]
+    assert found[kind]["acc30"] < 70
+    alike = found[kind]["alike"]
+    assert alike["acc30"] == 100
+    assert alike["median"] < 0.5
+    assert alike["intervals"]["acc30"] == [100, 100]
+    assert "alike" not in scores(noisy(make_index(40, 5)), ("procrustes",))["procrustes"]
+
+
 def test_two_groups_half_a_turn_apart_are_scored_by_the_rotation_of_the_larger_one():
     said = noisy(make_index(400, 5))
     assert list(scores(said, ("procrustes", "linear"))) == ["procrustes", "linear"]

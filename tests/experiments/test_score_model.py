@@ -28,7 +28,7 @@ from viewnet.estimator.model_card import with_interval
 from viewnet.evaluation import evaluate, metrics
 from viewnet.evaluation.predictions import Predictions, true_vectors
 from viewnet.evaluation.run import NOT_SCORED
-from viewnet.experiments import score_model
+from viewnet.experiments import calibrated, score_model
 from viewnet.experiments.score_model import ScoredData, scores
 from viewnet.geometry import view_vector
 from viewnet.recipes import make_config
@@ -124,6 +124,26 @@ def test_photographs_that_are_all_scored_are_scored_by_the_own_rotation_alone(ru
     assert found["alignments"]["own"]["alignment"]["images"] == 0
     assert found["alignments"]["own"]["acc30"] == both["alignments"]["own"]["acc30"]
     assert "12 of 12 objects; none to calibrate on" in score_model.as_text(found)
+
+
+def test_what_looks_alike_counts_as_right(run, store, tmp_path, monkeypatch):
+    """Scores of a table from its other side, and how sure a network is that does not tell the two apart."""
+    monkeypatch.setattr("viewnet.evaluation.features.SIZE", 32)
+    found = scores(KEY, ScoredData(str(photographs(tmp_path / "photos", store, 0))))
+    assert "up to symmetry" not in score_model.as_text(found)
+    index = make_index(60, 4, category="diningtable")
+    truth = true_vectors(index)
+    both = np.stack([truth, truth * [-1, -1, 1]], axis=1)  # (N, 2, 3)
+    logits = np.where(np.arange(len(index))[:, None] % 2, [0.0, 0.1], [0.1, 0.0])
+    said = Predictions(index, both, logits)
+    aligned = evaluate.align(said, "half_turns")
+    sure, right = calibrated.answers(aligned)
+    assert right.all() and sure == pytest.approx(1)
+    table = evaluate.evaluate(said, "half_turns")
+    assert table["acc30"] == pytest.approx(50, abs=3)
+    first = found["alignments"]["own"]
+    lines = score_model.as_text(found | {"alignments": {"own": table | {"support": first["support"]}}}).splitlines()
+    assert ["own", "up", "to", "symmetry", "100.0", "[100.0,", "100.0]"] in [line.split()[:7] for line in lines]
 
 
 @pytest.mark.parametrize(("turn", "images", "chosen"), [(0, 200, "own"), (90, 200, "procrustes"), (90, 5, "own")])

@@ -28,10 +28,12 @@ ARGUMENTS = (
 def run(options: Options) -> None:
     """Write the folder; print its path, and its accuracy on its own test views."""
     choose_resources(options)
+    from viewnet.estimator.model_card import own
     from viewnet.experiments import distilled
 
     places = options.model, options.folder, options.teachers
     model = distilled.make(*places, options.seed, options.half, options.cad_root)
     print(options.folder)
-    if scores := (model.about["metrics"] or {}).get("procrustes"):
+    if scores := own(model.about["metrics"] or {}):
+        scores = scores.get("alike", scores)
         print(f"  test: within 30 degrees {scores['acc30']:.1f} %, median {scores['median']:.1f} degrees")

@@ -32,8 +32,8 @@ class Aligned:
     calibration: Predictions | None  # what the alignment was fitted on; None: there was nothing, and nothing to fit
     alignment: Alignment
     hypotheses: Floats  # (N, M, 3) mapped view vectors
-    ups: Floats | None  # (N, M, 3) mapped up vectors, where the map says how they turn
     errors: Floats  # (N, M) geodesic error of each hypothesis, degrees
+    alike: Floats  # (N, M) the same up to the category's symmetry
 
     @property
     def selected(self) -> Floats:
@@ -46,17 +46,9 @@ class Aligned:
         return self.errors[np.arange(len(self.predictions)), self.predictions.choice]
 
     @property
-    def turns(self) -> int:
-        """How many turns of the category's objects look alike, see viewnet.evaluation.symmetry."""
-        return symmetry(self.predictions.ids["category"].iloc[0]).turns
-
-    @property
-    def errors_alike(self) -> Floats:
-        """(N,) errors of the selected hypotheses, up to the category's symmetry."""
-        if self.turns == 1:
-            return self.selected_errors
-        ups = None if self.ups is None else self.ups[np.arange(len(self.predictions)), self.predictions.choice]
-        return metrics.geodesic_error(self.selected, self.predictions.truth, ups, self.turns)
+    def selected_alike(self) -> Floats:
+        """(N,) the same up to the category's symmetry."""
+        return self.alike[np.arange(len(self.predictions)), self.predictions.choice]
 
 
 def align(
@@ -80,7 +72,9 @@ def align(
     rigid = isinstance(fitted, Procrustes | Identity)
     ups = fitted.apply(test.ups) if rigid and test.ups is not None else None
     truth = np.repeat(test.truth[:, None], test.heads, axis=1)  # (N, M, 3)
-    return Aligned(test, rows, fitted, hypotheses, ups, metrics.geodesic_error(hypotheses, truth, ups))
+    errors, turns = metrics.geodesic_error(hypotheses, truth, ups), symmetry(categories[0]).turns
+    alike = errors if turns == 1 else metrics.geodesic_error(hypotheses, truth, ups, turns)
+    return Aligned(test, rows, fitted, hypotheses, errors, alike)
 
 
 def calibrating(predictions: Predictions, calibration: int | None = None, seed: int = 0) -> Predictions:
@@ -129,7 +123,7 @@ def evaluate(
         "images": len(test),
         "objects": len(set(test.objects)),
         **scored(aligned.selected_errors),
-        **({} if aligned.turns == 1 else {"alike": scored(aligned.errors_alike)}),
+        **({} if aligned.alike is aligned.errors else {"alike": scored(aligned.selected_alike)}),
         "oracle": _headline(aligned.errors.min(axis=1)),
         "heads": [
             {"selected": 100 * float(np.mean(test.choice == m)), "best": 100 * float(np.mean(best == m))}

@@ -7,13 +7,17 @@ class Symmetry(NamedTuple):
     """Of a category's objects, about their vertical."""
 
     turns: int = 1  # that look alike: 1 the whole one alone, 2 half turns, 0 those by any angle
-    note: str = ""  # what is therefore unknown of viewpoints
     alignment: str = ""  # that does not mind it (viewnet.evaluation.alignment)
+    note: str = ""  # what is therefore unknown of viewpoints
 
 
 SYMMETRIES = {
-    "bottle": Symmetry(0, "Bottles look alike from all sides: confidence is of the elevation alone", "any_turn"),
-    "diningtable": Symmetry(2, "Tables look alike from opposite sides: all is up to half a turn", "half_turns"),
+    "bottle": Symmetry(
+        0, "any_turn", "Bottles look alike from all sides: azimuth means little, and confidence is of the elevation"
+    ),
+    "diningtable": Symmetry(
+        2, "half_turns", "Tables look alike from opposite sides: azimuth and confidence are up to half a turn"
+    ),
 }
 
 

@@ -9,6 +9,7 @@ from viewnet.data import build
 from viewnet.errors import ViewnetError
 from viewnet.estimator.pretrained import Pretrained
 from viewnet.estimator.viewpoints import Viewpoints
+from viewnet.evaluation.alignment import Procrustes
 from viewnet.evaluation.confidence import Floats, temperature
 from viewnet.evaluation.evaluate import Aligned
 from viewnet.evaluation.metrics import geodesic_error
@@ -60,6 +61,8 @@ def turned(said: Predictions, rotation: NDArray[np.float64]) -> Predictions:
 
 def answers(aligned: Aligned) -> Answers:
     """How sure aligned predictions are, and which are right, up to their category's symmetry."""
-    said = aligned.predictions
-    said_so = Viewpoints.of(aligned.hypotheses, said.logits, aligned.ups, True, aligned.turns)
-    return said_so.confidence, aligned.errors_alike < 30
+    said, turns = aligned.predictions, symmetry(aligned.predictions.ids["category"].iloc[0]).turns
+    if isinstance(aligned.alignment, Procrustes):
+        said = turned(said, aligned.alignment.rotation)
+    sure = Viewpoints.of(said.hypotheses, said.logits, said.ups, True, turns).confidence  # (N,)
+    return sure, aligned.selected_alike < 30
