@@ -23,7 +23,8 @@ def card(config: RunConfig, aligned: bool, about: dict[str, Any], license: str |
     front: dict[str, Any] = {"license": licence, "library_name": "viewnet", "tags": [*TAGS, config.category]}
     if scores := own(about.get("metrics") or {}):
         task = {"type": "viewpoint-estimation", "name": "Viewpoint estimation"}
-        metrics = [{"type": key, "name": name, "value": scores[key]} for key, name in METRICS.items()]
+        shown, up_to = scores.get("alike", scores), " up to symmetry" * ("alike" in scores)
+        metrics = [{"type": key, "name": name + up_to, "value": shown[key]} for key, name in METRICS.items()]
         dataset = {"type": "views", "name": f"test views of {trained_on}"}
         results = [{"task": task, "dataset": dataset, "metrics": metrics}]
         front["model-index"] = [{"name": f"{config.variant} {config.category}", "results": results}]

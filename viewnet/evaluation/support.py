@@ -10,6 +10,7 @@ from viewnet.errors import ViewnetError
 from viewnet.evaluation.alignment import ALIGNMENTS, Procrustes
 from viewnet.evaluation.metrics import geodesic_error
 from viewnet.evaluation.predictions import Predictions
+from viewnet.evaluation.symmetry import symmetry
 
 DRAWS = 20
 
@@ -19,15 +20,16 @@ def support(calibration: Predictions, kind: str) -> dict[str, float | None]:
 
     It is fitted again on as many of their objects, drawn with replacement, DRAWS times.
 
-    acc30        images within 30 degrees, each by the fits that have not seen its object; 0 where none can be made
+    acc30        images within 30 degrees, up to a symmetry, by the fits that have not seen their objects; 0 for none
     uncertainty  19 of 20 rotations fitted again are within it of the one of all images; None for other alignments
     """
     names, owner = np.unique(calibration.objects.astype(str), return_inverse=True)  # (K,), (N,)
     predicted, truth, fit = calibration.selected, calibration.truth, ALIGNMENTS[kind].fit
+    turns = symmetry(calibration.ids["category"].iloc[0]).turns
     if kind == "none":
-        return {"acc30": 100 * float((geodesic_error(predicted, truth) < 30).mean()), "uncertainty": None}
+        return {"acc30": 100 * float((geodesic_error(predicted, truth, turns=turns) < 30).mean()), "uncertainty": None}
     rng = np.random.default_rng(0)
-    right, turns, whole = [], [], fit(predicted, truth)
+    right, apart, whole = [], [], fit(predicted, truth)
     for _ in range(DRAWS):
         times = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))[owner]  # (N,)
         rows, left_out = np.repeat(np.arange(len(owner)), times), times == 0
@@ -36,10 +38,10 @@ def support(calibration: Predictions, kind: str) -> dict[str, float | None]:
         except ViewnetError:  # too few of them, or all alike
             right.append(np.zeros(left_out.sum()))
             continue
-        right.append(geodesic_error(again.apply(predicted[left_out]), truth[left_out]) < 30)
+        right.append(geodesic_error(again.apply(predicted[left_out]), truth[left_out], turns=turns) < 30)
         if isinstance(again, Procrustes) and isinstance(whole, Procrustes):
             cosine = (np.trace(again.rotation.T @ whole.rotation) - 1) / 2
-            turns.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+            apart.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
     found = np.concatenate(right)
-    uncertainty = float(np.percentile(turns, 95)) if turns else None
+    uncertainty = float(np.percentile(apart, 95)) if apart else None
     return {"acc30": 100 * float(found.mean()) if len(found) else 0.0, "uncertainty": uncertainty}

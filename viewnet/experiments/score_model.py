@@ -79,8 +79,10 @@ def scores(
         description, predictions, where_from = _predictions(run, data, steps)
         result = run.result  # the folder is gone after the block
     own_frame = run.alignments == LEARNED_ALIGNMENTS
-    kinds = (*LEARNED, symmetry(run.config.category).alignment) if own_frame else run.alignments  # or annotated already
-    by_kind = {kind: (predictions, kind) for kind in kinds if kind}
+    kinds = LEARNED if own_frame else run.alignments  # else predictions are in the annotated frame already
+    if own_frame and (symmetric := symmetry(run.config.category).alignment):
+        kinds = (symmetric,)  # such a category determines no other
+    by_kind = {kind: (predictions, kind) for kind in kinds}
     if where_from != "own views" and own_frame and result["metrics"] is not None:
         # What a user of the model gets: no label of the photographs is used.
         rotation = np.array(own(result["metrics"])["alignment"]["rotation"])
