@@ -35,7 +35,10 @@ from viewnet.runtime.image_files import MOST_PIXELS
 
 WEB = Path(__file__).resolve().parent
 ROOT = WEB.parent
-MODELS = ("car", "chair", "aeroplane", "motorbike", "bicycle", "sofa", "boat", "bus", "train", "tvmonitor")
+MODELS = (
+    *("car", "chair", "aeroplane", "motorbike", "bicycle", "sofa", "boat", "bus", "train", "tvmonitor"),
+    *("bottle", "diningtable"),
+)
 EXAMPLE = {"file": "car.jpg", "model": "car", "box": [129, 108, 341, 200]}
 """Of docs/: an image to try, the model for it, and its box in pixels."""
 SCRIPTS = ("page.js", "stage.js", "image.js", "crop.js", "network.js", "viewpoint.js", "compass.js")

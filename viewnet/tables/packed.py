@@ -27,6 +27,11 @@ def packed(predictions: Predictions) -> pd.DataFrame:
     return predictions.ids.assign(**numbers)
 
 
+def single(frame: pd.DataFrame) -> pd.DataFrame:
+    """The same in single precision, as files have it."""
+    return frame.astype(dict.fromkeys(frame.columns[frame.dtypes == "float64"], "float32"))
+
+
 def unpacked(frame: pd.DataFrame) -> Predictions:
     """The predictions of `packed`, or of Predictions.to_frame as once kept. KeyError for a missing column."""
     if "h0_x" in frame:

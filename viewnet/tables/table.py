@@ -23,7 +23,7 @@ from viewnet.runtime.files import write_csv, write_json, write_text
 from viewnet.tables import columns, latex, reported
 from viewnet.tables.columns import DASH, HEADLINE, METRICS, text
 from viewnet.tables.layouts import ADDED, LAYOUTS, Layout
-from viewnet.tables.packed import packed
+from viewnet.tables.packed import packed, single, unpacked
 
 DRAWS = 1000
 DEGENERATE = "in brackets: of some seed the predictions have too little spread for an alignment, so this is no score"
@@ -151,7 +151,9 @@ class Table:
         layout's. Raises ViewnetError for entries that have no place in the table, for two of the same row, category and
         seed, and for a row beside with the label of another.
         """
-        given = sorted(entries, key=lambda entry: entry.beside)  # stable
+        # As they are kept, so that whoever measures again from the files finds the same numbers.
+        given = [replace(entry, predictions=unpacked(single(packed(entry.predictions)))) for entry in entries]
+        given.sort(key=lambda entry: entry.beside)  # stable
         others, renamed = tuple(dict.fromkeys(entry.row for entry in given if entry.beside)), renamed or {}
         layout = LAYOUTS[known(name, LAYOUTS, "table")].extended(others)
         layout.extended(renamed.values())
@@ -325,9 +327,8 @@ class Table:
     def _predictions(self) -> pd.DataFrame:
         """Those of every run, one below the other: its key in a column "run", then as `packed`."""
         runs = {run_of(entry.key): entry.predictions for entry in self.entries}
-        frame = pd.concat([packed(each).assign(run=key) for key, each in runs.items()], ignore_index=True)
-        single = dict.fromkeys(frame.columns[frame.dtypes == "float64"], "float32")
-        return frame.astype(single | dict.fromkeys(("run", "category", "split", "model_id"), "category"))
+        frame = pd.concat([single(packed(each)).assign(run=key) for key, each in runs.items()], ignore_index=True)
+        return frame.astype(dict.fromkeys(("run", "category", "split", "model_id"), "category"))
 
 
 def run_of(key: str) -> str:
