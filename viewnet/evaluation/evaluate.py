@@ -33,7 +33,7 @@ class Aligned:
     alignment: Alignment
     hypotheses: Floats  # (N, M, 3) mapped view vectors
     errors: Floats  # (N, M) geodesic error of each hypothesis, degrees
-    alike: Floats  # (N, M) the same up to the category's symmetry
+    alike: Floats  # (N,) those of the selected hypotheses up to the category's symmetry
 
     @property
     def selected(self) -> Floats:
@@ -44,11 +44,6 @@ class Aligned:
     def selected_errors(self) -> Floats:
         """(N,) errors of the selected hypotheses, which the tables are made of."""
         return self.errors[np.arange(len(self.predictions)), self.predictions.choice]
-
-    @property
-    def selected_alike(self) -> Floats:
-        """(N,) the same up to the category's symmetry."""
-        return self.alike[np.arange(len(self.predictions)), self.predictions.choice]
 
 
 def align(
@@ -72,9 +67,9 @@ def align(
     rigid = isinstance(fitted, Procrustes | Identity)
     ups = fitted.apply(test.ups) if rigid and test.ups is not None else None
     truth = np.repeat(test.truth[:, None], test.heads, axis=1)  # (N, M, 3)
-    errors, turns = metrics.geodesic_error(hypotheses, truth, ups), symmetry(categories[0]).turns
-    alike = errors if turns == 1 else metrics.geodesic_error(hypotheses, truth, ups, turns)
-    return Aligned(test, rows, fitted, hypotheses, errors, alike)
+    both = (1, symmetry(categories[0]).turns)
+    errors, alike = (metrics.geodesic_error(hypotheses, truth, ups, turns) for turns in both)  # (N, M) each
+    return Aligned(test, rows, fitted, hypotheses, errors, alike[np.arange(len(test)), test.choice])
 
 
 def calibrating(predictions: Predictions, calibration: int | None = None, seed: int = 0) -> Predictions:
@@ -123,7 +118,7 @@ def evaluate(
         "images": len(test),
         "objects": len(set(test.objects)),
         **scored(aligned.selected_errors),
-        **({} if aligned.alike is aligned.errors else {"alike": scored(aligned.selected_alike)}),
+        **({} if symmetry(test.ids["category"].iloc[0]).turns == 1 else {"alike": scored(aligned.alike)}),
         "oracle": _headline(aligned.errors.min(axis=1)),
         "heads": [
             {"selected": 100 * float(np.mean(test.choice == m)), "best": 100 * float(np.mean(best == m))}

@@ -65,4 +65,4 @@ def answers(aligned: Aligned) -> Answers:
     if isinstance(aligned.alignment, Procrustes):
         said = turned(said, aligned.alignment.rotation)
     sure = Viewpoints.of(said.hypotheses, said.logits, said.ups, True, turns).confidence  # (N,)
-    return sure, aligned.selected_alike < 30
+    return sure, aligned.alike < 30
