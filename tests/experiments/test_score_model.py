@@ -26,6 +26,7 @@ from viewnet.errors import ViewnetError
 from viewnet.estimator import ViewpointEstimator
 from viewnet.estimator.model_card import with_interval
 from viewnet.evaluation import evaluate, metrics
+from viewnet.evaluation.confidence import calibration_error
 from viewnet.evaluation.predictions import Predictions, true_vectors
 from viewnet.evaluation.run import NOT_SCORED
 from viewnet.experiments import calibrated, score_model
@@ -170,14 +171,21 @@ def test_crops_with_a_list_are_scored(run, tmp_path, monkeypatch):
 
 def test_photographs_are_scored_by_the_rotation_of_the_estimator_s_answers(run, store, tmp_path, monkeypatch):
     monkeypatch.setattr("viewnet.evaluation.features.SIZE", 32)
+    monkeypatch.setattr(score_model, "choice", lambda found, *_: list(found)[-1])  # whatever is chosen
     place = photographs(tmp_path / "photos", store, 0)
-    found = scores(KEY, ScoredData(str(place)))["alignments"]["own"]
+    both = scores(KEY, ScoredData(str(place)))
+    found = both["alignments"]["own"]
     listed = pd.read_csv(place / "viewpoints.csv")
     listed = listed[listed["split"] == "test"]
     said = ViewpointEstimator.from_pretrained(KEY, device="cpu").predict([place / "images" / f for f in listed["file"]])
     truth = view_vector(*(torch.tensor(listed[name].to_numpy()) for name in ("azimuth_deg", "elevation_deg")))
     errors = metrics.vector_error(np.stack([one.vector for one in said]), truth.numpy())
     assert found["audit"]["vector"]["median"] == pytest.approx(np.median(errors), abs=0.5)
+    assert both["choose"] != "own"
+    sure = np.array([one.confidence for one in said])
+    right = metrics.geodesic_error(np.stack([one.vector for one in said]), truth.numpy()) < 30
+    about = {"mean": 100 * sure.mean(), "error": calibration_error(sure, right)}
+    assert both["confidence"] == pytest.approx(about, abs=0.5)
 
 
 def test_the_card_of_a_saved_model_tells_scores_on_photographs(run, store, tmp_path, monkeypatch, capsys):

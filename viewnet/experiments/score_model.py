@@ -65,8 +65,8 @@ def scores(
                       of photographs with its "support" (viewnet.evaluation.support)
     choose            of photographs the alignment to take: the first one, unless another is right on more of the
                       calibration images that it was not fitted on, by more than chance can be (two standard errors)
-    confidence        its mean in per cent and its expected calibration error in points, by the alignment to take, else
-                      the first one; None of single hypotheses
+    confidence        its mean in per cent and its expected calibration error in points, by the first alignment: by
+                      `OWN` what viewnet predict says; None of single hypotheses
 
     Alignments are fitted on `calibration` images (None: all) of the model's own validation views, or of photographs'
     calibration split; with fewer than four of these there is `OWN` alone. Raises ViewnetError where there is no model,
@@ -95,7 +95,7 @@ def scores(
     found = {name: evaluate(said, kind, calibration) for name, (said, kind) in by_kind.items()}
     choose = choice(found, by_kind, calibration) if where_from == "photographs" else None
     about = {"model": where, "name": run.name, "key": result.get("key"), "on": description}
-    said, kind = by_kind[choose or next(iter(by_kind))]
+    said, kind = next(iter(by_kind.values()))
     confidence: dict[str, float] | None = None
     if said.heads > 1:
         sure, right = answers(align(said, kind, calibration))
