@@ -131,4 +131,4 @@ def test_the_training_loop_is_short():
 
 def test_the_package_without_its_cad_models_and_peers_is_small():
     apart = {PACKAGE / "cad", PACKAGE / "peers"}
-    assert sum(lines(path) for path in PACKAGE.rglob("*.py") if not apart & {*path.parents}) <= 27_107
+    assert sum(lines(path) for path in PACKAGE.rglob("*.py") if not apart & {*path.parents}) <= 27_108

@@ -67,8 +67,9 @@ def align(
     rigid = isinstance(fitted, Procrustes | Identity)
     ups = fitted.apply(test.ups) if rigid and test.ups is not None else None
     truth = np.repeat(test.truth[:, None], test.heads, axis=1)  # (N, M, 3)
-    both = (1, symmetry(categories[0]).turns)
-    errors, alike = (metrics.geodesic_error(hypotheses, truth, ups, turns) for turns in both)  # (N, M) each
+    errors = alike = metrics.geodesic_error(hypotheses, truth, ups)  # (N, M)
+    if (turns := symmetry(categories[0]).turns) != 1:
+        alike = metrics.geodesic_error(hypotheses, truth, ups, turns)  # (N, M)
     return Aligned(test, rows, fitted, hypotheses, errors, alike[np.arange(len(test)), test.choice])
 
 
