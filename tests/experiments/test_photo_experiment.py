@@ -18,7 +18,7 @@ from viewnet.recipes import ABSOLUTE, PROFILES, RECIPES, VARIANTS
 from viewnet.runs.other_views import on_photographs
 from viewnet.runs.run_store import ensure
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.packed import packed, single, unpacked
+from viewnet.tables.packed import as_kept
 from viewnet.tables.table import named
 
 
@@ -194,7 +194,7 @@ def test_table_3_has_every_row_by_its_own_alignment(photographs, steps, tmp_path
     assert set(measured["row"]) == {*rows, "VGG view* (pixels)"} - {"VGG view*"}
     store = request.stores()["car"]
     car = next(r for r in runs if (r.config.variant, r.config.category) == ("viewnet", "car"))
-    said = unpacked(single(packed(on_photographs(car, store))))  # as they are kept beside the table
+    said = as_kept(on_photographs(car, store))  # as they are kept beside the table
     for row, kind in (("ViewNet (photos)", "procrustes"), ("ViewNet* (photos)", "linear")):
         errors = align(said, kind, 30).selected_errors
         assert cell_of(table, row, "car", "median")["measured"] == pytest.approx(np.median(errors))

@@ -19,7 +19,7 @@ from viewnet.experiments import experiment
 from viewnet.experiments.request import accepted
 from viewnet.experiments.videos import VideoExperiment
 from viewnet.runs.other_views import on_photographs
-from viewnet.tables.packed import packed, single, unpacked
+from viewnet.tables.packed import as_kept
 
 
 @pytest.fixture(autouse=True)
@@ -135,7 +135,7 @@ def test_the_table_scores_photographs_beside_what_is_printed(fakes, freiburg, tm
     assert list(printed.values()) == ["", "56", "", "61", "59", "50", ""]
     assert cell_of(table, "VpDR-Net + FrC", "car", "median")["seeds"] == 0
     store = request.stores()["car"]
-    said = unpacked(single(packed(on_photographs(runs[0], store))))  # as they are kept beside the table
+    said = as_kept(on_photographs(runs[0], store))  # as they are kept beside the table
     errors = align(said, "procrustes").selected_errors
     assert cell_of(table, "ViewNet (photos)", "car", "median")["measured"] == pytest.approx(np.median(errors))
     regression = table.provenance[cell_of(table, "VGG view, videos (pixels)", "car", "acc30")["runs"]]

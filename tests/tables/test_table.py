@@ -27,7 +27,7 @@ from viewnet.tables import columns, kept_predictions, reported
 from viewnet.tables.columns import DASH
 from viewnet.tables.latex import escape
 from viewnet.tables.layouts import LAYOUTS
-from viewnet.tables.packed import packed, single, unpacked
+from viewnet.tables.packed import as_kept
 from viewnet.tables.table import Entry, Table, entries
 
 
@@ -144,7 +144,7 @@ def test_a_run_fills_its_starred_row_too(runs):
     assert result[0].key == f"{runs[0].key}/linear" and result[1].key == runs[0].key
     table = Table.of("table3_pascal3d", result)
     for e, kind in ((result[0], "linear"), (result[1], "procrustes")):
-        median = np.median(align(unpacked(single(packed(e.predictions))), kind).selected_errors)
+        median = np.median(align(as_kept(e.predictions), kind).selected_errors)
         assert cell_of(table, table.label(e), e.category, "median")["measured"] == pytest.approx(median)
 
 

@@ -74,10 +74,8 @@ class Viewpoint(Rotated):
 
         None where opposite sides look alike.
         """
-        if self.turns != 1:
-            return None
         opposite = [each for each in self.ranked() if each.frame[:, 2] @ self.vector < 0]
-        return opposite[0] if sum(each.probability for each in opposite) >= DOUBT else None
+        return opposite[0] if self.turns == 1 and sum(each.probability for each in opposite) >= DOUBT else None
 
     def ranked(self) -> list[Hypothesis]:
         """Every hypothesis by falling probability; among equals the chosen one comes first.

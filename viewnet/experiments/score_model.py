@@ -146,12 +146,11 @@ def as_text(scores: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _further(scores: dict[str, Any]) -> tuple[str, str, str]:
+def _further(scores: dict[str, Any]) -> tuple[str, ...]:
     """The last three cells of a line; scores up to a symmetry have none of them."""
     support = scores.get("support", {})
     numbers = (scores.get("oracle", {}).get("acc30"), support.get("acc30"), support.get("uncertainty"))
-    best, right, turn = ("" if number is None else f"{number:.1f}" for number in numbers)
-    return best, right, turn
+    return tuple("" if number is None else f"{number:.1f}" for number in numbers)
 
 
 def _run(where: str, cad_root: str | None, folder: Path) -> Run:

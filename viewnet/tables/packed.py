@@ -47,5 +47,10 @@ def unpacked(frame: pd.DataFrame) -> Predictions:
     return Predictions(frame[list(ID_COLUMNS)], vectors("h"), frame[[f"logit_{m}" for m in heads]].to_numpy(), ups)
 
 
+def as_kept(predictions: Predictions) -> Predictions:
+    """What whoever reads the file of these predictions gets."""
+    return unpacked(single(packed(predictions)))
+
+
 def _in_steps(values: Floats) -> Floats:
     return np.asarray((values / STEP).round() * STEP)

@@ -23,7 +23,7 @@ from viewnet.runtime.files import write_csv, write_json, write_text
 from viewnet.tables import columns, latex, reported
 from viewnet.tables.columns import DASH, HEADLINE, METRICS, text
 from viewnet.tables.layouts import ADDED, LAYOUTS, Layout
-from viewnet.tables.packed import packed, single, unpacked
+from viewnet.tables.packed import as_kept, packed, single
 
 DRAWS = 1000
 DEGENERATE = "in brackets: of some seed the predictions have too little spread for an alignment, so this is no score"
@@ -151,9 +151,7 @@ class Table:
         layout's. Raises ViewnetError for entries that have no place in the table, for two of the same row, category and
         seed, and for a row beside with the label of another.
         """
-        # As they are kept, so that whoever measures again from the files finds the same numbers.
-        given = [replace(entry, predictions=unpacked(single(packed(entry.predictions)))) for entry in entries]
-        given.sort(key=lambda entry: entry.beside)  # stable
+        given = sorted((replace(e, predictions=as_kept(e.predictions)) for e in entries), key=lambda e: e.beside)
         others, renamed = tuple(dict.fromkeys(entry.row for entry in given if entry.beside)), renamed or {}
         layout = LAYOUTS[known(name, LAYOUTS, "table")].extended(others)
         layout.extended(renamed.values())
